@@ -56,6 +56,8 @@ class CellErrors:
     """Of the coefficient of friction between hand and handle, as a share of it; assumed."""
 
 
+MOST_NAILS = 64
+"""Number of nails that lean, each for itself."""
 EXACT = CellErrors(*(0.0 for _ in fields(CellErrors)))
 """No errors: the job is told what is there."""
 NOMINAL = CellErrors()
@@ -69,7 +71,7 @@ class DrawnErrors:
     Attributes:
         camera: Camera's place [m] and orientation as a rotation vector [rad], axes of `base`, (6,).
         nail: Nail's place, and height of the wood's top, (3,) [m].
-        lean: Nail's lean, x and y of a rotation vector in the upright nail's axes, (2,) [rad].
+        leans: Leans of the nails in their order, x and y of a rotation vector in the upright nail's axes, (n, 2) [rad].
         tool: Standard normal numbers of the tool's data: radius, face (3), normal (3), mass, balance, (9,).
         arm: Standard normal numbers of the arm's kinematics: theta, a, d, alpha of the six joints, (4, 6).
         material: Standard normal numbers of the wood and of the friction in the hand, (2,).
@@ -79,7 +81,7 @@ class DrawnErrors:
 
     camera: Array
     nail: Array
-    lean: Array
+    leans: Array
     tool: Array
     arm: Array
     material: Array
@@ -124,7 +126,7 @@ class DrawnErrors:
         return DhCalibration(*(_six(d + self.sizes.kinematics * z) for d, z in zip(deltas, self.arm, strict=True)))
 
     def options(self, usual: SimOptions) -> SimOptions:
-        """What is in the cell that no station file says: the nail's lean, and the friction in the hand.
+        """What is in the cell that no station file says: how the nails lean, and the friction in the hand.
 
         Args:
             usual: The options without errors.
@@ -133,7 +135,7 @@ class DrawnErrors:
             The options.
         """
         friction = usual.friction * _share(self.sizes.friction * float(self.material[1]))
-        return replace(usual, nail_lean=(float(self.lean[0]), float(self.lean[1])), friction=friction)
+        return replace(usual, nail_leans=tuple((float(x), float(y)) for x, y in self.leans), friction=friction)
 
     def measured(self, tool: Tool, name: str) -> ToolData:
         """What a person with ruler, scales and calliper writes down of a hammer.
@@ -166,7 +168,7 @@ class DrawnErrors:
             "camera_deg": None if self.known_camera else round(float(np.rad2deg(turn)), 3),
             "nail_beside_mm": round(1e3 * float(np.linalg.norm(self.nail[:2])), 3),
             "nail_height_mm": round(1e3 * float(self.nail[2]), 3),
-            "nail_lean_deg": round(float(np.rad2deg(np.linalg.norm(self.lean))), 3),
+            "nail_lean_deg": round(float(np.rad2deg(np.linalg.norm(self.leans[0]))), 3),
             "face_mm": round(1e3 * self.sizes.ruler * float(np.linalg.norm(self.tool[1:4])), 3),
             "face_deg": round(float(np.rad2deg(self.sizes.face_angle * np.linalg.norm(self.tool[4:7]))), 3),
             "handle_mm": round(5e2 * self.sizes.ruler * float(self.tool[0]), 3),
@@ -196,7 +198,7 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
     else:
         off = camera.multivariate_normal(np.zeros(6), camera_covariance)
     beside = nail.normal(size=3) * [sizes.nail_beside, sizes.nail_beside, sizes.nail_height]
-    leaning = sizes.nail_lean * lean.normal(size=2)
+    leaning = sizes.nail_lean * lean.normal(size=(MOST_NAILS, 2))
     return DrawnErrors(
         off,
         beside,

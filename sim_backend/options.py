@@ -69,8 +69,8 @@ class SimOptions:
         friction: Coefficient of friction between hand and handle.
         q_start: Joint positions of the arm at the start, (6,) [rad]; the station's home if None.
         hands_over: Whether the person hands a tool over at all.
-        nail_lean: Lean of the nail, which nobody tells the job: x and y of a rotation vector in the upright nail's axes
-            [rad].
+        nail_leans: Leans of the nails in their order, which nobody tells the job: x and y of a rotation vector in the
+            upright nail's axes [rad]. Those beyond the last one stand upright.
         boards: Calibration boards in the world; nothing touches them.
     """
 
@@ -80,7 +80,7 @@ class SimOptions:
     friction: float = 0.9
     q_start: Array | None = None
     hands_over: bool = True
-    nail_lean: tuple[float, float] = (0.0, 0.0)
+    nail_leans: tuple[tuple[float, float], ...] = ()
     boards: tuple[PlacedBoard, ...] = ()
 
     def __post_init__(self) -> None:

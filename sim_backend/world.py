@@ -9,6 +9,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain, repeat
 
 import numpy as np
 
@@ -96,12 +97,13 @@ class SimWorld:
         q_arm = np.array(config.scene.home if options.q_start is None else options.q_start)
         self.robot = RobotBody(self.client, robot, q_arm, robot.hand_open)
         self.furniture = Furniture.build(self.client, config)
+        leans = chain(options.nail_leans, repeat((0.0, 0.0)))
         self.nails = {
             name: Nail(
                 self.client, work.X_base_nail(), NailSpec.from_config(work), self.furniture.block,
-                config.task.flush_protrusion, options.nail_lean,
+                config.task.flush_protrusion, lean,
             )
-            for name, work in config.work.each()
+            for (name, work), lean in zip(config.work.each(), leans, strict=False)
         }  # fmt: skip
         self.nail = self.nails[config.work.names[0]]
         self.tool = ToolBody(self.client, tool, X_base_tool)

@@ -5,11 +5,13 @@ swing). Therefore, once the fingers hold by real contact, collisions between han
 replaces them: a spring and damper at the grip whose force is bounded by what the measured finger forces allow:
 
     along the handle     mu * sum(N)                     friction
-    across the handle    sum(N)                          beyond it the fingers open
     about the handle     mu * sum(N) * r                 friction at the handle's radius r
+    across the handle    sum(N)                          beyond it the fingers open
     tilting the handle   (1 + mu) * sum(N) * w / 4       couple of normal forces and friction over the hand's width w
 
-Beyond the bounds of friction (along, across, about) the handle slips: its rest pose moves, and the slip accumulates.
+Force along and torque about the handle share the same friction: together they lie within an ellipse, the usual
+approximation of a contact's limit surface (Goyal, Ruina and Papadopoulos, 1991; Howe and Cutkosky, 1996). Beyond it,
+and beyond the bound across, the handle slips: its rest pose moves, and the slip accumulates.
 Beyond the bound of tilting the fingers yield at the torque of their motors and close again: the torque stays at its
 bound, is smaller by the tendons' friction on the way back, and a fraction of the excursion remains as slip. Beyond
 `RELEASE_SLIP` or `RELEASE_ANGLE` of slip, or `RELEASE_TILT` of tilt, the hand has lost the handle.
@@ -39,9 +41,9 @@ class GripLimits:
     """Bounds of the force and torque that the grip transmits.
 
     Attributes:
-        along: Force along the handle [N].
+        along: Force along the handle, without a torque about it [N].
         across: Force across the handle [N].
-        about: Torque about the handle [Nm].
+        about: Torque about the handle, without a force along it [Nm].
         tilting: Torque that tilts the handle [Nm].
     """
 
@@ -70,6 +72,28 @@ class GripLimits:
         """
         n = normal_force
         return cls(friction * n, n, friction * n * handle_radius, (1 + friction) * n * width / 4)
+
+    def bounded(self, force: Array, about: float, handle: Array) -> tuple[Array, float]:
+        """Limit force and torque about the handle to what the grip transmits.
+
+        Args:
+            force: Force, (3,) [N].
+            about: Torque about the handle [Nm].
+            handle: Unit vector along the handle, (3,).
+
+        Returns:
+            The limited ones; the same objects where nothing has to be limited.
+        """
+        along = float(force @ handle)
+        used = float(np.hypot(along / self.along, about / self.about))
+        squared = float(force @ force) - along * along  # of the part across
+        if used <= 1.0 and squared <= self.across * self.across:
+            return force, about
+        across = force - along * handle
+        if squared > self.across * self.across:
+            across = across * (self.across / float(np.sqrt(squared)))
+        share = 1.0 / max(used, 1.0)
+        return share * along * handle + across, share * about
 
 
 class AssistedGrip:
@@ -150,57 +174,53 @@ class AssistedGrip:
         v = v_tool + cross(w_tool, arm) - np.array(state[6]) - cross(np.array(state[7]), point - np.array(state[0]))
         v = R_palm.T @ v
         handle = R[:, 2]
-        limits = self.limits
-
         u = R_palm.T @ (point - np.array(state[4])) - self._p_rest
         gains = self.gains
-        spring = gains.stiffness * u
-        elastic = _bounded(spring, handle, limits.along, limits.across)
+        phi = _rotation_vector(R @ self._R_rest.T)
+        w = R_palm.T @ (w_tool - np.array(state[7]))
+        about, w_about = float(phi @ handle), float(w @ handle)
+        spring, twist = gains.stiffness * u, gains.about_stiffness * about
+        elastic, elastic_twist = self.limits.bounded(spring, twist, handle)
         slips = elastic is not spring
+        turn = np.zeros(3)
         if slips:
             self._p_rest += u - elastic / gains.stiffness
-        force = _bounded(-elastic - gains.damping * v, handle, limits.along, limits.across)
-
-        phi = _rotation_vector(R @ self._R_rest.T)
-        torque, turn = self._twist(phi, R_palm.T @ (w_tool - np.array(state[7])), handle, dt)
+            turn = (about - elastic_twist / gains.about_stiffness) * handle
+        force, torque_about = self.limits.bounded(
+            -elastic - gains.damping * v, -elastic_twist - gains.about_damping * w_about, handle
+        )
+        bend, yielded = self._bend(phi - about * handle, w, dt)
+        tilting = _shortened(-bend - gains.tilt_damping * (w - w_about * handle), self.limits.tilting)
+        turn = turn + yielded
         if turn @ turn > 1e-20:
             slips = True
             self._R_rest = _rotation(turn) @ self._R_rest
 
-        self.force, self.torque = force, torque
+        self.force, self.torque = force, torque_about * handle + tilting
         if self._tilt > RELEASE_TILT or (slips and (self.slip > RELEASE_SLIP or self.slip_angle > RELEASE_ANGLE)):
             self.release()
             return
-        self._apply(R_palm @ force, R_palm @ torque, point)
+        self._apply(R_palm @ force, R_palm @ self.torque, point)
 
-    def _twist(self, phi: Array, w: Array, handle: Array, dt: float) -> tuple[Array, Array]:
-        """Rotational part of the model; vectors are (3,) in the palm's axes.
+    def _bend(self, tilt: Array, w: Array, dt: float) -> tuple[Array, Array]:
+        """Elastic part of the torque against a tilt; vectors are (3,) in the palm's axes.
 
         Args:
-            phi: Deflection, a rotation vector [rad].
+            tilt: Deflection across the handle, a rotation vector [rad].
             w: Angular velocity of the tool relative to the palm [rad/s].
-            handle: Unit vector along the handle.
             dt: Length of the step [s].
 
         Returns:
-            Torque on the tool [Nm], and rotation of its rest pose by slip [rad].
+            Torque of the palm on the tool, reversed [Nm], and rotation of the tool's rest pose [rad].
         """
-        limits, gains = self.limits, self.gains
-        about = float(phi @ handle)
-        spring = min(max(gains.about_stiffness * about, -limits.about), limits.about)
-        turn = (about - spring / gains.about_stiffness) * handle
-        tilt = phi - about * handle
+        limit, stiffness = self.limits.tilting, self.gains.tilt_stiffness
         angle = float(np.sqrt(tilt @ tilt))
         self._tilt = angle
-        bend = gains.tilt_stiffness * tilt
-        if angle * gains.tilt_stiffness > limits.tilting:
-            growth = float(w @ tilt) / angle
-            bend = tilt * (limits.tilting / angle * (1.0 if growth > 0.0 else 1.0 - TENDON_LOSS))
-            turn = turn + tilt * (TILT_SLIP * max(growth, 0.0) * dt / angle)
-        w_about = float(w @ handle) * handle
-        damping = gains.about_damping * w_about + gains.tilt_damping * (w - w_about)
-        torque = _bounded(-spring * handle - bend - damping, handle, limits.about, limits.tilting)
-        return torque, turn
+        if angle * stiffness <= limit:
+            return stiffness * tilt, np.zeros(3)
+        growth = float(w @ tilt) / angle
+        bend = tilt * (limit / angle * (1.0 if growth > 0.0 else 1.0 - TENDON_LOSS))
+        return bend, tilt * (TILT_SLIP * max(growth, 0.0) * dt / angle)
 
     def _apply(self, force: Array, torque: Array, point: Array) -> None:
         at = point.tolist()
@@ -229,23 +249,7 @@ def _rotation(turn: Array) -> Array:
     return rotation_matrix(pb.getQuaternionFromAxisAngle((turn / angle).tolist(), angle))
 
 
-def _bounded(vector: Array, axis: Array, along: float, across: float) -> Array:
-    """Limit a vector's component along `axis`, and the length of the rest.
-
-    Args:
-        vector: The vector, (3,).
-        axis: Unit vector, (3,).
-        along: Bound of the component along the axis.
-        across: Bound of the length of the rest.
-
-    Returns:
-        The limited vector, (3,).
-    """
-    a = float(vector @ axis)
-    squared = float(vector @ vector) - a * a  # of the rest's length
-    if abs(a) <= along and squared <= across * across:
-        return vector
-    rest = vector - a * axis
-    if squared > across * across:
-        rest = rest * (across / float(np.sqrt(squared)))
-    return min(max(a, -along), along) * axis + rest
+def _shortened(vector: Array, most: float) -> Array:
+    """The vector (3,), no longer than this."""
+    squared = float(vector @ vector)
+    return vector if squared <= most * most else vector * (most / float(np.sqrt(squared)))

@@ -16,7 +16,7 @@ from tests.errors import raises
 from toolee_robot.calibration.nail import locate_nail
 from toolee_robot.calibration.tip import locate_tip
 from toolee_robot.cli.app import run
-from toolee_robot.config import StationConfig
+from toolee_robot.config import StationConfig, load_station
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform
@@ -82,3 +82,11 @@ def test_mount_and_nail_from_joint_positions(tmp_path: Path, capsys: pytest.Capt
     found = json.loads(capsys.readouterr().out)
     np.testing.assert_allclose(found["head"], X_base_nail[:3, 3], atol=1e-5)
     assert abs(found["height_off"]) < 1e-5
+    nails = "  nails:\n    - {name: left, xy: [0.75, 0.145]}\n    - {name: right, xy: [0.75, 0.105]}\n"
+    text = f"frame: base_link\nwork:\n  block_size: [0.08, 0.14, 0.06]\n  stand_height: 0.21  # a rule\n{nails}"
+    (tmp_path / "lab.yaml").write_text(text)
+    assert run([*command, "--nail", "right", "--write"]) == 0, capsys.readouterr().err
+    work = load_station(tmp_path / "lab.yaml").work
+    np.testing.assert_allclose([nail.xy for nail in work.nails], [[0.75, 0.145], [0.75, 0.10]], atol=2e-5)
+    assert work.stand_height == pytest.approx(0.20, abs=2e-5)
+    assert "# a rule" in (tmp_path / "lab.yaml").read_text()

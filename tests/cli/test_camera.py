@@ -72,7 +72,7 @@ def test_doctor_ends_by_what_it_found(folder: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.realtime
 def test_the_stations_doctor_asks_the_camera_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = station(folder.parent / "lab.yaml", folder)
-    run(["doctor", "--config", str(config), "--arm", "ur-rtde", "--robot-host", "127.0.0.77", "--json"])
+    run(["doctor", "--config", str(config), "--robot-host", "127.0.0.77", "--json"])
     told = json.loads(capsys.readouterr().out)
     levels = {f["name"]: f["level"] for f in told["findings"] if f["section"] != "Station file"}
     assert levels["camera"] == "ok"

@@ -19,6 +19,7 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
 _HOST, _SERIAL = "127.0.0.48", "20185500001"
 _LAB = f"""
+arm: {{host: {_HOST}}}
 calibration:
   measured_on: "2026-11-10"
   robot_serial: "{_SERIAL}"
@@ -65,7 +66,7 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = robot.state()
-    code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", _HOST, "--config", lab)
+    code, record, said = _doctor(capsys, "--robot-host", _HOST, "--config", lab)
     assert code == 0, said
     assert "Ready for slow, attended motions" in said
     assert record["robot_serial"] == _SERIAL
@@ -86,7 +87,7 @@ def test_a_point_that_was_read_in_the_other_frame_is_found(
     """A station that is entered so lies on the far side of the robot, and all its other checks pass."""
     x, y, z = 1e3 * DhParameters.of(StationConfig().arm.model).fk(np.array(robot.state()["q"]))[:3, 3]
     point = [f"{-x:.1f}", f"{-y:.1f}", f"{z:.1f}"] if turned else [f"{x:.1f}", f"{y:.1f}", f"{z:.1f}"]
-    args = ("--arm", "ur-rtde", "--robot-host", _HOST, "--config", lab, "--jogged-point", *point)
+    args = ("--robot-host", _HOST, "--config", lab, "--jogged-point", *point)
     code, record, said = _doctor(capsys, *args)
     found = {f["name"]: f for f in record["findings"]}["jogged point"]
     assert (found["level"], code) == (level, int(turned)), said
@@ -100,7 +101,7 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     monkeypatch.setenv("COLUMNS", "160")
     robot.fault("emergency_stop")
     try:
-        code = run(["doctor", "--arm", "ur-rtde", "--robot-host", _HOST, "--config", lab])
+        code = run(["doctor", "--config", lab])
     finally:
         robot.fault("reset")
     said = capsys.readouterr().out
@@ -112,7 +113,7 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
 
 @pytest.mark.sim
 def test_a_rehearsal_sees_every_device_behind_the_stand_in(capsys: pytest.CaptureFixture[str]) -> None:
-    code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", "127.0.0.49", "--world", "pybullet")
+    code, record, said = _doctor(capsys, "--robot-host", "127.0.0.49", "--world", "pybullet")
     assert code == 0, said
     assert "Ready for the job" in said
     levels = {f["name"]: f["level"] for f in record["findings"]}
@@ -122,7 +123,7 @@ def test_a_rehearsal_sees_every_device_behind_the_stand_in(capsys: pytest.Captur
 
 @pytest.mark.sim
 def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
-    code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", "127.0.0.49")
+    code, record, said = _doctor(capsys, "--robot-host", "127.0.0.49")
     assert code == 1
     assert record["worst"] == "fail"
     assert record["robot_serial"] is None
@@ -133,11 +134,10 @@ def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest
 @pytest.mark.parametrize(
     ("args", "expected_text"),
     [
-        (["--arm", "ur-rtde"], "--robot-host"),
-        (["--robot-host", "127.0.0.49"], "--robot-host without --arm ur-rtde"),
-        (["--world", "pybullet"], "--world without --arm ur-rtde"),
+        (["--world", "pybullet"], "--world needs --robot-host, or arm.host"),
+        (["--jogged-point", "1", "2", "3"], "--jogged-point needs --robot-host, or arm.host"),
         (["--config", "none.yaml"], "none.yaml"),
-        (["--arm", "ur5"], "ur5"),
+        (["--arm", "ur-rtde"], "--arm"),
     ],
 )
 def test_bad_input_is_exit_2(args: list[str], expected_text: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -157,7 +157,7 @@ def test_the_stations_own_hand_is_asked(tmp_path: Path, capsys: pytest.CaptureFi
     text = (Path(__file__).parents[2] / "examples" / "inspire.yaml").read_text()
     with InspireEmulator() as emulator:
         (tmp_path / "lab.yaml").write_text(text.replace("/dev/ttyUSB0", emulator.port))
-        options = ("--arm", "ur-rtde", "--robot-host", "127.0.0.49", "--config", str(tmp_path / "lab.yaml"))
+        options = ("--robot-host", "127.0.0.49", "--config", str(tmp_path / "lab.yaml"))
         found = [f for f in _doctor(capsys, *options)[1]["findings"] if f["name"] == "hand"]
     assert [f["level"] for f in found] == ["ok"], found
     found = [f for f in _doctor(capsys, *options)[1]["findings"] if f["name"] == "hand"]

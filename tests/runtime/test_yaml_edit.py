@@ -56,3 +56,31 @@ def test_any_numbers_are_read_back(tmp_path_factory: pytest.TempPathFactory, val
     path.write_text("servo:\n  gain: 300  # gentle\n")
     set_fields(path, "servo", values)
     assert yaml.safe_load(path.read_text()) == {"servo": {"gain": 300, **values}}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "work:\n  nails:  # a row\n    - {name: left, xy: [0.7, 0.1]}  # first\n    - {name: right, xy: [0.8, 0.1]}\n",
+        "work: {nails: [{name: left, xy: [0, 0]}, {xy: [1, 1], name: right, length: 0.03}]}\n",
+        "work:\n  nails:\n    - name: left\n      xy: [0.7, 0.1]\n    - name: right\n      length: 0.03  # long\n",
+    ],
+)
+def test_a_field_is_set_in_the_record_of_that_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(text)
+    left, right = yaml.safe_load(text)["work"]["nails"]
+    set_fields(path, "work", {"xy": [0.75, -0.125]}, ("nails", "right"))
+    after = path.read_text()
+    assert yaml.safe_load(after) == {"work": {"nails": [left, {**right, "xy": [0.75, -0.125]}]}}
+    for comment in (line.partition("#")[2] for line in text.splitlines()):
+        assert comment in after
+
+
+@pytest.mark.parametrize("text", ["", "work: {}\n", "work:\n  nails: []\n", "work:\n  nails:\n    - {name: left}\n"])
+def test_a_record_that_is_not_there_is_not_added(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(text)
+    with raises(ConfigError, code="config.not_editable"):
+        set_fields(path, "work", {"xy": [0.75, -0.125]}, ("nails", "right"))
+    assert path.read_text() == text

@@ -29,7 +29,7 @@ def test_without_errors_the_job_is_told_what_is_there() -> None:
     data = errors.measured(tool, "hammer")
     np.testing.assert_allclose(data.X_tool_face[:3, 3], tool.ee(Category.HAMMER_HEAD).X_tool_ee[:3, 3])
     assert (data.mass, data.grip_radius) == (tool.mass, tool.handle.grip_radius)
-    assert (errors.options(USUAL).nail_lean, errors.options(USUAL).friction) == ((0.0, 0.0), USUAL.friction)
+    assert (set(errors.options(USUAL).nail_leans), errors.options(USUAL).friction) == ({(0.0, 0.0)}, USUAL.friction)
     assert told.arm == CONFIG.arm
     assert errors.made_of(CONFIG) == CONFIG
     assert set(errors.facts.values()) == {0.0}
@@ -46,8 +46,9 @@ def test_the_errors_are_as_large_as_they_say() -> None:
     assert np.std(beside, axis=0) == pytest.approx([NOMINAL.nail_beside] * 2, rel=0.15)
     heights = [other.work.stand_height for other in told]
     assert np.std(heights) == pytest.approx(NOMINAL.nail_height, rel=0.15)
-    leans = [draw_errors(NOMINAL, seed).options(USUAL).nail_lean for seed in SEEDS]
+    leans = [draw_errors(NOMINAL, seed).options(USUAL).nail_leans[0] for seed in SEEDS]
     assert np.std(leans, axis=0) == pytest.approx([NOMINAL.nail_lean] * 2, rel=0.15)
+    assert len(set(draw_errors(NOMINAL, 3).options(USUAL).nail_leans)) > 2, "each nail leans for itself"
     gravity = [draw_errors(NOMINAL, seed).made_of(CONFIG).work.wood_specific_gravity for seed in SEEDS]
     assert np.std(gravity) / CONFIG.work.wood_specific_gravity == pytest.approx(NOMINAL.wood, rel=0.15)
     friction = [draw_errors(NOMINAL, seed).options(USUAL).friction for seed in SEEDS]

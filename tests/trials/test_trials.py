@@ -135,6 +135,8 @@ def test_a_plans_hash_is_of_what_it_says(tmp_path: Path) -> None:
         ("errors: {camera_position: -1}", "errors"),
         ("options: [--seed, '3']", "--seed"),
         ("seeds: 3", "seeds"),
+        ("sweep: {ruler: []}", "sweep"),
+        ("sweep: {ruler: [-0.001]}", "sweep"),
     ],
 )
 def test_what_is_no_plan_is_refused_by_the_field(tmp_path: Path, change: str, what: str) -> None:
@@ -160,3 +162,44 @@ def test_the_report_tells_shares_pairs_failures_and_distinct_tools(tmp_path: Pat
     assert "7 of 8" in page
     assert plan.hash in page
     assert "http" not in page.replace("http://www.w3.org", ""), "one file, nothing is loaded"
+
+
+def swept(options: Sequence[str]) -> dict[str, Any]:
+    """A job that succeeds up to 4 mm of error of the camera, whatever the ruler's is."""
+    given = dict(line.split(": ") for line in Path(options[options.index("--errors") + 1]).read_text().splitlines())
+    success = float(given.get("camera_position", 0.0)) < 0.0041
+    return {**job(options), "success": success, "given": given, "outcome": "flush" if success else "nail_missed"}
+
+
+SWEEP = replace(
+    PLAN, trials=6, arms=(Arm.FULL,), errors={"balance": 0.003},
+    sweep={"camera_position": (0.002, 0.004, 0.006, 0.008), "ruler": (0.001, 0.005)},
+)  # fmt: skip
+
+
+def test_a_sweep_changes_one_error_at_a_time_of_the_same_seeds(tmp_path: Path) -> None:
+    records = run_trials(SWEEP, tmp_path, 1, quietly, swept)
+    assert len(records) == 6 * (4 + 2)
+    for record in records:
+        given = {name: float(value) for name, value in record.figures["given"].items()}
+        assert given == {"balance": 0.003, record.trial.error: record.trial.size}
+    outs = {(record.trial.seed, record.command) for record in records}
+    assert len(outs) == len(records)
+    assert finished(SWEEP, tmp_path) == records
+    asked = Asked()
+    assert run_trials(SWEEP, tmp_path, 1, quietly, asked) == records
+    assert not asked.options, "all of them are there already"
+    assert replace(SWEEP, sweep={}).hash != SWEEP.hash
+    with pytest.raises(ValueError, match="exact"):
+        replace(SWEEP, errors="exact")
+
+
+def test_the_report_tells_the_size_that_is_too_much(tmp_path: Path) -> None:
+    page = write_report(SWEEP, run_trials(SWEEP, tmp_path, 1, quietly, swept), tmp_path).read_text()
+    camera, ruler = json.loads((tmp_path / "report.json").read_text())["sweeps"]
+    assert [share["hits"] for share in camera["shares"]] == [6, 6, 0, 0]
+    assert 0.004 < camera["limit"]["size"] < 0.006
+    assert camera["limit"]["low"] <= camera["limit"]["size"] <= camera["limit"]["high"]
+    assert ruler["too_much"] == "not up to 5"
+    assert "One error at a time" in page
+    assert "place, mm along each axis" in page

@@ -29,15 +29,16 @@ class Doctor:
 
     Example: toolee doctor
 
-    Example: toolee doctor --config lab.yaml --arm ur-rtde --robot-host 192.168.1.10
+    Example: toolee doctor --config lab.yaml
 
     Exit code 0: ready, or warnings only; 1: a fault must be repaired first; 2: invalid input.
     """
 
-    arm: Literal["sim", "ur-rtde"] = "sim"
-    """The simulated station, or a UR controller on the network (a real one, or `toolee ur-controller`)."""
-    robot_host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
-    """Address of the UR controller, with --arm ur-rtde."""
+    robot_host: Annotated[
+        str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: arm.host of the station file)")
+    ] = None
+    """Address of the UR controller: a robot's, or that of `toolee ur-controller`. Without any the simulated station is
+    checked."""
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
     """A rehearsal: a controller stand-in is started at that loopback address, the simulated station behind it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
@@ -53,47 +54,41 @@ class Doctor:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        if self.arm == "ur-rtde" and not self.robot_host:
-            raise UserError(
-                "--arm ur-rtde needs --robot-host: the controller's address, as on its About page",
-                code="user.no_robot_host",
-            )
-        for option, given in (
-            ("--robot-host", self.robot_host),
-            ("--world", self.world),
-            ("--jogged-point", self.jogged_point),
-        ):
-            if self.arm == "sim" and given:
-                raise UserError(f"{option} without --arm ur-rtde: the simulated arm needs none", code="user.option")
         config = StationConfig() if self.config is None else load_station(self.config)
+        host = self.robot_host or config.arm.host
+        for option, given in (("--world", self.world), ("--jogged-point", self.jogged_point)):
+            if host is None and given:
+                raise UserError(
+                    f"{option} needs --robot-host, or arm.host in the station file: the controller's address, as on "
+                    "its About page",
+                    code="user.no_robot_host",
+                )
         console = Console(stderr=self.json, highlight=False)
         with console.status("loading"):
             from toolee_robot.cli.doctor_sections import DoctorReport
 
         point = None if self.jogged_point is None else 1e-3 * np.array(self.jogged_point)
-        report = DoctorReport(
-            config, self.robot_host, self.world is not None, self.out, point, console.status, self.config
-        )
+        report = DoctorReport(config, host, self.world is not None, self.out, point, console.status, self.config)
         found: list[tuple[str, Finding]] = []
         for section, findings in report.sections():
             found += [(section, finding) for finding in findings]
             console.print(f"\n[bold]{section}[/bold]")
             console.print(findings_table(findings))
         level = worst(finding for _, finding in found)
-        console.print(f"\n{self._verdict([finding for _, finding in found])}")
+        console.print(f"\n{self._verdict(host, [finding for _, finding in found])}")
         if self.json:
             told = [{"section": section, **asdict(finding)} for section, finding in found]
-            facts = {"arm": self.arm, "robot_host": self.robot_host, **report.facts}
+            facts = {"robot_host": host, **report.facts}
             print(json_line({"worst": level, **facts, "findings": told}), flush=True)
         return int(level is Level.FAIL)
 
-    def _verdict(self, findings: Sequence[Finding]) -> str:
+    def _verdict(self, host: str | None, findings: Sequence[Finding]) -> str:
         fails = sum(f.level is Level.FAIL for f in findings)
         warnings = sum(f.level is Level.WARN for f in findings)
         told = f", {_count(warnings, 'warning')}" if warnings else ""
         if fails:
             return f"[bold red]Not ready: {_count(fails, 'thing')} to mend{told}.[/bold red]"
-        real = self.arm == "ur-rtde" and self.world is None
+        real = host is not None and self.world is None
         return f"[bold green]Ready for {'slow, attended motions' if real else 'the job'}[/bold green]{told}."
 
 

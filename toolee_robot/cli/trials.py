@@ -56,12 +56,15 @@ class Trials:
                 if done := finished(plan, self.out):
                     write_report(plan, done, self.out)
         page = write_report(plan, records, self.out)
-        for arm, of in figures(plan, records)["arms"].items():
+        made = figures(plan, records)
+        for arm, of in made["arms"].items():
             flush = of["flush"]
             console.print(
                 f"{arm:<20}{flush['hits']} of {flush['of']} flush ({flush['low']:.2f} to {flush['high']:.2f})"
             )
+        for sweep in made["sweeps"]:
+            console.print(f"{sweep['error']:<20}under 90 % from: {sweep['too_much']}")
         console.print(f"report: {escape(str(page))}")
         if self.json:
-            print(json_line(figures(plan, records)), flush=True)
+            print(json_line(made), flush=True)
         return 0

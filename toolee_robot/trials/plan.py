@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
@@ -57,10 +57,19 @@ class Trial:
     Attributes:
         arm: Its arm.
         seed: Its seed: hammer, grasp, room and errors, the same in every arm.
+        error: The error that has a size of its own; None for none.
+        size: That size, in the error's unit.
     """
 
     arm: Arm
     seed: int
+    error: str | None = None
+    size: float | None = None
+
+    @property
+    def variation(self) -> str:
+        """The error and its size, as the name of a file; empty for none."""
+        return "" if self.error is None else f"{self.error}-{self.size:g}"
 
 
 @dataclass(frozen=True)
@@ -81,8 +90,12 @@ class TrialPlan:
     the others nominal."""
     options: tuple[str, ...] = ()
     """Further options of `toolee hammer`, such as `--station lab.yaml`, `--rehearse`."""
+    sweep: dict[str, Annotated[tuple[NotNegative, ...], Field(min_length=1)]] = field(default_factory=dict)
+    """Sizes of errors, each of which every seed and arm gets instead of the one in `errors`, one error at a time."""
 
     def __post_init__(self) -> None:
+        if self.sweep and self.errors == "exact":
+            raise ValueError("sweep: the errors that are not swept are nominal, or sizes; not exact")
         if len(set(self.arms)) < len(self.arms):
             raise ValueError("arms: each one once")
         given = {option.split("=")[0].replace("_", "-") for option in self.options if option.startswith("--")}
@@ -92,17 +105,21 @@ class TrialPlan:
     @property
     def hash(self) -> str:
         """SHA-256 of what the plan says, whatever its file looks like."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+        said = {name: value for name, value in asdict(self).items() if name != "sweep" or value}
+        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
     def jobs(self) -> Iterator[Trial]:
-        """The jobs in their order, a seed's arms one after the other.
+        """The jobs in their order, all those of a seed one after the other.
 
         Yields:
             Each trial.
         """
+        swept: list[tuple[str | None, float | None]]
+        swept = [(error, size) for error, sizes in self.sweep.items() for size in sizes]
         for seed in range(self.first_seed, self.first_seed + self.trials):
-            for arm in self.arms:
-                yield Trial(arm, seed)
+            for error, size in swept or [(None, None)]:
+                for arm in self.arms:
+                    yield Trial(arm, seed, error, size)
 
 
 def load_plan(path: Path) -> TrialPlan:

@@ -21,6 +21,7 @@ from toolee_robot.runtime.files import write_atomic
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.run import Record
 from toolee_robot.trials.statistics import by_size, compare, median, of_arm, share
+from toolee_robot.trials.sweeps import Sweep, curves, sweeps
 
 REPORT, FIGURES = "report.html", "report.json"
 """Names of the page and of its figures, in the trials' folder."""
@@ -89,9 +90,10 @@ def figures(plan: TrialPlan, records: Sequence[Record]) -> dict[str, Any]:
         "plan": asdict(plan),
         "hash": plan.hash,
         "finished": len(records),
-        "of": plan.trials * len(plan.arms),
+        "of": sum(1 for _ in plan.jobs()),
         "distinct_tools": len(tools),
         "arms": arms,
+        "sweeps": [asdict(sweep) | {"too_much": sweep.told} for sweep in sweeps(first)],
     }
 
 
@@ -119,24 +121,38 @@ def _page(plan: TrialPlan, records: Sequence[Record], folder: Path) -> str:
     failed = [record for record in records if not record.success]
     if failed:
         page.table(["arm", "outcome", "trials"], _outcomes(made), left=2)
-        page.table(["arm", "seed", "tool", "outcome", "reason"], [_failure(r, folder) for r in failed], left=5)
+        page.table(["arm", "seed", "error", "tool", "outcome", "reason"], [_failure(r, folder) for r in failed], left=6)
     else:
         page.paragraph("None.")
-    curves = _curves(of_arm(records, plan.arms[0]))
+    first = of_arm(records, plan.arms[0])
+    if found := sweeps(first):
+        page.section("One error at a time")
+        page.table(
+            ["error", "size: flush", "under 90 % from"],
+            [[sweep.axis[0], _sizes(sweep), sweep.told] for sweep in found],
+            left=2,
+        )
+        caption = (
+            f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush while one error has this size and "
+            "the others are as in the plan, with 95 % intervals (Wilson). Red: where a logistic curve falls under "
+            "90 %, with its 95 % interval by resampled seeds."
+        )
+        page.picture(curves(found), caption)
+    drawn = _curves(first)
     page.section("Success against the size of each error")
-    if curves is None:
+    if drawn is None:
         page.paragraph("No error was drawn, or there are too few trials for bins.")
     else:
         caption = (
             f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush in four bins of as many trials each, "
             "by the size of one error while the others vary, with 95 % intervals."
         )
-        page.picture(curves, caption)
+        page.picture(drawn, caption)
     page.section("Every trial")
     page.table(
-        ["arm", "seed", "tool", "outcome", "strikes", "robot's time, s", "tries"],
+        ["arm", "seed", "error", "tool", "outcome", "strikes", "robot's time, s", "tries"],
         [_row(record, folder) for record in records],
-        left=4,
+        left=5,
     )
     page.section("The plan")
     page.definitions({name: _words(value) for name, value in asdict(plan).items()} | {"hash (SHA-256)": plan.hash})
@@ -170,14 +186,25 @@ def _outcomes(made: dict[str, Any]) -> list[list[str]]:
 def _failure(record: Record, folder: Path) -> list[Any]:
     f = record.figures
     outcome = str(f["outcome"]).replace("_", " ")
-    return [str(record.trial.arm).replace("_", " "), _link(record, folder), f["tool"], outcome, f["reason"]]
+    arm = str(record.trial.arm).replace("_", " ")
+    return [arm, _link(record, folder), _error(record), f["tool"], outcome, f["reason"]]
 
 
 def _row(record: Record, folder: Path) -> list[Any]:
     f, arm = record.figures, str(record.trial.arm).replace("_", " ")
     outcome = "flush" if record.success else str(f["outcome"]).replace("_", " ")
     time = _figure(f.get("robot_seconds"))
-    return [arm, _link(record, folder), f["tool"], outcome, str(f["strikes"]), time, str(f["tries"])]
+    return [arm, _link(record, folder), _error(record), f["tool"], outcome, str(f["strikes"]), time, str(f["tries"])]
+
+
+def _error(record: Record) -> str:
+    """The error that has a size of its own."""
+    return "" if record.trial.error is None else f"{record.trial.error} {record.trial.size:g}"
+
+
+def _sizes(sweep: Sweep) -> str:
+    factor = sweep.axis[1]
+    return ", ".join(f"{factor * size:.3g}: {s}" for size, s in zip(sweep.sizes, sweep.shares, strict=True))
 
 
 def _link(record: Record, folder: Path) -> Markup | str:
@@ -194,7 +221,7 @@ def _figure(value: float | None) -> str:
 
 def _words(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{name} {size:g}" for name, size in value.items())
+        return ", ".join(f"{name} {_words(size)}" for name, size in value.items()) or "none"
     return ", ".join(map(str, value)) or "none" if isinstance(value, list | tuple) else str(value)
 
 

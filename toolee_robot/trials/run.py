@@ -8,29 +8,32 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import yaml
 
 import toolee_robot
-from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.errors import UserError
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.trials.plan import Arm, Trial, TrialPlan
+from toolee_robot.trials.process import run_job
 
 RESULTS = "trials.jsonl"
 """The file with the results."""
 RUNS = "runs"
 """The folder with the jobs' folders."""
-ERRORS = "errors.yaml"
-"""The file with the sizes of the errors, where the plan gives sizes."""
+ERRORS = "errors"
+"""The folder with the sizes of the errors, where the plan gives sizes."""
 TRIES = 6
 """Number of times that a job is tried which ends because the machine itself stalled."""
+
+
+_WRITING = Lock()
 
 
 @dataclass(frozen=True)
@@ -83,8 +86,6 @@ def run_trials(
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / RESULTS
     done = _begin(path, plan)
-    if isinstance(plan.errors, dict):
-        (folder / ERRORS).write_text(yaml.safe_dump(plan.errors))
     todo = [trial for trial in plan.jobs() if trial not in done]
     if done:
         tell(f"{len(done)} of {len(done) + len(todo)} trials are there already")
@@ -94,7 +95,7 @@ def run_trials(
         try:
             while True:
                 for trial in queue:
-                    waiting[pool.submit(_run, plan, trial, folder, job or _process)] = trial
+                    waiting[pool.submit(_run, plan, trial, folder, job or run_job)] = trial
                     if len(waiting) >= jobs:
                         break
                 if not waiting:
@@ -158,44 +159,45 @@ def _append(file: int, line: str) -> None:
 
 
 def _line(record: Record) -> str:
-    trial = {"arm": record.trial.arm, "seed": record.trial.seed}
+    trial = {name: value for name, value in asdict(record.trial).items() if value is not None}
     return json.dumps({"trial": trial, "figures": record.figures, "command": record.command}) + "\n"
 
 
 def _record(line: dict[str, Any]) -> Record:
-    trial = Trial(Arm(line["trial"]["arm"]), line["trial"]["seed"])
+    trial = Trial(**{**line["trial"], "arm": Arm(line["trial"]["arm"])})
     return Record(trial, line["figures"], tuple(line["command"]))
 
 
 def _run(plan: TrialPlan, trial: Trial, folder: Path, job: Job) -> Record:
-    errors: tuple[str, ...] = ()
-    if plan.errors == "exact":
-        errors = ("--exact",)
-    elif isinstance(plan.errors, dict):
-        errors = ("--errors", str(folder / ERRORS))
-    command = ("--seed", str(trial.seed), *trial.arm.options, *errors, *plan.options)
-    # Arms of one seed that begin in the same second need folders of their own.
-    options = ["--json", "--out", str(folder / RUNS / trial.arm), *command]
+    command = ("--seed", str(trial.seed), *trial.arm.options, *_errors(plan, trial, folder / ERRORS), *plan.options)
+    # Jobs of one seed that begin in the same second need folders of their own.
+    options = ["--json", "--out", str(folder / RUNS / trial.arm / trial.variation), *command]
     figures, tries = job(options), 1
     while figures.get("machine_stalled") and tries < TRIES:
         figures, tries = job(options), tries + 1
     return Record(trial, {**figures, "tries": tries}, command)
 
 
-def _process(options: Sequence[str]) -> dict[str, Any]:
-    code = "from toolee_robot.cli import main; main()"
-    command = [sys.executable, "-c", code, "hammer", *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode not in (0, 1) or not done.stdout.strip():
-        raise TooleeError(
-            f"toolee hammer {' '.join(options)} ended with code {done.returncode}: {done.stderr.strip()[-500:]}",
-            code="trials.crashed",
-        )
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+def _errors(plan: TrialPlan, trial: Trial, folder: Path) -> tuple[str, ...]:
+    """Options of `toolee hammer` for a trial's errors."""
+    if plan.errors == "exact":
+        return ("--exact",)
+    sizes = dict(plan.errors) if isinstance(plan.errors, dict) else {}
+    if trial.error is not None and trial.size is not None:
+        sizes[trial.error] = trial.size
+    if not sizes:
+        return ()
+    file = folder / f"{trial.variation or 'all'}.yaml"
+    with _WRITING:  # jobs side by side may have the same one
+        if not file.is_file():
+            folder.mkdir(exist_ok=True)
+            write_atomic(file, yaml.safe_dump(sizes).encode())
+    return ("--errors", str(file))
 
 
 def _told(record: Record) -> str:
     figures = record.figures
     ending = "flush" if record.success else f"failed: {figures['reason']}"
     tries = "" if figures["tries"] == 1 else f", try {figures['tries']}: the machine had stalled"
-    return f"{record.trial.arm}, seed {record.trial.seed}: {ending}{tries}"
+    swept = "" if record.trial.error is None else f", {record.trial.error} {record.trial.size:g}"
+    return f"{record.trial.arm}, seed {record.trial.seed}{swept}: {ending}{tries}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import binomtest
@@ -73,8 +73,9 @@ def compare(arm: Sequence[Record], other: Sequence[Record]) -> Comparison:
     Returns:
         The comparison.
     """
-    reference = {record.trial.seed: record.success for record in other}
-    pairs = [(r.success, reference[r.trial.seed]) for r in arm if r.trial.seed in reference]
+    reference = {replace(record.trial, arm=Arm.FULL): record.success for record in other}
+    mine = [(r.success, replace(r.trial, arm=Arm.FULL)) for r in arm]
+    pairs = [(success, reference[trial]) for success, trial in mine if trial in reference]
     better = sum(a and not b for a, b in pairs)
     worse = sum(b and not a for a, b in pairs)
     p = 1.0 if better + worse == 0 else float(binomtest(better, better + worse, 0.5).pvalue)

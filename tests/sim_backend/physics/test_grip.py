@@ -125,6 +125,43 @@ def test_gains_that_ignore_the_inertia_would_spin_a_light_hammer_up(monkeypatch:
 
 
 @given(
+    force=arrays(float, 3, elements=st.floats(-20.0, 20.0)),
+    about=st.floats(-0.2, 0.2),
+    handle=arrays(float, 3, elements=st.floats(-1.0, 1.0)).filter(lambda v: float(np.linalg.norm(v)) > 0.1),
+)
+def test_friction_along_the_handle_and_about_it_is_shared(force: Array, about: float, handle: Array) -> None:
+    handle = handle / np.linalg.norm(handle)
+    given_force, given_about = LOOSE.bounded(force, about, handle)
+    along, across = given_force @ handle, given_force - (given_force @ handle) * handle
+    assert np.hypot(along / LOOSE.along, given_about / LOOSE.about) <= 1.0 + 1e-9
+    assert np.linalg.norm(across) <= LOOSE.across * (1.0 + 1e-9)
+    assert given_force @ force >= 0.0, "it never pushes the other way"
+    assert given_about * about >= 0.0
+    assert along * about == pytest.approx((force @ handle) * given_about, abs=1e-9), "in the same proportion"
+    inside = np.hypot(force @ handle / LOOSE.along, about / LOOSE.about) <= 1.0
+    if inside and np.linalg.norm(np.cross(force, handle)) < 0.999 * LOOSE.across:
+        assert given_force is force
+        assert given_about == about
+
+
+def test_a_handle_that_turns_in_the_grip_is_pulled_out_more_easily() -> None:
+    slips = []
+    for torque in (0.0, 0.9 * LOOSE.about):
+        with held(body_of(7301), LOOSE, 0.0) as (client, tool, grip):
+            NORMAL.apply(client)
+            for _ in range(30):
+                p = pb.getBasePositionAndOrientation(tool, physicsClientId=client)[0]
+                pull = [0.0, 0.0, 0.45 * LOOSE.along]
+                pb.applyExternalForce(tool, -1, pull, p, pb.WORLD_FRAME, physicsClientId=client)
+                pb.applyExternalTorque(tool, -1, [0.0, 0.0, torque], pb.WORLD_FRAME, physicsClientId=client)
+                grip.before_step(NORMAL.time_step)
+                pb.stepSimulation(physicsClientId=client)
+            slips.append(grip.slip)
+    assert slips[0] < 1e-6
+    assert slips[1] > 1e-4
+
+
+@given(
     factor=arrays(float, (6, 6), elements=st.floats(-1.0, 1.0)),
     scale=st.floats(-4.0, 4.0),
     handle=arrays(float, 3, elements=st.floats(-1.0, 1.0)).filter(lambda v: float(np.linalg.norm(v)) > 0.1),

@@ -42,7 +42,8 @@ class Lag(MotionOptions):
     def run(self) -> int:
         if self.write and self.config is None:
             raise UserError("--write needs --config: the station file to write to", code="user.option")
-        station, console = self.load(), Console(stderr=self.json, highlight=False)
+        console = Console(stderr=self.json, highlight=False)
+        station, host = self.load()
         from toolee_robot.cli.arm.session import Session
         from toolee_robot.cli.arm.terminal import TerminalPerson
         from toolee_robot.runtime.yaml_edit import set_fields
@@ -57,7 +58,7 @@ class Lag(MotionOptions):
         @contextmanager
         def open_with(gain: float, lookahead: float) -> Iterator[Supervisor]:
             servo = replace(slow.config.servo, gain=gain, lookahead=lookahead, lag=None)
-            with open_arm(replace(slow.config, servo=servo), self.robot_host, person) as arm:
+            with open_arm(replace(slow.config, servo=servo), host, person) as arm:
                 yield arm
 
         with open_with(*PAIRS[0]) as arm:

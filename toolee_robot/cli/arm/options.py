@@ -21,7 +21,9 @@ Vector = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y
 class ArmOptions:
     """Where the robot is, and what station it belongs to."""
 
-    robot_host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
+    robot_host: Annotated[
+        str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: arm.host of the station file)")
+    ] = None
     """Address of the UR controller: a robot's, or the loopback address of `toolee ur-controller`."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """The station file, whose limits hold; a stand-in may do without."""
@@ -30,26 +32,35 @@ class ArmOptions:
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
-    def load(self) -> StationConfig:
+    def load(self) -> tuple[StationConfig, str]:
         """Load the station.
 
+        Returns:
+            The station, and the address of its controller.
+
         Raises:
-            UserError: A robot without a station file, or one that nobody attends.
+            UserError: No address is known; or a robot without a station file, or one that nobody attends.
             ConfigError: The file is invalid, or a robot's leaves out what must be measured.
         """
-        if not is_loopback(self.robot_host):
-            if self.yes:
-                raise UserError(
-                    f"--yes for {self.robot_host}, which may be a robot: a person confirms each of its motions",
-                    code="user.unattended_robot",
-                )
-            if self.config is None:
-                raise UserError(
-                    f"--robot-host {self.robot_host} without --config: a robot moves in its own station only",
-                    code="user.no_station",
-                )
-            return load_lab_station(self.config)
-        return StationConfig() if self.config is None else load_station(self.config)
+        station = StationConfig() if self.config is None else load_station(self.config)
+        host = self.robot_host or station.arm.host
+        if host is None:
+            raise UserError(
+                "no robot: give --config with a station file that names arm.host, or --robot-host",
+                code="user.no_robot_host",
+            )
+        if is_loopback(host):
+            return station, host
+        if self.yes:
+            raise UserError(
+                f"--yes for {host}, which may be a robot: a person confirms each of its motions",
+                code="user.unattended_robot",
+            )
+        if self.config is None:
+            raise UserError(
+                f"--robot-host {host} without --config: a robot moves in its own station only", code="user.no_station"
+            )
+        return load_lab_station(self.config), host
 
 
 @dataclass(frozen=True, kw_only=True)

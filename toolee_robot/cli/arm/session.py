@@ -100,11 +100,12 @@ def session(options: ArmOptions, console: Console) -> Iterator[Session]:
         TooleeError: The options do not fit, or the robot is not ready.
     """
     caps = Caps(options.max_speed, options.max_acceleration) if isinstance(options, MotionOptions) else Caps()
-    slow = SlowStation.of(options.load(), caps)
+    config, host = options.load()
+    slow = SlowStation.of(config, caps)
     person = TerminalPerson(console, absent=options.yes)
     stack = ExitStack()
-    with console.status(f"asking the robot at {options.robot_host}"):
-        arm = open_arm(slow.config, options.robot_host, person)
+    with console.status(f"asking the robot at {host}"):
+        arm = open_arm(slow.config, host, person)
         stack.enter_context(arm)
     with stack:
         yield Session(arm, slow, person, console)

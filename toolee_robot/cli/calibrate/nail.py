@@ -88,7 +88,7 @@ class Nail:
         config = replace(config, work=config.work.only(name))
         console = Console(stderr=self.json, highlight=False)
         at = None if self.at_mm is None else (self.at_mm[0] / 1e3, self.at_mm[1] / 1e3)
-        job = NailJob(config, console, Print(self.sheet, at, self.placing_mm / 1e3))
+        job = NailJob(config, name, console, Print(self.sheet, at, self.placing_mm / 1e3))
         if self.touches is not None:
             assert self.tip_mm is not None
             job.touch(self.touches, self.tip_mm, self.touch_mm / 1e3)

@@ -68,12 +68,14 @@ class NailJob:
 
     Attributes:
         config: The station; its work is about the nail.
+        name: The nail's name.
         console: The console.
         printed: The board on the wood.
         figures: What --json prints, by name.
     """
 
     config: StationConfig
+    name: str
     console: Console
     printed: Print
     figures: dict[str, Any] = field(default_factory=dict)
@@ -217,18 +219,19 @@ class NailJob:
         lines = [f"{name:<24}{value}" for name, value in rows]
         height = float(entry[2]) - work.block_size[2]
         xy = self._in_file(entry, path)
-        nail_fields: dict[str, Any] = {"nail_xy": xy}
-        if work.nails:
-            lines += ["", f"In work.nails, for the nail that is at {list(work.nail_xy)} in base_link: xy: {xy}"]
-            nail_fields = {}
-        values = {**nail_fields, "stand_height": round(height, 5)}
+        named = self.name if work.nails else None
+        places: list[tuple[tuple[str, str] | None, dict[str, Any]]] = [
+            (None, {"stand_height": round(height, 5)} | ({} if named else {"nail_xy": xy}))
+        ]
+        if named:
+            places.append((("nails", named), {"xy": xy}))
+        told = [f"  {name}: {value}" for name, value in places[0][1].items()]
+        told += [f"  nails, {item[1]}: xy: {values['xy']}" for item, values in places[1:] if item]
+        lines += ["", f"Entered in {escape(str(path))}:" if write else "In the station file:", "work:", *told]
         if write:
             assert path is not None
-            set_fields(path, "work", values)
-            lines += ["", f"Entered in {escape(str(path))}: {', '.join(f'work.{name}' for name in values)}."]
-        else:
-            text = "\n".join(f"  {name}: {value}" for name, value in values.items())
-            lines += ["", "In the station file:", "work:", text]
+            for item, values in reversed(places):
+                set_fields(path, "work", values, item)
         if "true_lateral_mm" in self.figures:
             lines += ["", "[dim]* measured by the simulation; whoever looks cannot see it[/dim]"]
         title = "[bold]the nail is located[/bold]"

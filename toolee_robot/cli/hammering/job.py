@@ -28,7 +28,7 @@ from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.robots import hand_model
 from toolee_robot.runtime.code_version import code_version
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
+from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.verdict import NailTruth, StrikeTruth, Verdict
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome
@@ -45,6 +45,10 @@ TRUE_FIGURES = (
 )  # fmt: skip
 NAIL_FIGURES = ("bend_deg", "lean_deg", "shift_mm")
 """Figures that only a simulation knows: of the job, and of each nail."""
+
+
+STALLED = 0.8
+"""Share of what the driver bears at most that a stall of the machine must have taken to excuse a job."""
 
 
 @dataclass(frozen=True)
@@ -164,12 +168,13 @@ class HammerJob:
             words.append(self.ablation.replace("_", " "))
         return ", ".join(word for word in words if word)
 
-    def _machine_stalled(self, result: HammerResult, longest_stall: float | None) -> bool:
+    def _machine_stalled(self, result: HammerResult, opened: Opened, longest_stall: float | None) -> bool:
         """Whether the machine itself stalled for longer than the driver's bounds allow at this real-time factor."""
         factor = self.source.real_time_factor
         if factor is None or longest_stall is None or result.outcome is not Outcome.DEVICE_FAULT:
             return False
-        return longest_stall * factor > STALL_LIMIT
+        bounds = opened.config.supervisor
+        return longest_stall * factor > STALLED * min(bounds.data_cycles, bounds.overruns) / opened.station.arm.rate
 
     def _figures(
         self,
@@ -188,7 +193,7 @@ class HammerJob:
             reason = f"the robot takes {which} for flush ({reason}), but it is {truth.outcome.replace('_', ' ')}"
             if truth.outcome == "bent":
                 outcome = str(Outcome.BENT)
-        machine_stalled = self._machine_stalled(result, longest_stall)
+        machine_stalled = self._machine_stalled(result, opened, longest_stall)
         if machine_stalled:
             reason += (
                 f". This machine itself stalled meanwhile, for up to {(longest_stall or 0.0) * 1e3:.0f} ms: the "

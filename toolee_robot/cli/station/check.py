@@ -33,4 +33,4 @@ class Check:
 
         check_purpose(config)
         Console(stderr=self.json, highlight=False).print("Nothing is missing in the file. Whether it is right:")
-        return Doctor(arm="ur-rtde", robot_host=config.arm.host, config=self.file, json=self.json).run()
+        return Doctor(config=self.file, json=self.json).run()

@@ -14,7 +14,7 @@ from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.swing import SwingLimits, plan_swing
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.frames import inverse
+from toolee_robot.frames import inverse, transform
 from toolee_robot.hal import Clock, MotionReport
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
@@ -87,6 +87,7 @@ class NailDriving:
         self._strikes_seen = 0
         self._holding = Holding()
         self._measured = False
+        self._seen_too_near = 0.0  # along the face's normal, by the first touch after the first look [m]
 
     @property
     def strikes_since_look(self) -> int:
@@ -187,12 +188,16 @@ class NailDriving:
         with self._stages(Stage.TOUCH), self._check_blind():
             if self._measured:
                 return self._gauge.resume(plan, known)
+            seen = self._motions.X_hand_ee
             self._gauge.begin(plan)
+            self._seen_too_near = float((inverse(seen) @ self._motions.X_hand_ee)[2, 3])
             self._measured = True
         return known
 
     def _look(self, views: int, *, afresh: bool = False) -> None:
         self._holding = self._look_from(views, afresh)
+        # The camera's and the arm's errors are those of the look before, which the touch has told along the normal.
+        self._motions.X_hand_ee = self._motions.X_hand_ee @ transform(p=[0.0, 0.0, self._seen_too_near])
         self._strikes_seen = len(self.strikes)
 
     def _plan(self, height: float) -> StrikePlan:

@@ -1,0 +1,174 @@
+"""Sweeps: how success depends on the size of one error while the others stay, and the size that is too much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from toolee_robot.frames import Array
+from toolee_robot.trials.run import Record
+from toolee_robot.trials.statistics import Share, share
+
+ENOUGH = 0.9
+"""Share of successes under which an error is too large."""
+RESAMPLED = 200
+"""Number of times that the seeds are drawn again for the interval of a limit."""
+UNITS = {
+    "camera_position": ("camera's place, mm along each axis", 1e3),
+    "camera_rotation": ("camera's orientation, ° about each axis", 180.0 / np.pi),
+    "nail_beside": ("nail beside its place, mm along x and y", 1e3),
+    "nail_height": ("wood's height, mm", 1e3),
+    "nail_lean": ("nail's lean, ° to each side", 180.0 / np.pi),
+    "ruler": ("lengths on the tool, mm", 1e3),
+    "face_angle": ("direction of the face, °", 180.0 / np.pi),
+    "scales": ("tool's mass, %", 100.0),
+    "balance": ("centre of mass, mm", 1e3),
+    "kinematics": ("arm's lengths and angles, mm and mrad", 1e3),
+    "wood": ("specific gravity, %", 100.0),
+    "friction": ("friction in the hand, %", 100.0),
+}
+"""How the axis of each swept error is called, and the factor from the plan's unit to the axis's."""
+_BLUE, _RED = "#12609e", "#b3261e"
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The size of an error at which the share of successes falls under `ENOUGH`.
+
+    A logistic curve is fitted to the trials; the 95 % interval is of fits to seeds drawn again (bootstrap).
+
+    Attributes:
+        size: That size; the largest one of the sweep where the curve does not fall so far.
+        low: Lower bound.
+        high: Upper bound; the largest one of the sweep where it may lie beyond.
+    """
+
+    size: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Trials of one error.
+
+    Attributes:
+        error: Its name.
+        sizes: The sizes, from small to large, in the plan's unit.
+        shares: Share of successes at each.
+        limit: The size that is too much.
+    """
+
+    error: str
+    sizes: tuple[float, ...]
+    shares: tuple[Share, ...]
+    limit: Limit
+
+    @property
+    def axis(self) -> tuple[str, float]:
+        """How its axis is called, and the factor from the plan's unit."""
+        return UNITS.get(self.error, (self.error, 1.0))
+
+    @property
+    def told(self) -> str:
+        """The limit, in words."""
+        factor, end = self.axis[1], self.sizes[-1]
+        limit = self.limit
+        if limit.size >= end:
+            return f"not up to {factor * end:.3g}"
+        beyond = " or more" if limit.high >= end else ""
+        return f"{factor * limit.size:.2g} ({factor * limit.low:.2g} to {factor * limit.high:.2g}{beyond})"
+
+
+def sweeps(records: Sequence[Record]) -> list[Sweep]:
+    """Sort an arm's trials by the error that was swept.
+
+    Args:
+        records: The results of one arm.
+
+    Returns:
+        The sweeps, in the order in which they were first tried; none for a plan without.
+    """
+    by_error: dict[str, list[Record]] = {}
+    for record in records:
+        if record.trial.error is not None:
+            by_error.setdefault(record.trial.error, []).append(record)
+    return [_sweep(error, of) for error, of in by_error.items()]
+
+
+def _sweep(error: str, records: Sequence[Record]) -> Sweep:
+    sizes = np.array([record.trial.size for record in records], dtype=float)
+    flush = np.array([record.success for record in records])
+    seeds = np.array([record.trial.seed for record in records])
+    tried = np.unique(sizes)
+    shares = tuple(share([bool(value) for value in flush[sizes == size]]) for size in tried)
+    return Sweep(error, tuple(tried.tolist()), shares, _limit(sizes, flush, seeds))
+
+
+def _limit(sizes: Array, flush: NDArray[np.bool_], seeds: NDArray[np.int64]) -> Limit:
+    rng = np.random.default_rng(0)
+    rows = [np.flatnonzero(seeds == seed) for seed in np.unique(seeds)]
+    drawn = []
+    for _ in range(RESAMPLED):
+        again = np.concatenate([rows[i] for i in rng.integers(len(rows), size=len(rows))])
+        drawn.append(_too_much(sizes[again], flush[again], float(sizes.max())))
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return Limit(_too_much(sizes, flush, float(sizes.max())), float(low), float(high))
+
+
+def _too_much(sizes: Array, flush: NDArray[np.bool_], end: float) -> float:
+    """Where a logistic curve through the trials falls under `ENOUGH`, from 0 to `end`."""
+    x, sign = sizes / end, np.where(flush, 1.0, -1.0)
+
+    def loss(w: Array) -> float:
+        # Half a success and half a failure, spread over the sizes, keep a curve through separable trials finite.
+        z = w[0] - w[1] * x
+        return float(np.sum(np.logaddexp(0.0, -sign * z)) + 0.5 * np.mean(np.logaddexp(0.0, z) + np.logaddexp(0.0, -z)))
+
+    level, slope = minimize(loss, np.array([2.0, 2.0]), method="BFGS").x
+    needed = np.log(ENOUGH / (1.0 - ENOUGH))
+    if level <= needed:
+        return 0.0
+    return float(end * min((level - needed) / slope, 1.0)) if slope > 0.0 else end
+
+
+def curves(found: Sequence[Sweep]) -> bytes:
+    """Draw sweeps.
+
+    Args:
+        found: The sweeps, at least one.
+
+    Returns:
+        A PNG.
+    """
+    rows = -(-len(found) // 3)
+    figure = Figure(figsize=(10.5, 2.8 * rows), layout="constrained")
+    axes = figure.subplots(rows, 3, squeeze=False, sharey=True).ravel()
+    for ax, sweep in zip(axes, found, strict=False):
+        name, factor = sweep.axis
+        x = factor * np.array(sweep.sizes)
+        y = np.array([s.hits / s.of for s in sweep.shares])
+        low, high = (np.array([getattr(s, end) for s in sweep.shares]) for end in ("low", "high"))
+        ax.errorbar(x, y, yerr=[np.maximum(y - low, 0), np.maximum(high - y, 0)], fmt="o-", color=_BLUE, capsize=3)
+        ax.axhline(ENOUGH, color=_RED, linewidth=0.8, linestyle="--")
+        if sweep.limit.size < sweep.sizes[-1]:
+            ax.axvspan(factor * sweep.limit.low, factor * sweep.limit.high, color=_RED, alpha=0.12, linewidth=0)
+        ax.set_xlabel(name)
+        ax.set_xlim(left=0.0)
+        ax.set_ylim(-0.03, 1.03)
+        ax.grid(alpha=0.3)
+    for ax in axes[len(found) :]:
+        ax.set_visible(False)
+    for ax in axes[::3]:
+        ax.set_ylabel("flush")
+    FigureCanvasAgg(figure)
+    file = BytesIO()
+    figure.savefig(file, format="png", dpi=110)
+    return file.getvalue()
