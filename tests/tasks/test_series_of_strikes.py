@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,13 @@ import pytest
 from tests.tasks.bench import Log
 from toolee_robot.control import RobotModel, StrikePlan
 from toolee_robot.control.contact import Meeting
+from toolee_robot.end_effectors import Category
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
-from toolee_robot.frames import inverse
+from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.hal import MotionReport
+from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.tasks.common.outcome import Outcome
+from toolee_robot.types import InHandEstimate, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=30)
 
@@ -67,3 +71,29 @@ def test_a_nail_is_touched_after_its_first_strike_and_its_last_one_and_not_in_be
     assert sum(name == "touch the nail" for name in log.motions) == 3
     assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
     assert 0.0 < result.nail_seconds < result.robot_seconds
+
+
+class FarSighted(PerfectPerception):
+    """Sees the face too far out along its normal, by the same in every look: as a camera that stands elsewhere does."""
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
+        Xs_camera_hand: Sequence[Array],
+        category: Category | None = None,
+    ) -> InHandEstimate:
+        seen = super().fuse(estimates_per_frame, Xs_camera_hand, category)
+        return replace(seen, X_hand_ee=seen.X_hand_ee @ transform(p=[0.0, 0.0, 0.006]))
+
+
+def test_what_a_touch_told_of_the_cameras_error_outlives_the_next_look(bench: Bench) -> None:
+    config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=CONFIG.task.strikes_between_looks + 1))
+    log = Plans()
+    bench.seeing_task(log, config, FarSighted(bench.sim.judge)).run()
+    assert sum(name == "to a view" for name in log.motions) == CONFIG.task.views + CONFIG.task.views_again
+    q_hand = bench.sim.station.hand.state().joints.q
+    robot = RobotModel.of_station(CONFIG)
+    first, *_, last = [inverse(robot.fk(plan.q_contact, q_hand)[1]) @ plan.X_base_ee_contact for plan in log.plans]
+    true = bench.sim.judge.X_hand_ee(bench.sim.world.time)
+    assert (inverse(true) @ first)[2, 3] > 0.004, "as it was seen, but for the slip of five strikes"
+    assert abs((inverse(true) @ last)[2, 3]) < 0.003
