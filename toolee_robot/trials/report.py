@@ -125,29 +125,10 @@ def _page(plan: TrialPlan, records: Sequence[Record], folder: Path) -> str:
     else:
         page.paragraph("None.")
     first = of_arm(records, plan.arms[0])
-    if found := sweeps(first):
-        page.section("One error at a time")
-        page.table(
-            ["error", "size: flush", "under 90 % from"],
-            [[sweep.axis[0], _sizes(sweep), sweep.told] for sweep in found],
-            left=2,
-        )
-        caption = (
-            f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush while one error has this size and "
-            "the others are as in the plan, with 95 % intervals (Wilson). Red: where a logistic curve falls under "
-            "90 %, with its 95 % interval by resampled seeds."
-        )
-        page.picture(curves(found), caption)
-    drawn = _curves(first)
-    page.section("Success against the size of each error")
-    if drawn is None:
-        page.paragraph("No error was drawn, or there are too few trials for bins.")
+    if plan.sweep:
+        _swept(page, plan, sweeps(first))
     else:
-        caption = (
-            f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush in four bins of as many trials each, "
-            "by the size of one error while the others vary, with 95 % intervals."
-        )
-        page.picture(drawn, caption)
+        _drawn(page, plan, first)
     page.section("Every trial")
     page.table(
         ["arm", "seed", "error", "tool", "outcome", "strikes", "robot's time, s", "tries"],
@@ -161,6 +142,43 @@ def _page(plan: TrialPlan, records: Sequence[Record], folder: Path) -> str:
             f"A trial is repeated by its own command, the first one by: toolee hammer {' '.join(records[0].command)}"
         )
     return page.text()
+
+
+def _swept(page: Page, plan: TrialPlan, found: Sequence[Sweep]) -> None:
+    """The section of errors that were given sizes."""
+    page.section("One error at a time")
+    if not found:
+        page.paragraph("No trial is finished.")
+        return
+    page.table(["error", "under 90 % from"], [[sweep.axis[0], sweep.told] for sweep in found], left=2)
+    page.table(
+        ["error", "size", "flush", "95 % (Wilson)"],
+        [
+            [sweep.axis[0], f"{sweep.axis[1] * size:.3g}", f"{s.hits} of {s.of}", f"{s.low:.2f} to {s.high:.2f}"]
+            for sweep in found
+            for size, s in zip(sweep.sizes, sweep.shares, strict=True)
+        ],
+    )
+    caption = (
+        f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush while one error has this size and the "
+        "others are as in the plan, with 95 % intervals. Red: where a logistic curve falls under 90 %, with its 95 % "
+        "interval by resampled seeds."
+    )
+    page.picture(curves(found), caption)
+
+
+def _drawn(page: Page, plan: TrialPlan, records: Sequence[Record]) -> None:
+    """The section of errors that were drawn."""
+    page.section("Success against the size of each error")
+    drawn = _curves(records)
+    if drawn is None:
+        page.paragraph("No error was drawn, or there are too few trials for bins.")
+        return
+    caption = (
+        f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush in four bins of as many trials each, "
+        "by the size of one error while the others vary, with 95 % intervals."
+    )
+    page.picture(drawn, caption)
 
 
 def _arms(made: dict[str, Any]) -> list[list[str]]:
@@ -200,11 +218,6 @@ def _row(record: Record, folder: Path) -> list[Any]:
 def _error(record: Record) -> str:
     """The error that has a size of its own."""
     return "" if record.trial.error is None else f"{record.trial.error} {record.trial.size:g}"
-
-
-def _sizes(sweep: Sweep) -> str:
-    factor = sweep.axis[1]
-    return ", ".join(f"{factor * size:.3g}: {s}" for size, s in zip(sweep.sizes, sweep.shares, strict=True))
 
 
 def _link(record: Record, folder: Path) -> Markup | str:
