@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, transform
-from toolee_robot.robots import RobotDescription, Shape, Tree, WristJoint, write_urdf
+from toolee_robot.frames import Array
+from toolee_robot.robots import RobotDescription, WristJoint, write_urdf
 from toolee_robot.sim_backend.physics.bullet import pb, rotation_matrix
 
 ARM_GAIN = 100.0  # [1/s] of the arm's position loop
@@ -81,7 +79,7 @@ class RobotBody:
         moving = robot.hand_joints[:wrist] if rigid else robot.hand_joints
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "robot.urdf"
-            file.write_text(write_urdf(robot.urdf_path.stem, _with_fixed(robot.tree, fixed), _mesh))
+            file.write_text(write_urdf(robot.urdf_path.stem, robot.tree.with_fixed(fixed)))
             flags = pb.URDF_USE_INERTIA_FROM_FILE
             self.body = int(pb.loadURDF(str(file), useFixedBase=True, flags=flags, physicsClientId=client))
         infos = [pb.getJointInfo(self.body, i, physicsClientId=client) for i in range(self._joint_count())]
@@ -212,25 +210,3 @@ class RobotBody:
         X[:3, :3] = rotation_matrix(state[5])
         X[:3, 3] = state[4]
         return X, np.array(state[0]), np.array(state[7]), np.array(state[6])
-
-
-def _with_fixed(tree: Tree, joints: dict[str, float]) -> Tree:
-    """A tree some of whose joints (name -> position [rad]) are fixed."""
-    return Tree(
-        tuple(
-            replace(link, X_parent_joint=link.X_parent_joint @ _turn(link.axis, joints[link.joint]), axis=None)
-            if link.axis is not None and link.joint in joints
-            else link
-            for link in tree.links
-        )
-    )
-
-
-def _turn(axis: Array, angle: float) -> Array:
-    return transform(Rotation.from_rotvec(angle * axis))
-
-
-def _mesh(shape: Shape) -> Path:
-    if shape.mesh is None:
-        raise ValueError("a mesh shape without a file")
-    return shape.mesh

@@ -195,11 +195,19 @@ def test_a_sweep_changes_one_error_at_a_time_of_the_same_seeds(tmp_path: Path) -
 
 
 def test_the_report_tells_the_size_that_is_too_much(tmp_path: Path) -> None:
-    page = write_report(SWEEP, run_trials(SWEEP, tmp_path, 1, quietly, swept), tmp_path).read_text()
+    plan = replace(SWEEP, trials=10)
+    page = write_report(plan, run_trials(plan, tmp_path, 1, quietly, swept), tmp_path).read_text()
     camera, ruler = json.loads((tmp_path / "report.json").read_text())["sweeps"]
-    assert [share["hits"] for share in camera["shares"]] == [6, 6, 0, 0]
+    assert [share["hits"] for share in camera["shares"]] == [10, 10, 0, 0]
     assert 0.004 < camera["limit"]["size"] < 0.006
     assert camera["limit"]["low"] <= camera["limit"]["size"] <= camera["limit"]["high"]
     assert ruler["too_much"] == "not up to 5"
     assert "One error at a time" in page
     assert "place, mm along each axis" in page
+
+
+def test_of_a_few_seeds_no_size_is_told_that_is_too_much(tmp_path: Path) -> None:
+    write_report(SWEEP, run_trials(SWEEP, tmp_path, 1, quietly, swept), tmp_path)
+    told = json.loads((tmp_path / "report.json").read_text())["sweeps"]
+    assert [sweep["limit"] for sweep in told] == [None, None]
+    assert "too few seeds" in told[0]["too_much"]

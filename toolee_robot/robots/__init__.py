@@ -29,7 +29,7 @@ from toolee_robot.robots.hands import (
     WristJoint,
     hand_model,
 )
-from toolee_robot.robots.tree import FLANGE_FRAME, Shape, Tree
+from toolee_robot.robots.tree import FLANGE_FRAME
 from toolee_robot.robots.urdf import write_urdf
 from toolee_robot.robots.wrap import wrap_fingers
 
@@ -45,8 +45,6 @@ __all__ = [
     "HandModel",
     "NominalGrasp",
     "RobotDescription",
-    "Shape",
-    "Tree",
     "WristJoint",
     "arm_link_poses",
     "arm_meshes",

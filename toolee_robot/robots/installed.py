@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from toolee_robot.robots.assets import cache_folder
-from toolee_robot.robots.tree import Shape, Tree
+from toolee_robot.robots.tree import Tree
 from toolee_robot.robots.urdf import write_urdf
 
 
@@ -26,14 +26,7 @@ def install_urdf(name: str, tree: Tree) -> Path:
     Returns:
         The URDF's path.
     """
-    meshes = _install_meshes(tree)
-
-    def place(shape: Shape) -> Path:
-        if shape.mesh is None:
-            raise ValueError("a mesh shape without a file")
-        return meshes[shape.mesh]
-
-    text = write_urdf(name, tree, place)
+    text = write_urdf(name, tree, _install_meshes(tree).__getitem__)
     folder = cache_folder() / f"robot-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
     def write(scratch: Path) -> None:

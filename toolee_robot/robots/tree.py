@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -97,6 +98,15 @@ class Link:
     collisions: tuple[Shape, ...] = ()
 
 
+def _fixed(link: Link, position: float | None) -> Link:
+    """The link, its joint fixed at a position [rad]; None for as it is."""
+    if link.axis is None or position is None:
+        return link
+    X = link.X_parent_joint.copy()
+    X[:3, :3] = X[:3, :3] @ _rotations(link.axis[None], np.array([position]))[0]
+    return replace(link, X_parent_joint=X, axis=None)
+
+
 class Tree:
     """A kinematic tree.
 
@@ -140,6 +150,17 @@ class Tree:
         while (parent := self.by_name[found[-1]].parent) in self.by_name:
             found.append(parent or "")
         return found
+
+    def with_fixed(self, positions: Mapping[str, float]) -> Tree:
+        """Fix some of the joints.
+
+        Args:
+            positions: Their names, and where they are fixed [rad].
+
+        Returns:
+            The tree with fixed joints in their places.
+        """
+        return Tree(tuple(_fixed(link, positions.get(link.joint)) for link in self.links))
 
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper position limits [rad] of the movable joints, (n,) each."""

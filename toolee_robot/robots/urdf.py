@@ -171,7 +171,7 @@ def _text(values: Array) -> str:
     return " ".join(f"{v:.12g}" for v in values)
 
 
-def _add_shape(parent: Element, tag: str, shape: Shape, mesh_path: Callable[[Shape], Path]) -> None:
+def _add_shape(parent: Element, tag: str, shape: Shape, mesh_path: Callable[[Path], Path]) -> None:
     element = SubElement(parent, tag)
     _add_origin(element, shape.X_link_shape)
     geometry = SubElement(element, "geometry")
@@ -181,8 +181,10 @@ def _add_shape(parent: Element, tag: str, shape: Shape, mesh_path: Callable[[Sha
         SubElement(geometry, "cylinder", radius=f"{shape.size[0]:.12g}", length=f"{shape.size[1]:.12g}")
     elif shape.kind == "sphere":
         SubElement(geometry, "sphere", radius=f"{shape.size[0]:.12g}")
+    elif shape.mesh is None:
+        raise ValueError("a mesh shape without a file")
     else:
-        SubElement(geometry, "mesh", filename=str(mesh_path(shape)), scale=" ".join([f"{shape.scale:g}"] * 3))
+        SubElement(geometry, "mesh", filename=str(mesh_path(shape.mesh)), scale=" ".join([f"{shape.scale:g}"] * 3))
 
 
 def _add_inertial(parent: Element, inertial: Inertial) -> None:
@@ -193,13 +195,13 @@ def _add_inertial(parent: Element, inertial: Inertial) -> None:
     SubElement(element, "inertia", ixx=xx, ixy="0", ixz="0", iyy=yy, iyz="0", izz=zz)
 
 
-def write_urdf(name: str, tree: Tree, mesh_path: Callable[[Shape], Path]) -> str:
+def write_urdf(name: str, tree: Tree, mesh_path: Callable[[Path], Path] = lambda file: file) -> str:
     """Write a tree as URDF.
 
     Args:
         name: Name of the robot.
         tree: The tree.
-        mesh_path: File name to write for a mesh shape.
+        mesh_path: Returns the file name to write for that of a mesh; itself if left out.
 
     Returns:
         The URDF as text.

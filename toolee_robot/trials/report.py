@@ -7,17 +7,15 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.trials.panels import BLUE, errors, panels, png, rates
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.run import Record
 from toolee_robot.trials.statistics import by_size, compare, median, of_arm, share
@@ -44,7 +42,6 @@ ERRORS = {
     "mass_percent": "tool's mass, %",
 }
 """Errors against which success is shown, and how the axis is called."""
-_BLUE = "#12609e"
 
 
 def write_report(plan: TrialPlan, records: Sequence[Record], folder: Path) -> Path:
@@ -242,23 +239,11 @@ def _curves(records: Sequence[Record]) -> bytes | None:
     drawn = {name: bins for name in ERRORS if (bins := by_size(records, name))}
     if not drawn:
         return None
-    figure = Figure(figsize=(10.5, 2.6 * -(-len(drawn) // 3)), layout="constrained")
-    axes = figure.subplots(-(-len(drawn) // 3), 3, squeeze=False, sharey=True).ravel()
-    for ax, (name, bins) in zip(axes, drawn.items(), strict=False):
+    figure, axes = panels(len(drawn))
+    for ax, (name, bins) in zip(axes, drawn.items(), strict=True):
         x = np.array([(b.low + b.high) / 2 for b in bins])
-        y = np.array([b.share.hits / b.share.of for b in bins])
-        off = np.array(
-            [[max(s - b.share.low, 0.0), max(b.share.high - s, 0.0)] for s, b in zip(y, bins, strict=True)]
-        ).T
-        ax.errorbar(x, y, yerr=off, xerr=[(b.high - b.low) / 2 for b in bins], fmt="o", color=_BLUE, capsize=2)
+        sizes = [(b.high - b.low) / 2 for b in bins]
+        shares = [b.share for b in bins]
+        ax.errorbar(x, rates(shares), yerr=errors(shares), xerr=sizes, fmt="o", color=BLUE, capsize=2)
         ax.set_xlabel(ERRORS[name])
-        ax.set_ylim(-0.03, 1.03)
-        ax.grid(alpha=0.3)
-    for ax in axes[len(drawn) :]:
-        ax.set_visible(False)
-    for ax in axes[::3]:
-        ax.set_ylabel("flush")
-    FigureCanvasAgg(figure)
-    file = BytesIO()
-    figure.savefig(file, format="png", dpi=110)
-    return file.getvalue()
+    return png(figure)

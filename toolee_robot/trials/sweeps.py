@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from io import BytesIO
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from toolee_robot.frames import Array
+from toolee_robot.trials.panels import BLUE, RED, errors, panels, png, rates
 from toolee_robot.trials.run import Record
 from toolee_robot.trials.statistics import Share, share
 
 ENOUGH = 0.9
 """Share of successes under which an error is too large."""
+LEAST_SEEDS = 10
+"""Number of seeds from which on a limit is told: of fewer neither the curve nor its interval means anything."""
 RESAMPLED = 200
 """Number of times that the seeds are drawn again for the interval of a limit."""
 UNITS = {
@@ -35,7 +35,6 @@ UNITS = {
     "friction": ("friction in the hand, %", 100.0),
 }
 """How the axis of each swept error is called, and the factor from the plan's unit to the axis's."""
-_BLUE, _RED = "#12609e", "#b3261e"
 
 
 @dataclass(frozen=True)
@@ -63,13 +62,13 @@ class Sweep:
         error: Its name.
         sizes: The sizes, from small to large, in the plan's unit.
         shares: Share of successes at each.
-        limit: The size that is too much.
+        limit: The size that is too much; None where there are too few seeds to tell.
     """
 
     error: str
     sizes: tuple[float, ...]
     shares: tuple[Share, ...]
-    limit: Limit
+    limit: Limit | None
 
     @property
     def axis(self) -> tuple[str, float]:
@@ -81,6 +80,8 @@ class Sweep:
         """The limit, in words."""
         factor, end = self.axis[1], self.sizes[-1]
         limit = self.limit
+        if limit is None:
+            return f"too few seeds to tell, {LEAST_SEEDS} are needed"
         if limit.size >= end:
             return f"not up to {factor * end:.3g}"
         beyond = " or more" if limit.high >= end else ""
@@ -112,9 +113,11 @@ def _sweep(error: str, records: Sequence[Record]) -> Sweep:
     return Sweep(error, tuple(tried.tolist()), shares, _limit(sizes, flush, seeds))
 
 
-def _limit(sizes: Array, flush: NDArray[np.bool_], seeds: NDArray[np.int64]) -> Limit:
+def _limit(sizes: Array, flush: NDArray[np.bool_], seeds: NDArray[np.int64]) -> Limit | None:
     rng = np.random.default_rng(0)
     rows = [np.flatnonzero(seeds == seed) for seed in np.unique(seeds)]
+    if len(rows) < LEAST_SEEDS:
+        return None
     drawn = []
     for _ in range(RESAMPLED):
         again = np.concatenate([rows[i] for i in rng.integers(len(rows), size=len(rows))])
@@ -148,27 +151,15 @@ def curves(found: Sequence[Sweep]) -> bytes:
     Returns:
         A PNG.
     """
-    rows = -(-len(found) // 3)
-    figure = Figure(figsize=(10.5, 2.8 * rows), layout="constrained")
-    axes = figure.subplots(rows, 3, squeeze=False, sharey=True).ravel()
-    for ax, sweep in zip(axes, found, strict=False):
+    figure, axes = panels(len(found))
+    for ax, sweep in zip(axes, found, strict=True):
         name, factor = sweep.axis
         x = factor * np.array(sweep.sizes)
-        y = np.array([s.hits / s.of for s in sweep.shares])
-        low, high = (np.array([getattr(s, end) for s in sweep.shares]) for end in ("low", "high"))
-        ax.errorbar(x, y, yerr=[np.maximum(y - low, 0), np.maximum(high - y, 0)], fmt="o-", color=_BLUE, capsize=3)
-        ax.axhline(ENOUGH, color=_RED, linewidth=0.8, linestyle="--")
-        if sweep.limit.size < sweep.sizes[-1]:
-            ax.axvspan(factor * sweep.limit.low, factor * sweep.limit.high, color=_RED, alpha=0.12, linewidth=0)
+        ax.errorbar(x, rates(sweep.shares), yerr=errors(sweep.shares), fmt="o-", color=BLUE, capsize=3)
+        ax.axhline(ENOUGH, color=RED, linewidth=0.8, linestyle="--")
+        limit = sweep.limit
+        if limit is not None and limit.size < sweep.sizes[-1]:
+            ax.axvspan(factor * limit.low, factor * limit.high, color=RED, alpha=0.12, linewidth=0)
         ax.set_xlabel(name)
         ax.set_xlim(left=0.0)
-        ax.set_ylim(-0.03, 1.03)
-        ax.grid(alpha=0.3)
-    for ax in axes[len(found) :]:
-        ax.set_visible(False)
-    for ax in axes[::3]:
-        ax.set_ylabel("flush")
-    FigureCanvasAgg(figure)
-    file = BytesIO()
-    figure.savefig(file, format="png", dpi=110)
-    return file.getvalue()
+    return png(figure)
