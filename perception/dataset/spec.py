@@ -11,6 +11,7 @@ from toolee_robot import __version__
 from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, CustomTools
 from toolee_robot.perception.dataset.custom_tools import CustomToolRecord
+from toolee_robot.render.sensors.depth_sensors import KINDS, SensorKind
 
 CONFIGS = ("paper", "hard", "paper-claws")
 """Scene configurations."""
@@ -61,6 +62,7 @@ class DatasetSpec:
         tools: Custom tools, which replace the generated ones; all of them are held out.
         device: Rendering device, "cpu" or "cuda"; the two differ by rounding.
         test_set: Whether it is a test set, whose every scoring is entered in the ledger (`evaluation.ledger`).
+        sensor: Kind of the depth camera, one of `depth_sensors.KINDS`; that of "paper" is free of noise.
 
     Raises:
         UserError: A value is out of range, or custom tools are combined with a training split.
@@ -74,12 +76,17 @@ class DatasetSpec:
     tools: tuple[CustomToolRecord, ...] = ()
     device: str = "cpu"
     test_set: bool = False
+    sensor: SensorKind = "time-of-flight"
 
     def __post_init__(self) -> None:
         if self.config not in CONFIGS:
             raise UserError(f"--config {self.config}: choose one of {', '.join(CONFIGS)}")
         if self.device not in DEVICES:
             raise UserError(f"--device {self.device}: choose one of {', '.join(DEVICES)}")
+        if self.sensor not in KINDS:
+            raise UserError(f"--sensor {self.sensor}: choose one of {', '.join(KINDS)}")
+        if self.sensor != "time-of-flight" and self.config != "hard":
+            raise UserError(f"--sensor {self.sensor}: the camera of --config {self.config} has no noise, choose hard")
         if self.size < 1 or self.scene_size < 1:
             raise UserError(f"--size {self.size}, scenes of {self.scene_size}: both must be 1 or more")
         if not 0 <= self.seed < 2**31:
@@ -119,6 +126,8 @@ class DatasetSpec:
         data = {"format": FORMAT, **asked, "generator": f"toolee_robot {__version__}", "licence": LICENCE}
         if self.test_set:
             data["test_set"] = True
+        if self.sensor != "time-of-flight":
+            data["sensor"] = self.sensor
         return {**data, "tools": [tool.to_json() for tool in self.tools]} if self.tools else data
 
     def catalogue(self, root: Path) -> Catalogue:
@@ -147,6 +156,7 @@ class DatasetSpec:
                 tuple(CustomToolRecord.from_json(tool) for tool in data.get("tools", ())),
                 data["device"],
                 bool(data.get("test_set", False)),
+                data.get("sensor", "time-of-flight"),
             )
         except FileNotFoundError as error:
             raise UserError(

@@ -9,7 +9,6 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, number_of
 from toolee_robot.perception.dataset.encoding.masks import pixels_of
@@ -22,7 +21,7 @@ from toolee_robot.perception.synthesis.placement import Pool, SceneSample
 from toolee_robot.perception.synthesis.station import station_scene
 from toolee_robot.render.renderer import Shot
 from toolee_robot.render.sensors.color_camera import Photo, photograph
-from toolee_robot.render.sensors.depth_camera import measure_depth
+from toolee_robot.render.sensors.depth_sensors import SensorKind, random_reading
 from toolee_robot.types import CameraIntrinsics
 
 EMPTY_SHARE, STATION_SHARE = 0.10, 0.30
@@ -45,6 +44,7 @@ class Series:
         config: Scene configuration, one of `spec.CONFIGS`.
         block: Number of consecutive examples that share a pool of tools.
         catalogue: Catalogue of the tools.
+        sensor: Kind of the depth camera in "hard".
     """
 
     seed: int
@@ -52,6 +52,7 @@ class Series:
     config: str = "hard"
     block: int = 32
     catalogue: Catalogue = GENERATED
+    sensor: SensorKind = "time-of-flight"
 
 
 def make_example(series: Series, index: int, device: str = "cpu") -> Example:
@@ -70,7 +71,7 @@ def make_example(series: Series, index: int, device: str = "cpu") -> Example:
     ee, tool, full, table = taken.labels
     if series.config == "hard":
         exposure, automatic = float(rng.uniform(0.75, 1.35)), float(rng.uniform(0.3, 1.0))
-        depth, rgb = expose(shot, sample.intrinsics, exposure, automatic, rng)
+        depth, rgb = expose(shot, sample.intrinsics, exposure, automatic, rng, series.sensor)
     else:
         rgb, depth = shot.develop(exposure=1.0, auto_exposure=1.0).rgb.numpy(), shot.depth
     depth_mm = np.minimum(depth * np.float32(1000.0) + np.float32(0.5), np.float32(65535.0)).astype(np.uint16)
@@ -78,7 +79,12 @@ def make_example(series: Series, index: int, device: str = "cpu") -> Example:
 
 
 def expose(
-    shot: Shot, intrinsics: CameraIntrinsics, exposure: float, automatic: float, rng: np.random.Generator
+    shot: Shot,
+    intrinsics: CameraIntrinsics,
+    exposure: float,
+    automatic: float,
+    rng: np.random.Generator,
+    sensor: SensorKind = "time-of-flight",
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Apply a random depth sensor and a random colour camera to a rendered scene.
 
@@ -88,13 +94,13 @@ def expose(
         exposure: Factor on the linear colour.
         automatic: Strength of the automatic exposure, in [0, 1].
         rng: Random generator.
+        sensor: Kind of the depth camera.
 
     Returns:
         Depth (H, W) [m] and RGB (H, W, 3).
     """
     image = shot.develop(exposure=exposure, auto_exposure=automatic)
-    surface = (image.depth, image.cos_incidence, image.shininess)
-    depth = measure_depth(*surface, intrinsics, DepthNoise.random(rng), rng, shot.device)
+    depth = random_reading(sensor, image, intrinsics, rng, shot.device)
     return depth, photograph(image.rgb, Photo.random(rng), rng, shot.device)
 
 
@@ -158,7 +164,7 @@ def examples_of(
     Yields:
         The examples.
     """
-    series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue)
+    series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue, spec.sensor)
     for i in range(first, last):
         yield make_example(series, i, spec.device)
 

@@ -60,6 +60,10 @@ class Generate:
     differ by a rounding."""
     test_set: Flag = False
     """Mark it as a test set: every scoring of it is entered in the ledger (docs/results/protocol.md)."""
+    sensor: Literal[
+        "time-of-flight", "time-of-flight-lab", "structured-light", "active-stereo", "filled-stereo", "mixed"
+    ] = "time-of-flight"
+    """Depth camera of `hard`: docs/dataset.md. mixed draws one for each image."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -75,7 +79,14 @@ class Generate:
         share = self.test_share if self.test_share is not None else 1.0 if custom_tools else DatasetSpec.test_share
         tools = tuple(tool.record for tool in custom_tools)
         spec = DatasetSpec(
-            self.config, self.size, self.seed, share, tools=tools, device=self.device, test_set=self.test_set
+            self.config,
+            self.size,
+            self.seed,
+            share,
+            tools=tools,
+            device=self.device,
+            test_set=self.test_set,
+            sensor=self.sensor,
         )
         workers = _cores() if self.workers is None else self.workers
         console = Console(stderr=self.json, highlight=False)

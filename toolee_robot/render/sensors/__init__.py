@@ -1,1 +1,1 @@
-"""Sensor models of a colour camera and a time-of-flight depth camera."""
+"""Sensor models of a colour camera and of depth cameras: time of flight, structured light, active stereo."""

@@ -1,0 +1,30 @@
+"""The sensor in a data set's specification."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from toolee_robot.errors import UserError
+from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
+from toolee_robot.render.sensors.depth_sensors import KINDS, SensorKind
+
+
+@pytest.mark.parametrize("sensor", KINDS)
+def test_a_specification_is_read_as_it_was_written(sensor: SensorKind, tmp_path: Path) -> None:
+    spec = DatasetSpec("hard", 10, 3, sensor=sensor)
+    (tmp_path / DESCRIPTION).write_text(json.dumps(spec.to_json()))
+    assert DatasetSpec.read(tmp_path) == spec
+
+
+def test_a_data_set_from_before_there_were_sensors_is_the_same_one() -> None:
+    assert "sensor" not in DatasetSpec("hard", 10, 3).to_json()
+
+
+def test_an_unknown_sensor_and_one_for_a_camera_without_noise_are_refused() -> None:
+    with pytest.raises(UserError, match="choose one of time-of-flight"):
+        DatasetSpec("hard", 10, sensor="radar")  # type: ignore[arg-type]
+    with pytest.raises(UserError, match="choose hard"):
+        DatasetSpec("paper", 10, sensor="active-stereo")

@@ -1,0 +1,160 @@
+"""Depth cameras that triangulate, systematic errors of time of flight, and registration, against their formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolee_robot.perception.synthesis.example import Series, make_example
+from toolee_robot.render.sensors.depth_sensors import KINDS, SensorKind
+from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors
+from toolee_robot.render.sensors.registration import Registration, hidden_from
+from toolee_robot.render.sensors.smooth_noise import in_patches, smooth_noise
+from toolee_robot.render.sensors.surface import Surface
+from toolee_robot.render.sensors.triangulation import TriangulatingCamera
+from toolee_robot.types import CameraIntrinsics
+
+K = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
+SHAPE = (K.height, K.width)
+
+
+def wall(z: float, shininess: float = 0.0, brightness: float = 0.5) -> Surface:
+    return Surface(
+        *(np.full(SHAPE, value, np.float32) for value in (z, 1.0, shininess, brightness)),
+    )
+
+
+def step_scene(near: float = 0.6, far: float = 1.0) -> np.ndarray:
+    depth = np.full(SHAPE, far, np.float32)
+    depth[100:300, 200:300] = near
+    return depth
+
+
+def camera(filled: bool = False, **changes: float) -> TriangulatingCamera:
+    usual = {"baseline": 0.075, "focal": 580.0, "noise": 0.08, "shared": 0.5, "step": 1e-3, "window": 9.0}
+    none = {"fattening": 0.0, "polished": 0.0, "dark": 0.0, "slant": 0.1, "nearest": 0.3}
+    return TriangulatingCamera(**(usual | none | changes), filled=filled)
+
+
+@settings(max_examples=15, deadline=None)
+@given(z=st.floats(0.5, 2.0), noise=st.floats(0.05, 0.2), shared=st.floats(0.0, 0.8))
+def test_the_noise_grows_with_the_square_of_the_distance(z: float, noise: float, shared: float) -> None:
+    reading = camera(noise=noise, shared=shared).measure(wall(z), K, np.random.default_rng(1))
+    known = reading[reading > 0]
+    assert len(known) > 0.95 * reading.size
+    assert np.std(known) == pytest.approx(noise * z**2 / (580.0 * 0.075), rel=0.15)
+    assert np.mean(known) == pytest.approx(z, rel=2e-3)
+
+
+def test_structured_light_reads_in_steps_of_an_eighth_of_a_pixel() -> None:
+    reading = camera(step=0.125, noise=0.1).measure(wall(1.0), K, np.random.default_rng(2))
+    disparity = 580.0 * 0.075 / reading[reading > 0] / 0.125
+    np.testing.assert_allclose(disparity, np.round(disparity), atol=1e-3)
+
+
+def test_neighbours_under_one_window_err_together() -> None:
+    def likeness(shared: float) -> float:
+        reading = camera(shared=shared, window=12.0).measure(wall(1.0), K, np.random.default_rng(3))
+        error = reading[50:-50, 50:-50] - 1.0
+        return float(np.corrcoef(error[:, :-1].ravel(), error[:, 1:].ravel())[0, 1])
+
+    assert likeness(0.0) < 0.05
+    assert likeness(0.9) > 0.7
+
+
+@pytest.mark.parametrize("baseline", [0.05, -0.05])
+def test_the_shadow_is_as_wide_as_the_step_in_disparity(baseline: float) -> None:
+    depth = step_scene()
+    hidden = hidden_from(depth, K, baseline)
+    expected = K.fx * abs(baseline) * (1 / 0.6 - 1 / 1.0)
+    assert hidden[200].sum() == pytest.approx(expected, abs=2.0)
+    beside = np.flatnonzero(hidden[200])
+    # The second eye at the right (+x) loses what lies left of the nearer thing.
+    assert np.all(beside < 200) if baseline > 0 else np.all(beside >= 300)
+    assert not hidden[50].any()
+
+
+def test_outlines_grow_where_the_nearer_side_wins() -> None:
+    surface = wall(1.0)
+    surface = Surface(step_scene(), surface.cos_incidence, surface.shininess, surface.brightness)
+    size = {}
+    for share in (0.0, 1.0):
+        reading = camera(fattening=share, noise=0.0, baseline=1e-4, step=1e-9).measure(
+            surface, K, np.random.default_rng(5)
+        )
+        size[share] = np.count_nonzero(np.abs(reading - 0.6) < 0.01)
+    half = round(0.5 * 9.0 * K.fx / 580.0)
+    assert size[1.0] - size[0.0] > 0.5 * half * 2 * (200 + 100)
+
+
+@pytest.mark.parametrize(
+    ("what", "surface"), [("polished", wall(0.8, shininess=1.0)), ("dark", wall(0.8, brightness=0.0))]
+)
+def test_polished_and_black_surfaces_are_lost_in_patches(what: str, surface: Surface) -> None:
+    lost = camera(**{what: 0.5}).measure(surface, K, np.random.default_rng(6)) == 0
+    assert 0.3 < lost.mean() < 0.7
+    # Patches: a lost pixel's neighbour is mostly lost, too.
+    assert lost[:, 1:][lost[:, :-1]].mean() > 0.8
+    assert not (camera().measure(surface, K, np.random.default_rng(6)) == 0).any()
+
+
+def test_a_driver_that_fills_leaves_no_hole_behind_a_thing() -> None:
+    surface = wall(1.0)
+    surface = Surface(step_scene(), surface.cos_incidence, surface.shininess, surface.brightness)
+    holes = {
+        filled: (camera(filled=filled).measure(surface, K, np.random.default_rng(7))[:, 60:] == 0).mean()
+        for filled in (False, True)
+    }
+    assert holes[False] > 0.01
+    assert holes[True] == 0
+
+
+def test_registration_shifts_the_depth_and_loses_what_the_depth_camera_cannot_see() -> None:
+    depth = step_scene()
+    moved = Registration(0.0, (3.0, -2.0)).apply(depth, depth, K)
+    np.testing.assert_array_equal(moved[:-2, 3:], depth[2:, :-3])
+    shadowed = Registration(0.05, (0.0, 0.0)).apply(depth, depth, K)
+    np.testing.assert_array_equal(shadowed == 0, hidden_from(depth, K, 0.05))
+
+
+def test_time_of_flight_in_a_lab_errs_by_distance_darkness_and_polish() -> None:
+    none = {"wiggle": 0.0, "period": 0.5, "phase": 0.0, "black": 0.0, "detour": 0.0, "holes": 0.0, "nearest": 0.3}
+
+    def seen(surface: Surface, **changes: float) -> np.ndarray:
+        return SystematicErrors(**(none | changes)).seen(surface, K.fx, np.random.default_rng(8))
+
+    assert seen(wall(0.625), wiggle=0.005).mean() == pytest.approx(0.625 + 0.005, abs=1e-5)
+    assert seen(wall(0.8, brightness=0.0), black=0.01).mean() == pytest.approx(0.81, abs=1e-5)
+    assert seen(wall(0.8, brightness=1.0), black=0.01).mean() == pytest.approx(0.80, abs=1e-5)
+    assert seen(wall(0.8, shininess=1.0), detour=0.01).min() >= np.float32(0.8)
+    assert 0.3 < (seen(wall(0.8, shininess=1.0), holes=0.5) == 0).mean() < 0.7
+    assert not seen(wall(0.29)).any()
+
+
+@settings(max_examples=20, deadline=None)
+@given(size=st.floats(1.0, 40.0), seed=st.integers(0, 1000))
+def test_smooth_noise_has_unit_variance_and_patches_their_share(size: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    field = smooth_noise(SHAPE, size, rng)
+    assert field.shape == SHAPE
+    patches = SHAPE[0] * SHAPE[1] / size**2
+    assert float(field.std()) == pytest.approx(1.0, abs=0.05 + 2.0 / np.sqrt(patches))
+    share = in_patches(np.full(SHAPE, 0.3), size, rng).mean()
+    assert share == pytest.approx(0.3, abs=0.05 + 2.0 / np.sqrt(patches))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_takes_the_same_picture_with_its_own_depth(kind: SensorKind) -> None:
+    usual = make_example(Series(4242), 3)
+    example = make_example(Series(4242, sensor=kind), 3)
+    again = make_example(Series(4242, sensor=kind), 3)
+    np.testing.assert_array_equal(example.depth_mm, again.depth_mm)
+    np.testing.assert_array_equal(example.ee, usual.ee)
+    known = (example.depth_mm > 0) & (usual.depth_mm > 0)
+    assert known.mean() > 0.4
+    depth = usual.depth_mm[known].astype(float)
+    error = np.abs(example.depth_mm[known] - depth) / (depth / 1000) ** 2
+    assert np.median(error) < 15  # mm at a metre
+    assert (kind == "time-of-flight") == np.array_equal(example.depth_mm, usual.depth_mm)

@@ -1,0 +1,67 @@
+"""The kinds of depth camera that a data set can be taken with."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+
+from toolee_robot.depth_noise import DepthNoise
+from toolee_robot.render.mesh import FloatArray
+from toolee_robot.render.renderer import Image
+from toolee_robot.render.sensors.depth_camera import measure_depth
+from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors
+from toolee_robot.render.sensors.registration import Registration
+from toolee_robot.render.sensors.surface import Surface
+from toolee_robot.render.sensors.triangulation import TriangulatingCamera
+from toolee_robot.types import CameraIntrinsics
+
+SensorKind = Literal[
+    "time-of-flight", "time-of-flight-lab", "structured-light", "active-stereo", "filled-stereo", "mixed"
+]
+"""time-of-flight: noise and lost outlines alone. time-of-flight-lab: with systematic errors, holes and registration.
+structured-light, active-stereo: see `triangulation`. filled-stereo: holes filled by the driver. mixed: one of them,
+drawn for each image."""
+KINDS: tuple[SensorKind, ...] = get_args(SensorKind)
+_SINGLE = KINDS[:-1]
+_SHARES = (0.3, 0.2, 0.2, 0.2, 0.1)
+"""Shares of the single kinds in `mixed`."""
+_BASELINES: dict[SensorKind, float] = {
+    "time-of-flight-lab": 0.052,
+    "structured-light": 0.025,
+    "active-stereo": 0.015,
+    "filled-stereo": 0.015,
+}
+"""Distance of the depth camera from the colour camera [m]: Kinect v2, Kinect v1, RealSense D435."""
+
+
+def random_reading(
+    kind: SensorKind, image: Image, K: CameraIntrinsics, rng: np.random.Generator, device: str = "cpu"
+) -> FloatArray:
+    """Read depth with a randomly drawn sensor of a kind.
+
+    Args:
+        kind: The kind of sensor.
+        image: The rendered image.
+        K: Intrinsics of the camera.
+        rng: Random generator.
+        device: "cpu" or "cuda".
+
+    Returns:
+        Depth in the colour camera's pixels, (H, W) float32 [m]; 0 where there is none.
+    """
+    if kind == "mixed":
+        kind = _SINGLE[int(rng.choice(len(_SINGLE), p=_SHARES))]
+    if kind == "time-of-flight":
+        surface = (image.depth, image.cos_incidence, image.shininess)
+        return measure_depth(*surface, K, DepthNoise.random(rng), rng, device)
+    seen = Surface.of(image)
+    if kind == "time-of-flight-lab":
+        depth = SystematicErrors.random(rng).seen(seen, K.fx, rng)
+        surface = (depth, seen.cos_incidence, seen.shininess)
+        reading = measure_depth(*surface, K, DepthNoise.random(rng), rng, device)
+    elif kind == "structured-light":
+        reading = TriangulatingCamera.structured_light(rng).measure(seen, K, rng)
+    else:
+        reading = TriangulatingCamera.active_stereo(rng, filled=kind == "filled-stereo").measure(seen, K, rng)
+    return Registration.random(_BASELINES[kind], rng).apply(reading, seen.depth, K)

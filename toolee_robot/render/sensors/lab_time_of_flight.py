@@ -1,0 +1,82 @@
+"""Systematic errors of a time-of-flight camera, which `toolee_robot.depth_noise` leaves out.
+
+That they exist is published: wiggling with the distance and an error that depends on the reflectivity (Lachat et al.,
+"Assessment and calibration of a RGB-D camera (Kinect v2)", Remote Sensing 2015; Lindner et al., "Time-of-flight sensor
+calibration for accurate range sensing", CVIU 2010), light that took a longer way over polished surfaces (Fuchs,
+"Multipath interference compensation in time-of-flight camera images", ICPR 2010). Their sizes here are assumed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolee_robot.render.mesh import FloatArray
+from toolee_robot.render.sensors.smooth_noise import in_patches, smooth_noise
+from toolee_robot.render.sensors.surface import Surface
+
+_PATCH = 0.012
+"""Size of holes and of light's detours on a tool [m]."""
+
+
+@dataclass(frozen=True)
+class SystematicErrors:
+    """What one camera does wrong in every frame.
+
+    Attributes:
+        wiggle: Amplitude of the error that swings with the distance [m].
+        period: Its period [m].
+        phase: Its phase [rad].
+        black: Error of a black surface beside a white one [m].
+        detour: Mean error of a polished surface, by light that came another way [m].
+        holes: Share of polished surfaces that is lost, in patches: saturated where they mirror the light back, dark
+            elsewhere.
+        nearest: Smallest range [m].
+    """
+
+    wiggle: float
+    period: float
+    phase: float
+    black: float
+    detour: float
+    holes: float
+    nearest: float
+
+    @staticmethod
+    def random(rng: np.random.Generator) -> SystematicErrors:
+        """Draw a camera.
+
+        Args:
+            rng: Random generator.
+        """
+        u = rng.uniform
+        return SystematicErrors(
+            wiggle=u(0.0, 0.006),
+            period=u(0.4, 1.2),
+            phase=u(0.0, 2 * np.pi),
+            black=u(-0.005, 0.01),
+            detour=u(0.0, 0.015),
+            holes=u(0.0, 0.7),
+            nearest=u(0.3, 0.5),
+        )
+
+    def seen(self, surface: Surface, focal: float, rng: np.random.Generator) -> FloatArray:
+        """The depth that the camera's noise acts on.
+
+        Args:
+            surface: The surfaces.
+            focal: Focal length of the image [px].
+            rng: Random generator.
+
+        Returns:
+            Depth with the systematic errors, (H, W) float32 [m]; 0 where nothing is read.
+        """
+        depth, shine = surface.depth, surface.shininess
+        known = depth > 0
+        size = _PATCH * focal / max(float(np.median(depth[known])) if known.any() else 1.0, 0.1)
+        value = depth + np.float32(self.wiggle) * np.sin(2 * np.pi * depth / self.period + self.phase)
+        value += np.float32(self.black) * (1.0 - surface.brightness) ** 4
+        value += np.float32(self.detour) * shine * np.abs(smooth_noise(depth.shape, size, rng))
+        lost = in_patches(self.holes * shine, size, rng) | ~known | (depth < self.nearest)
+        return np.where(lost, 0.0, value).astype(np.float32)
