@@ -49,6 +49,9 @@ class SystematicErrors:
 
         Args:
             rng: Random generator.
+
+        Returns:
+            Its errors.
         """
         u = rng.uniform
         return SystematicErrors(

@@ -68,10 +68,13 @@ class TriangulatingCamera:
 
     @staticmethod
     def structured_light(rng: np.random.Generator) -> TriangulatingCamera:
-        """A structured-light camera: Kinect v1, PrimeSense, Xtion, Astra.
+        """Draw a structured-light camera: Kinect v1, PrimeSense, Xtion, Astra.
 
         Args:
             rng: Random generator.
+
+        Returns:
+            The camera.
         """
         u = rng.uniform
         return TriangulatingCamera(
@@ -90,11 +93,14 @@ class TriangulatingCamera:
 
     @staticmethod
     def active_stereo(rng: np.random.Generator, filled: bool = False) -> TriangulatingCamera:
-        """An active stereo camera: RealSense D415, D435, D455, Orbbec Gemini.
+        """Draw an active stereo camera: RealSense D415, D435, D455, Orbbec Gemini.
 
         Args:
             rng: Random generator.
             filled: Whether the driver fills the holes.
+
+        Returns:
+            The camera.
         """
         u = rng.uniform
         return TriangulatingCamera(
