@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from toolee_robot.config import StationConfig
 from toolee_robot.config.calibration import SIMULATED_CALIBRATION
@@ -15,9 +17,11 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception import Segmenter, ToolPerception
 from toolee_robot.perception.detection.zoom_pass import Crop
+from toolee_robot.sim_backend.devices.operator import handed_over
+from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.tasks.common.held_region import POSE_ERRORS, held_region
-from toolee_robot.tasks.common.look import MAX_DISPLACEMENT
+from toolee_robot.tasks.common.look import largest_displacement
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
@@ -81,11 +85,23 @@ def test_a_job_finds_the_face_in_a_crop_about_the_hand_alone() -> None:
 def test_the_region_is_as_wide_as_the_calibration_is_uncertain() -> None:
     X_hand_ee = transform(p=[0.08, 0.0, 0.2])
     station = StationConfig()
-    exact = held_region(station, X_hand_ee, MAX_DISPLACEMENT)
+    largest = largest_displacement(X_hand_ee)
+    exact = held_region(station, X_hand_ee, largest)
     measured = replace(SIMULATED_CALIBRATION, residual=0.0025)
-    lab = held_region(replace(station, calibration=measured), X_hand_ee, MAX_DISPLACEMENT)
+    lab = held_region(replace(station, calibration=measured), X_hand_ee, largest)
     assert lab.radius - exact.radius == pytest.approx(POSE_ERRORS * 0.0025)
     np.testing.assert_array_equal(lab.points, exact.points)
-    assert exact.radius > MAX_DISPLACEMENT + station.tool_envelope.head_radius - 1e-9
+    assert exact.radius > largest + station.tool_envelope.head_radius - 1e-9
     for point in (X_hand_ee[:3, 3], np.zeros(3)):
         assert np.linalg.norm(exact.points - point, axis=1).min() < 1e-9, "face and hand"
+
+
+@settings(max_examples=200, deadline=None)
+@given(seed=st.integers(0, 2**31 - 1), lever=st.floats(0.15, 0.32))
+def test_no_hammer_that_the_simulated_person_hands_over_is_implausible(seed: int, lever: float) -> None:
+    # The face as it lies in the hand: along the handle by the lever, beside it by a head of 60 mm.
+    X_hand_tool, X_tool_ee = np.eye(4), transform(p=[0.06, 0.0, lever])
+    offset = InHandOffset.draw(np.random.default_rng(seed))
+    nominal = X_hand_tool @ X_tool_ee
+    face = handed_over(X_hand_tool, offset) @ X_tool_ee
+    assert np.linalg.norm(face[:3, 3] - nominal[:3, 3]) <= largest_displacement(nominal)

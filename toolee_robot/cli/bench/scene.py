@@ -17,7 +17,7 @@ from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.tasks.common.held_region import held_region
-from toolee_robot.tasks.common.look import MAX_DISPLACEMENT
+from toolee_robot.tasks.common.look import largest_displacement
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.hammering.grasp import Grasp, nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
@@ -54,7 +54,7 @@ class BenchScene:
         self.robot = RobotModel.of_station(config)
         self.q_arm = sim.station.arm.state().q_commanded
         self.q_hand = sim.station.hand.state().joints.q
-        self.region = held_region(config, grasp.X_hand_ee, MAX_DISPLACEMENT)
+        self.region = held_region(config, grasp.X_hand_ee, largest_displacement(grasp.X_hand_ee))
 
     def random_grasps(self, n: int) -> list[Array]:
         """Draw n poses of the end effector in the hand, (4, 4), as handed over by people."""

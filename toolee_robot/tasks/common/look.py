@@ -17,12 +17,30 @@ from toolee_robot.tasks.common.held_region import held_region
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
-MAX_DISPLACEMENT = 0.10
-"""Largest plausible distance of the face from its nominal position in the hand [m]."""
+LEAST_DISPLACEMENT = 0.10
+"""Distance from its nominal position in the hand that is plausible for any face [m]."""
+SLIDE = 0.04
+"""A handle lies farther up or down in the hand by so much [m], and is turned in it by TURN."""
+TURN = 0.30
+"""Tilt of a handle in the hand [rad]."""
 MAX_MISALIGNMENT = np.deg2rad(60.0)
 """Largest plausible angle of the face's normal from its nominal direction in the hand [rad]."""
 MIN_DEPTH = 0.3
 """Least share of a frame's pixels with a known depth; with less, the camera is blinded or covered."""
+
+
+def largest_displacement(X_hand_ee: Array) -> float:
+    """How far the face may plausibly be from its nominal position in the hand.
+
+    A tilted handle moves the face by the more, the farther it is from the hand.
+
+    Args:
+        X_hand_ee: Nominal pose of the face in the hand, (4, 4).
+
+    Returns:
+        The distance [m].
+    """
+    return max(LEAST_DISPLACEMENT, SLIDE + TURN * float(np.linalg.norm(X_hand_ee[:3, 3])))
 
 
 class Perceiver(Protocol):
@@ -91,7 +109,8 @@ class Look:
         self._perceiver = perceiver
         self._observer = observer
         self._nominal = X_hand_ee_nominal
-        self._region = held_region(config, X_hand_ee_nominal, MAX_DISPLACEMENT)
+        self._largest = largest_displacement(X_hand_ee_nominal)
+        self._region = held_region(config, X_hand_ee_nominal, self._largest)
         self._seen: list[list[ToolEstimate]] = []
         self._hands: list[Array] = []
 
@@ -159,7 +178,7 @@ class Look:
                 f"the hammer head's pose is not to be relied on: {estimate.reason}", code="perception.not_usable"
             )
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
-        if not (displacement <= MAX_DISPLACEMENT and misalignment <= MAX_MISALIGNMENT):  # NaN included
+        if not (displacement <= self._largest and misalignment <= MAX_MISALIGNMENT):  # NaN included
             raise PerceptionError(
                 f"the hammer head seems to be {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f}° away "
                 "from where a held hammer can have it: hand it over again, face towards the fingers",
@@ -172,7 +191,7 @@ class Look:
         if not np.all(np.isfinite(estimate.X_camera_ee)):
             return True  # a detection without a pose: keep it, since its reason is reported
         displacement, misalignment = self._off_nominal(inverse(X_camera_hand) @ estimate.X_camera_ee)
-        return displacement < 1.5 * MAX_DISPLACEMENT and misalignment < 1.25 * MAX_MISALIGNMENT
+        return displacement < 1.5 * self._largest and misalignment < 1.25 * MAX_MISALIGNMENT
 
     def _off_nominal(self, X_hand_ee: Array) -> tuple[float, float]:
         """Distance of the face's centre [m] and angle of its normal [rad] from those of the nominal grasp."""
