@@ -14,7 +14,7 @@ import pytest
 from tests.errors import raises
 from toolee_robot.errors import ConfigError, TooleeError, UserError
 from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
-from toolee_robot.trials.run import RESULTS, finished
+from toolee_robot.trials.results import RESULTS, Record, read_results
 
 PLAN = TrialPlan("three hammers", 40, 3, (Arm.FULL, Arm.NO_CORRECTION), {"camera_position": 0.004})
 
@@ -32,6 +32,10 @@ def job(options: Sequence[str]) -> dict[str, Any]:
         "errors": {"camera_mm": float(seed)},
         "run_folder": None,
     }
+
+
+def finished(plan: TrialPlan, folder: Path) -> list[Record]:
+    return read_results(plan, folder)[0]
 
 
 def quietly(_: str) -> None:
@@ -151,7 +155,8 @@ def test_what_is_no_plan_is_refused_by_the_field(tmp_path: Path, change: str, wh
 
 def test_the_report_tells_shares_pairs_failures_and_distinct_tools(tmp_path: Path) -> None:
     plan = replace(PLAN, trials=8)
-    page = write_report(plan, run_trials(plan, tmp_path, 1, quietly, job), tmp_path).read_text()
+    run_trials(plan, tmp_path, 1, quietly, job)
+    page = write_report(plan, tmp_path).read_text()
     made = json.loads((tmp_path / "report.json").read_text())
     assert (made["finished"], made["of"], made["distinct_tools"]) == (16, 16, 2)
     full, without = made["arms"]["full"], made["arms"]["no_correction"]
@@ -196,7 +201,8 @@ def test_a_sweep_changes_one_error_at_a_time_of_the_same_seeds(tmp_path: Path) -
 
 def test_the_report_tells_the_size_that_is_too_much(tmp_path: Path) -> None:
     plan = replace(SWEEP, trials=10)
-    page = write_report(plan, run_trials(plan, tmp_path, 1, quietly, swept), tmp_path).read_text()
+    run_trials(plan, tmp_path, 1, quietly, swept)
+    page = write_report(plan, tmp_path).read_text()
     camera, ruler = json.loads((tmp_path / "report.json").read_text())["sweeps"]
     assert [share["hits"] for share in camera["shares"]] == [10, 10, 0, 0]
     assert 0.004 < camera["limit"]["size"] < 0.006
@@ -207,7 +213,8 @@ def test_the_report_tells_the_size_that_is_too_much(tmp_path: Path) -> None:
 
 
 def test_of_a_few_seeds_no_size_is_told_that_is_too_much(tmp_path: Path) -> None:
-    write_report(SWEEP, run_trials(SWEEP, tmp_path, 1, quietly, swept), tmp_path)
+    run_trials(SWEEP, tmp_path, 1, quietly, swept)
+    write_report(SWEEP, tmp_path)
     told = json.loads((tmp_path / "report.json").read_text())["sweeps"]
     assert [sweep["limit"] for sweep in told] == [None, None]
     assert "too few seeds" in told[0]["too_much"]

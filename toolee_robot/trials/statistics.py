@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from toolee_robot.trials.plan import Arm
-from toolee_robot.trials.run import Record
+from toolee_robot.trials.results import Record
 
 
 @dataclass(frozen=True)
