@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -18,6 +17,7 @@ from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
     from toolee_robot.trials import TrialPlan
+    from toolee_robot.trials.run import Workers
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,9 @@ class Trials:
     """Folder of the results: trials.jsonl, report.html, report.json, and runs/ with each job's folder."""
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
     """Jobs side by side."""
+    cluster: Literal["local", "ray"] = "local"
+    """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share this working directory and
+    DIR."""
     report_only: Flag = False
     """Run nothing: write the report of the results that there are."""
     json: Flag = False
@@ -77,6 +80,13 @@ class Trials:
             print(json_line(made), flush=True)
         return 0
 
+    def _workers(self) -> Workers | None:
+        if self.cluster == "local":
+            return None
+        from toolee_robot.runtime.ray_cluster import on_ray
+
+        return on_ray
+
     def _do(self, plan: TrialPlan, console: Console) -> None:
         from toolee_robot.trials import lead_trials, run_trials
 
@@ -84,12 +94,12 @@ class Trials:
             console.print(text, markup=False)
 
         if not plan.led:
-            jobs = len(os.sched_getaffinity(0)) if self.jobs is None else max(1, self.jobs)
-            run_trials(plan, self.out, jobs, tell)
+            jobs = None if self.jobs is None else max(1, self.jobs)
+            run_trials(plan, self.out, jobs, tell, workers=self._workers())
             return
-        if self.jobs not in (None, 1):
+        if self.jobs not in (None, 1) or self.cluster != "local":
             raise UserError(
-                f"--jobs {self.jobs}: a person is led through this plan, with one robot, one trial at a time",
+                "--jobs, --cluster: a person is led through this plan, with one robot, one trial at a time",
                 code="user.option",
             )
         if not (console.is_terminal and sys.stdin.isatty()):

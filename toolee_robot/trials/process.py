@@ -16,7 +16,9 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from multiprocessing.connection import wait
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from toolee_robot.errors import TooleeError
@@ -28,10 +30,11 @@ _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload([PRELOADED])
 
 
-def run_job(options: Sequence[str]) -> dict[str, Any]:
-    """Run `toolee hammer`.
+def run_job(folder: Path, options: Sequence[str]) -> dict[str, Any]:
+    """Run `toolee hammer`. It ends when this process does, for whatever reason.
 
     Args:
+        folder: Its working directory.
         options: Its options, `--json` among them.
 
     Returns:
@@ -40,9 +43,9 @@ def run_job(options: Sequence[str]) -> dict[str, Any]:
     Raises:
         TooleeError: It did not come to an end of its own; code `trials.crashed`.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        told, said = Path(folder) / "stdout", Path(folder) / "stderr"
-        process = _CONTEXT.Process(target=_hammer, args=(tuple(options), told, said))
+    with tempfile.TemporaryDirectory() as scratch:
+        told, said = Path(scratch) / "stdout", Path(scratch) / "stderr"
+        process = _CONTEXT.Process(target=_hammer, args=(folder, tuple(options), told, said))
         process.start()
         process.join()
         lines = told.read_text().splitlines() if told.is_file() else []
@@ -101,11 +104,20 @@ def _left_to_the_job() -> Iterator[list[subprocess.Popen[bytes]]]:
             signal.signal(number, handler)
 
 
-def _hammer(options: tuple[str, ...], told: Path, said: Path) -> None:
+def _hammer(folder: Path, options: tuple[str, ...], told: Path, said: Path) -> None:
+    Thread(target=_end_with_parent, daemon=True).start()
     for path, stream in ((told, sys.stdout), (said, sys.stderr)):
         with path.open("wb") as file:
             os.dup2(file.fileno(), stream.fileno())
+    os.chdir(folder)
     # The command line is above this package: by name only.
     code = import_module("toolee_robot.cli.app").run(["hammer", *options])
     sys.stdout.flush()
     raise SystemExit(code)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os.kill(os.getpid(), signal.SIGTERM)  # stops the arm, and whatever the job has started

@@ -5,6 +5,7 @@ A run that was killed goes on where it stopped when it is started again.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing
@@ -26,13 +27,13 @@ R = TypeVar("R")
 class Workers(Protocol):
     """Where jobs run: `on_threads` on this machine, `on_ray` on a cluster."""
 
-    def __call__(self, call: Callable[[T], R], items: Sequence[T], count: int, /) -> Generator[R]:
+    def __call__(self, call: Callable[[T], R], items: Sequence[T], count: int | None, /) -> Generator[R]:
         """Call a function for every item.
 
         Args:
             call: The function.
             items: The items.
-            count: Largest number of calls at a time.
+            count: Largest number of calls at a time; None for one per core.
 
         Yields:
             The results, in the order in which they are finished.
@@ -42,9 +43,9 @@ class Workers(Protocol):
 def run_trials(
     plan: TrialPlan,
     folder: Path,
-    jobs: int = 1,
+    jobs: int | None = 1,
     tell: Callable[[str], object] = print,
-    job: Job = run_job,
+    job: Job | None = None,
     workers: Workers | None = None,
 ) -> list[Record]:
     """Run the trials of a plan that its folder does not have yet.
@@ -52,9 +53,9 @@ def run_trials(
     Args:
         plan: The plan.
         folder: Its folder; made where there is none.
-        jobs: Number of jobs side by side.
+        jobs: Number of jobs side by side; None for one per core.
         tell: Told of each finished job.
-        job: Runs a job.
+        job: Runs a job; None for `toolee hammer` in a process of its own, in this working directory.
         workers: Where; None for this machine.
 
     Returns:
@@ -71,21 +72,22 @@ def run_trials(
         todo = [task_of(plan, trial, folder) for trial in plan.order() if trial not in results.done]
         if results.done:
             tell(f"{len(results.done)} of {len(results.done) + len(todo)} trials are there already")
-        with closing((workers or on_threads)(partial(run_task, job), todo, jobs)) as finished:
+        run = partial(run_task, job or partial(run_job, Path.cwd()))
+        with closing((workers or on_threads)(run, todo, jobs)) as finished:
             for record in finished:
                 results.add(record)
                 tell(told(record))
         return results.records
 
 
-def on_threads(call: Callable[[T], R], items: Sequence[T], count: int) -> Generator[R]:
+def on_threads(call: Callable[[T], R], items: Sequence[T], count: int | None) -> Generator[R]:
     """Call a function for every item, in threads of this process: see `Workers`."""
-    left = iter(items)
-    with ThreadPoolExecutor(count) as pool:
+    left, most = iter(items), count or len(os.sched_getaffinity(0))
+    with ThreadPoolExecutor(most) as pool:
         waiting: set[Future[R]] = set()
         try:
             while True:
-                waiting |= {pool.submit(call, item) for item in islice(left, count - len(waiting))}
+                waiting |= {pool.submit(call, item) for item in islice(left, most - len(waiting))}
                 if not waiting:
                     return
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
