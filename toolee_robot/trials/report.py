@@ -19,7 +19,7 @@ from toolee_robot.trials.panels import BLUE, errors, panels, png, rates
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.report_attended import agreement, attended_section
 from toolee_robot.trials.results import Event, Record, read_results
-from toolee_robot.trials.statistics import by_size, compare, median, of_arm, share
+from toolee_robot.trials.statistics import Share, by_conditions, by_size, compare, median, of_arm, share
 from toolee_robot.trials.sweeps import Sweep, curves, sweeps
 
 REPORT, FIGURES = "report.html", "report.json"
@@ -83,10 +83,11 @@ def figures(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event] 
         if not mine:
             continue
         arms[str(arm)] = {
-            "flush": asdict(share([record.success for record in mine])),
+            "flush": asdict(_share(mine)),
             "against_first": None if arm is plan.arms[0] else asdict(compare(mine, first)),
             "medians": {name: median(mine, name) for name in MEDIANS},
             "outcomes": dict(Counter(str(record.figures["outcome"]) for record in mine)),
+            "conditions": {words: asdict(_share(of)) for words, of in by_conditions(mine).items()},
         }
     tools = {str(record.figures.get("tool")) for record in records}
     return {
@@ -122,6 +123,9 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
             for arm, of in made["arms"].items()
         ],
     )
+    if rows := _conditions(made):
+        page.heading("Tools, nails and woods")
+        page.table(["arm", "tool, nail, wood", "flush", "95 % (Wilson)"], rows, left=2)
     page.section("Failures")
     failed = [record for record in records if not record.success]
     if failed:
@@ -199,6 +203,18 @@ def _arms(made: dict[str, Any]) -> list[list[str]]:
         interval = f"{flush['low']:.3f} to {flush['high']:.3f}"
         rows.append([arm.replace("_", " "), f"{flush['hits']} of {flush['of']}", interval, difference, p])
     return rows
+
+
+def _share(records: Sequence[Record]) -> Share:
+    return share([record.success for record in records])
+
+
+def _conditions(made: dict[str, Any]) -> list[list[str]]:
+    return [
+        [arm.replace("_", " "), words, f"{s['hits']} of {s['of']}", f"{s['low']:.3f} to {s['high']:.3f}"]
+        for arm, of in made["arms"].items()
+        for words, s in of["conditions"].items()
+    ]
 
 
 def _outcomes(made: dict[str, Any]) -> list[list[str]]:
