@@ -15,7 +15,7 @@ import yaml
 from tests.errors import raises
 from toolee_robot.config import ToolData
 from toolee_robot.errors import ConfigError, TooleeError, UserError
-from toolee_robot.trials import Arm, TrialPlan, lead_trials, run_trials, write_report
+from toolee_robot.trials import Arm, TrialPlan, lead_trials, load_plan, run_trials, write_report
 from toolee_robot.trials.attended_plan import option
 from toolee_robot.trials.plan import NailSizes
 from toolee_robot.trials.results import Event, Happened, read_results
@@ -258,6 +258,7 @@ def test_nails_and_woods_of_the_plan_are_told_to_person_and_job(tmp_path: Path) 
         ({"options": ("--station", "a.yaml", "--perfect-perception")}, "only a simulation knows"),
         ({"options": (), "attended": True}, "no station file"),
         ({"tools": ("a", PEEN, "a")}, "a name of its own"),
+        ({"nails": ("nail",), "options": ("--station", "a.yaml", "--nail", "nail")}, "--nail"),
     ],
 )
 def test_what_makes_no_sense_on_a_robot_is_refused_with_the_reason(change: dict[str, Any], what: str) -> None:
@@ -270,6 +271,7 @@ def test_a_plan_on_a_robot_has_a_person_and_a_rehearsal_where_it_says_so(tmp_pat
     assert PLAN.led
     assert not replace(PLAN, tools=(), options=rehearsal).led
     assert replace(PLAN, tools=(), options=rehearsal, attended=True).led
+    assert load_plan(LAB.with_name("robot_trials.yaml")).on_robot
     with pytest.raises(ValueError, match="drawn from the seed"):
         replace(PLAN, options=rehearsal)
     with raises(UserError, code="user.attended"):
