@@ -220,6 +220,7 @@ def test_the_report_tells_where_person_and_robot_disagree(tmp_path: Path) -> Non
     assert "Person and robot" in page
     assert "only the robot" in page
     assert not made["rehearsed"]
+    assert made["station_files"] == 1
 
 
 def test_nails_and_woods_of_the_plan_are_told_to_person_and_job(tmp_path: Path) -> None:

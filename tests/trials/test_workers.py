@@ -5,10 +5,13 @@ Ray's part is nightly: a real cluster of one core, started on this machine.
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -38,7 +41,7 @@ def one_core() -> Iterator[None]:
 def workers(request: pytest.FixtureRequest) -> Workers:
     if request.param is on_ray:
         request.getfixturevalue("one_core")
-    return request.param  # type: ignore[no-any-return]
+    return request.param
 
 
 def _square(x: int) -> int:
@@ -112,6 +115,47 @@ def _dies_once(folder: Path, x: int) -> int:
 @pytest.mark.usefixtures("one_core")
 def test_what_a_lost_worker_was_doing_is_done_again(tmp_path: Path) -> None:
     assert list(on_ray(partial(_dies_once, tmp_path), [5], 1)) == [5]
+
+
+@pytest.mark.sim
+@pytest.mark.nightly
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_on_ray_is_interrupted_as_any_other(tmp_path: Path, number: signal.Signals) -> None:
+    code = (
+        "import signal, time, sys; signal.signal(signal.SIGTERM, signal.default_int_handler)\n"
+        "from toolee_robot.runtime.ray_cluster import on_ray\n"
+        "try:\n"
+        "    for x in on_ray(time.sleep, [0.2] * 1000, 1): print('one', flush=True)\n"
+        "except KeyboardInterrupt: sys.exit(130)"
+    )
+    run = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert run.stdout is not None
+    assert run.stdout.readline() == "one\n"
+    run.send_signal(number)
+    run.communicate(timeout=120.0)
+    assert run.returncode == 130
+
+
+@pytest.mark.sim
+@pytest.mark.nightly
+def test_a_job_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
+    """Or that of a lost worker would go on beside its repetition."""
+    options = ["--seed", "101", "--exact", "--no-correction", "--json", "--out", str(tmp_path / "runs")]
+    code = f"from pathlib import Path; import toolee_robot.trials.process as p; p.run_job(Path.cwd(), {options})"
+    owner = subprocess.Popen([sys.executable, "-c", code])
+    _until(lambda: list((tmp_path / "runs").glob(".*.partial/recording.mcap")), "the job has begun")
+    owner.kill()
+    owner.wait()
+    _until(lambda: list((tmp_path / "runs").glob("[0-9]*/summary.json")), "the job has ended")
+    (summary,) = (tmp_path / "runs").glob("[0-9]*/summary.json")
+    assert json.loads(summary.read_text())["outcome"] == "interrupted"
+
+
+def _until(condition: Callable[[], object], what: str) -> None:
+    end = time.monotonic() + 300.0
+    while not condition():
+        assert time.monotonic() < end, f"not: {what}"
+        time.sleep(0.2)
 
 
 @pytest.mark.sim(seconds=120)

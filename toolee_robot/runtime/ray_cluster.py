@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import signal
 import socket
+import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -112,11 +114,14 @@ def _connect(ray: Any, address: str | None) -> None:
         where = {"address": "local", "include_dashboard": False}
     else:
         _knock(address)
+    terminate = signal.getsignal(signal.SIGTERM)
     try:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, runtime_env={"env_vars": ONE_THREAD}, **where)
     except (ConnectionError, RuntimeError, ValueError) as error:
         what = "start a Ray cluster here" if address is None else f"join the Ray cluster at RAY_ADDRESS={address}"
         raise UserError(f"cannot {what}: {error}") from error
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, terminate)  # Ray's own handler would end the process at once
     if address is None and not is_loopback(ray.util.get_node_ip_address()):
         ray.shutdown()
         raise UserError(f"Ray would listen to the whole network: set {_NO_CLUSTER}=0 before it is imported")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -90,6 +91,11 @@ def _station_of(station: StationConfig, task: Task) -> StationConfig:
     return station if setup is None else with_setup(station, Path(setup))
 
 
+def _digest(plan: TrialPlan) -> str:
+    """SHA-256 of the station file, which a lab may change between trials."""
+    return hashlib.sha256(Path(str(option(plan.options, "--station"))).read_bytes()).hexdigest()
+
+
 class _Trial:
     """Leads a person through one trial."""
 
@@ -149,7 +155,7 @@ class _Trial:
 
     def _do(self) -> None:
         trial, results = self._task.trial, self._results
-        results.note(Happened.BEGUN, trial)
+        results.note(Happened.BEGUN, trial, station=_digest(self._plan))
         begun = now()
         try:
             figures = self._job(self._task.options)
@@ -162,8 +168,7 @@ class _Trial:
     def _measure(self, facts: dict[str, object]) -> None:
         trial, results, figures = self._task.trial, self._results, facts["figures"]
         assert isinstance(figures, dict)
-        verdict = "flush" if figures["success"] else f"{str(figures['outcome']).replace('_', ' ')}: {figures['reason']}"
-        self._tell(f"Trial {self._number} of {self._of}, {trial.arm.replace('_', ' ')}. The robot says: {verdict}")
+        self._tell(f"Trial {self._number} of {self._of}: measure, without regard to what the robot says.")
         judgement = judged(self._config, self._nails, self._ask, self._tell)
         made = judgement.outcome(figures)
         if not yes(COUNTS, self._ask):

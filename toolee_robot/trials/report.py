@@ -106,6 +106,7 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
     made = figures(plan, records, events)
     page = Page(plan.name, f"plan {plan.hash[:12]} · {made['finished']} of {made['of']} trials finished")
     page.section("Result")
+    pair = "repetition" if plan.led else "seed"
     pairs = "repetitions of each tool, nail and wood" if plan.led else "seeds, the same in every arm"
     cards = [(f"{made['distinct_tools']}", "distinct tools"), (f"{plan.trials}", pairs)]
     for arm, of in made["arms"].items():
@@ -131,7 +132,7 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
     if failed:
         page.table(["arm", "outcome", "trials"], _outcomes(made), left=2)
         page.table(
-            ["arm", "seed", "conditions", "tool", "outcome", "reason"], [_failure(r, folder) for r in failed], left=6
+            ["arm", pair, "conditions", "tool", "outcome", "reason"], [_failure(r, folder) for r in failed], left=6
         )
     else:
         page.paragraph("None.")
@@ -144,7 +145,7 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
         _drawn(page, plan, first)
     page.section("Every trial")
     page.table(
-        ["arm", "seed", "conditions", "tool", "outcome", "strikes", "robot's time, s", "tries"],
+        ["arm", pair, "conditions", "tool", "outcome", "strikes", "robot's time, s", "tries"],
         [_row(record, folder) for record in records],
         left=5,
     )

@@ -25,7 +25,7 @@ def agreement(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event
 
     Returns:
         By name, for JSON: `flush` by arm and by who says so, `touch_against_calipers_mm`, `slipped`, `disagreements`,
-        `skipped`, `interruptions`, and `sessions`.
+        `skipped`, `interruptions`, `station_files`, and `sessions`.
     """
     counts: dict[str, dict[str, int]] = {}
     for record in records:
@@ -46,6 +46,7 @@ def agreement(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event
         "disagreements": [_disagreement(record) for record in records if _who(record) in ("person", "robot")],
         "skipped": sum(event.what is Happened.SKIPPED and trial not in done for trial, event in last.items()),
         "interruptions": _interruptions(events),
+        "station_files": len({event.facts["station"] for event in events if event.what is Happened.BEGUN}),
         "sessions": sum(event.what is Happened.SESSION for event in events),
     }
 
@@ -79,7 +80,8 @@ def attended_section(page: Page, made: dict[str, Any]) -> None:
     page.heading("Disagreements")
     _rows(page, ["arm", "repetition", "conditions", "the person says", "the robot says"], made["disagreements"])
     page.heading("Interruptions and repeats")
-    page.paragraph(f"{made['sessions']} sessions; {made['skipped']} trials are skipped and not done.")
+    changed = "the station file was the same in all" if made["station_files"] < 2 else "the station file was changed"
+    page.paragraph(f"{made['sessions']} sessions; {changed}. {made['skipped']} trials are skipped and not done.")
     _rows(page, ["when", "what", "arm", "repetition", "conditions", "reason"], made["interruptions"])
 
 

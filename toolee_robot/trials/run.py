@@ -81,7 +81,16 @@ def run_trials(
 
 
 def on_threads(call: Callable[[T], R], items: Sequence[T], count: int | None) -> Generator[R]:
-    """Call a function for every item, in threads of this process: see `Workers`."""
+    """Call a function for every item, in threads of this process.
+
+    Args:
+        call: The function.
+        items: The items.
+        count: Largest number of calls at a time; None for one per core.
+
+    Yields:
+        The results, in the order in which they are finished; those that are, before an error of another call.
+    """
     left, most = iter(items), count or len(os.sched_getaffinity(0))
     with ThreadPoolExecutor(most) as pool:
         waiting: set[Future[R]] = set()
