@@ -150,7 +150,9 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
         left=5,
     )
     page.section("The plan")
-    page.definitions({name: _words(value) for name, value in asdict(plan).items()} | {"hash (SHA-256)": plan.hash})
+    simulated = ("errors", "sweep") if plan.on_robot else ()
+    said = {name: _words(value) for name, value in asdict(plan).items() if name not in simulated}
+    page.definitions(said | {"hash (SHA-256)": plan.hash})
     if records:
         page.paragraph(
             f"A trial is repeated by its own command, the first one by: toolee hammer {' '.join(records[0].command)}"
