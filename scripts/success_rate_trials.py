@@ -38,7 +38,7 @@ def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 
         raise SystemExit(2) from None
     for arm in arms:
         print(f"{arm.replace('_', ' ')}: {share([record.success for record in of_arm(records, arm)])} flush")
-    print(write_report(plan, records, out))
+    print(write_report(plan, out))
 
 
 if __name__ == "__main__":

@@ -12,11 +12,9 @@ from typing import TypeVar
 
 from toolee_robot.errors import TooleeError
 from toolee_robot.perception.dataset.spec import SceneJob
-from toolee_robot.runtime.process_pool import WorkerPool
+from toolee_robot.runtime.process_pool import ONE_THREAD, WorkerPool
 
 T = TypeVar("T")
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment of the workers: without it, Embree and BLAS start one thread per core in each of them."""
 
 
 def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: int) -> Generator[T]:

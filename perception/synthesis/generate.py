@@ -77,7 +77,7 @@ def generate(
         progress(done, spec.size)
     run: Callable[..., Generator[SceneJob]] = on_processes
     if cluster == "ray":
-        from toolee_robot.perception.synthesis.cluster import on_ray
+        from toolee_robot.runtime.ray_cluster import on_ray
 
         run = on_ray
     waiting = deque(jobs)

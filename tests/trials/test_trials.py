@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,12 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from tests.errors import raises
 from toolee_robot.errors import ConfigError, TooleeError, UserError
 from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
-from toolee_robot.trials.run import RESULTS, finished
+from toolee_robot.trials.results import RESULTS, Record, read_results
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 PLAN = TrialPlan("three hammers", 40, 3, (Arm.FULL, Arm.NO_CORRECTION), {"camera_position": 0.004})
 
 
@@ -32,6 +35,10 @@ def job(options: Sequence[str]) -> dict[str, Any]:
         "errors": {"camera_mm": float(seed)},
         "run_folder": None,
     }
+
+
+def finished(plan: TrialPlan, folder: Path) -> list[Record]:
+    return read_results(plan, folder)[0]
 
 
 def quietly(_: str) -> None:
@@ -123,7 +130,39 @@ def test_a_plans_hash_is_of_what_it_says(tmp_path: Path) -> None:
         hashes.add(load_plan(tmp_path / f"{i}.yaml").hash)
     assert len(hashes) == 1
     assert replace(load_plan(tmp_path / "0.yaml"), trials=3).hash not in hashes
-    assert load_plan(Path(__file__).parents[2] / "examples" / "trials.yaml").trials == 20
+    assert load_plan(EXAMPLES / "trials.yaml").trials == 20
+
+
+def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Path) -> None:
+    """What is kept beside the results on this site: other trials go on with such files."""
+    kept = EXAMPLES.parent / "docs" / "benchmark"
+    shutil.copy(kept / "nominal_trials.jsonl", tmp_path / RESULTS)
+    plan = load_plan(kept / "nominal_trials.yaml")
+    assert plan.hash.startswith("242faab488ca")
+    records = finished(plan, tmp_path)
+    assert len(records) == len((tmp_path / RESULTS).read_text().splitlines()) - 1
+    assert load_plan(kept / "sweep.yaml").hash.startswith("533cbe5b8057")
+
+
+def test_every_seed_and_arm_gets_every_nail_in_every_wood(tmp_path: Path) -> None:
+    plan = replace(load_plan(EXAMPLES / "nail_trials.yaml"), trials=2, arms=(Arm.FULL, Arm.ONE_VIEW))
+    asked = Asked()
+    records = run_trials(plan, tmp_path, 1, quietly, asked)
+    assert len({record.trial for record in records}) == 2 * 2 * 3 * 3
+    setups = [Path(options[options.index("--setup") + 1]) for options in asked.options]
+    told = {(work["nail_diameter"], work["wood_specific_gravity"]) for work in map(_work, setups)}
+    assert told == {(d, g) for d in (0.0022, 0.0025, 0.0031) for g in (0.35, 0.42, 0.68)}
+    assert len({options[options.index("--out") + 1] for options in asked.options}) == 2 * 3 * 3
+    assert finished(plan, tmp_path) == records
+    page = write_report(plan, tmp_path).read_text()
+    made = json.loads((tmp_path / "report.json").read_text())["arms"]["full"]["conditions"]
+    assert {words: of["of"] for words, of in made.items()}["3.1 x 65, oak"] == 2
+    assert "tool, nail, wood" in page
+    assert made["2.2 x 30, white pine"]["hits"] == 2
+
+
+def _work(setup: Path) -> dict[str, float]:
+    return dict(yaml.safe_load(setup.read_text())["work"])
 
 
 @pytest.mark.parametrize(
@@ -137,6 +176,10 @@ def test_a_plans_hash_is_of_what_it_says(tmp_path: Path) -> None:
         ("seeds: 3", "seeds"),
         ("sweep: {ruler: []}", "sweep"),
         ("sweep: {ruler: [-0.001]}", "sweep"),
+        ("nails: [{name: a, diameter: 0.003}]", "nails.0"),
+        ("woods: {oak: 680}", "woods"),
+        ("options: [--setup, a.yaml]", "--setup"),
+        ("instructions: look", "instructions"),
     ],
 )
 def test_what_is_no_plan_is_refused_by_the_field(tmp_path: Path, change: str, what: str) -> None:
@@ -151,7 +194,8 @@ def test_what_is_no_plan_is_refused_by_the_field(tmp_path: Path, change: str, wh
 
 def test_the_report_tells_shares_pairs_failures_and_distinct_tools(tmp_path: Path) -> None:
     plan = replace(PLAN, trials=8)
-    page = write_report(plan, run_trials(plan, tmp_path, 1, quietly, job), tmp_path).read_text()
+    run_trials(plan, tmp_path, 1, quietly, job)
+    page = write_report(plan, tmp_path).read_text()
     made = json.loads((tmp_path / "report.json").read_text())
     assert (made["finished"], made["of"], made["distinct_tools"]) == (16, 16, 2)
     full, without = made["arms"]["full"], made["arms"]["no_correction"]
@@ -196,7 +240,8 @@ def test_a_sweep_changes_one_error_at_a_time_of_the_same_seeds(tmp_path: Path) -
 
 def test_the_report_tells_the_size_that_is_too_much(tmp_path: Path) -> None:
     plan = replace(SWEEP, trials=10)
-    page = write_report(plan, run_trials(plan, tmp_path, 1, quietly, swept), tmp_path).read_text()
+    run_trials(plan, tmp_path, 1, quietly, swept)
+    page = write_report(plan, tmp_path).read_text()
     camera, ruler = json.loads((tmp_path / "report.json").read_text())["sweeps"]
     assert [share["hits"] for share in camera["shares"]] == [10, 10, 0, 0]
     assert 0.004 < camera["limit"]["size"] < 0.006
@@ -207,7 +252,8 @@ def test_the_report_tells_the_size_that_is_too_much(tmp_path: Path) -> None:
 
 
 def test_of_a_few_seeds_no_size_is_told_that_is_too_much(tmp_path: Path) -> None:
-    write_report(SWEEP, run_trials(SWEEP, tmp_path, 1, quietly, swept), tmp_path)
+    run_trials(SWEEP, tmp_path, 1, quietly, swept)
+    write_report(SWEEP, tmp_path)
     told = json.loads((tmp_path / "report.json").read_text())["sweeps"]
     assert [sweep["limit"] for sweep in told] == [None, None]
     assert "too few seeds" in told[0]["too_much"]

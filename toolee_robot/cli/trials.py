@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -13,6 +13,11 @@ from rich.markup import escape
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
+from toolee_robot.errors import UserError
+
+if TYPE_CHECKING:
+    from toolee_robot.trials import TrialPlan
+    from toolee_robot.trials.run import Workers
 
 
 @dataclass(frozen=True)
@@ -24,7 +29,10 @@ class Trials:
     The folder keeps each result as soon as there is one. The same command again goes on where it stopped, whatever
     ended it; another plan is refused. A job that ended because the machine itself stalled is repeated, and counted.
 
-    Exit code 0: all trials are done, however they ended; 2: invalid input.
+    A plan on a robot, whose options name a station file without --rehearse, leads a person through one trial after the
+    other, in an order drawn from the plan's hash.
+
+    Exit code 0: all trials are done, however they ended, or the person stopped; 2: invalid input; 130: interrupted.
     """
 
     plan: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="YAML")]
@@ -33,6 +41,9 @@ class Trials:
     """Folder of the results: trials.jsonl, report.html, report.json, and runs/ with each job's folder."""
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
     """Jobs side by side."""
+    cluster: Literal["local", "ray"] = "local"
+    """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share this working directory and
+    DIR."""
     report_only: Flag = False
     """Run nothing: write the report of the results that there are."""
     json: Flag = False
@@ -40,23 +51,21 @@ class Trials:
 
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
-        from toolee_robot.trials import load_plan, run_trials, write_report
+        from toolee_robot.trials import load_plan, write_report
         from toolee_robot.trials.report import figures
-        from toolee_robot.trials.run import finished
+        from toolee_robot.trials.results import read_results
 
         plan = load_plan(self.plan)
-        jobs = len(os.sched_getaffinity(0)) if self.jobs is None else max(1, self.jobs)
-        console.print(f"[bold]{escape(plan.name)}[/bold]  [dim]plan {plan.hash[:12]}, {plan.trials} seeds[/dim]")
-        if self.report_only:
-            records = finished(plan, self.out)
-        else:
+        pairs = "repetitions" if plan.led else "seeds"
+        console.print(f"[bold]{escape(plan.name)}[/bold]  [dim]plan {plan.hash[:12]}, {plan.trials} {pairs}[/dim]")
+        if not self.report_only:
             try:
-                records = run_trials(plan, self.out, jobs, lambda text: console.print(escape(text)))
+                self._do(plan, console)
             finally:
-                if done := finished(plan, self.out):
-                    write_report(plan, done, self.out)
-        page = write_report(plan, records, self.out)
-        made = figures(plan, records)
+                if read_results(plan, self.out)[0]:
+                    write_report(plan, self.out)
+        page = write_report(plan, self.out)
+        made = figures(plan, *read_results(plan, self.out))
         for arm, of in made["arms"].items():
             flush = of["flush"]
             console.print(
@@ -64,7 +73,38 @@ class Trials:
             )
         for sweep in made["sweeps"]:
             console.print(f"{sweep['error']:<20}under 90 % from: {sweep['too_much']}")
+        if plan.led and made["finished"] < made["of"]:
+            console.print(f"{made['finished']} of {made['of']} trials are done: the same command goes on")
         console.print(f"report: {escape(str(page))}")
         if self.json:
             print(json_line(made), flush=True)
         return 0
+
+    def _workers(self) -> Workers | None:
+        if self.cluster == "local":
+            return None
+        from toolee_robot.runtime.ray_cluster import on_ray
+
+        return on_ray
+
+    def _do(self, plan: TrialPlan, console: Console) -> None:
+        from toolee_robot.trials import lead_trials, run_trials
+
+        def tell(text: str) -> None:
+            console.print(text, markup=False)
+
+        if not plan.led:
+            jobs = None if self.jobs is None else max(1, self.jobs)
+            run_trials(plan, self.out, jobs, tell, workers=self._workers())
+            return
+        if self.jobs not in (None, 1) or self.cluster != "local":
+            raise UserError(
+                "--jobs, --cluster: a person is led through this plan, with one robot, one trial at a time",
+                code="user.option",
+            )
+        if not (console.is_terminal and sys.stdin.isatty()):
+            raise UserError(
+                "a person is led through this plan at the terminal, and there is none: start it from one",
+                code="user.no_terminal",
+            )
+        lead_trials(plan, self.out, lambda question: console.input(question, markup=False), tell)

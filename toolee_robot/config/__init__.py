@@ -18,6 +18,7 @@ from toolee_robot.config.obstacle import Obstacle
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig, servo_lag
+from toolee_robot.config.setup import JobSetup, with_setup
 from toolee_robot.config.station import StationConfig, load_station, read_station
 from toolee_robot.config.tool import ToolData
 from toolee_robot.config.work import ONLY_NAIL, NailConfig, WorkConfig
@@ -32,6 +33,7 @@ __all__ = [
     "CameraConfig",
     "CameraDevice",
     "HandConfig",
+    "JobSetup",
     "NailConfig",
     "Obstacle",
     "PersonConfig",
@@ -49,4 +51,5 @@ __all__ = [
     "read_station",
     "servo_lag",
     "unmeasured",
+    "with_setup",
 ]

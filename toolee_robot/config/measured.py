@@ -82,12 +82,20 @@ def load_lab_station(path: Path) -> StationConfig:
             f"measure and give {', '.join(missing)}",
             code="config.unmeasured",
         )
-    _check_units(config, path)
+    check_units(config, path)
     return config if data.get("calibration") else replace(config, calibration=None)
 
 
-def _check_units(config: StationConfig, path: Path) -> None:
-    """Refuse sizes that are in another unit, such as a camera at 950 m."""
+def check_units(config: StationConfig, path: Path) -> None:
+    """Refuse sizes that are in another unit, such as a camera at 950 m.
+
+    Args:
+        config: What a station file says.
+        path: The file, for the message.
+
+    Raises:
+        ConfigError: A size is (`config.unit`); the message names it.
+    """
     records = [(name, getattr(config, name)) for name in (*MEASURED, "tool") if getattr(config, name) is not None]
     records += [(f"work.nails {nail.name}", nail) for nail in config.work.nails]
     records += [(f"scene.obstacles {obstacle.name}", obstacle) for obstacle in config.scene.obstacles]

@@ -14,6 +14,8 @@ from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
 T = TypeVar("T")
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of workers: without it, Embree and BLAS start one thread per core in each of them."""
 
 
 class WorkerPool(ProcessPoolExecutor):

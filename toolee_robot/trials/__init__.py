@@ -2,11 +2,13 @@
 
 plan = load_plan(Path("plan.yaml"))
 records = run_trials(plan, Path("trials"), jobs=2, tell=print)
-write_report(plan, records, Path("trials"))
+write_report(plan, Path("trials"))
 """
 
+from toolee_robot.trials.attended import lead_trials
 from toolee_robot.trials.plan import Arm, Trial, TrialPlan, load_plan
 from toolee_robot.trials.report import write_report
-from toolee_robot.trials.run import Record, run_trials
+from toolee_robot.trials.results import Record
+from toolee_robot.trials.run import run_trials
 
-__all__ = ["Arm", "Record", "Trial", "TrialPlan", "load_plan", "run_trials", "write_report"]
+__all__ = ["Arm", "Record", "Trial", "TrialPlan", "lead_trials", "load_plan", "run_trials", "write_report"]

@@ -17,8 +17,9 @@ from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.trials.panels import BLUE, errors, panels, png, rates
 from toolee_robot.trials.plan import TrialPlan
-from toolee_robot.trials.run import Record
-from toolee_robot.trials.statistics import by_size, compare, median, of_arm, share
+from toolee_robot.trials.report_attended import agreement, attended_section
+from toolee_robot.trials.results import Event, Record, read_results
+from toolee_robot.trials.statistics import Share, by_conditions, by_size, compare, median, of_arm, share
 from toolee_robot.trials.sweeps import Sweep, curves, sweeps
 
 REPORT, FIGURES = "report.html", "report.json"
@@ -44,28 +45,33 @@ ERRORS = {
 """Errors against which success is shown, and how the axis is called."""
 
 
-def write_report(plan: TrialPlan, records: Sequence[Record], folder: Path) -> Path:
-    """Write the report of a plan's trials.
+def write_report(plan: TrialPlan, folder: Path) -> Path:
+    """Write the report of a plan's trials, of the results that there are.
 
     Args:
         plan: The plan.
-        records: The results that there are.
         folder: The trials' folder, which gets the page and its figures.
 
     Returns:
         The page.
+
+    Raises:
+        UserError: The folder holds another plan's trials; code `user.other_plan`.
     """
-    write_atomic(folder / FIGURES, (json.dumps(figures(plan, records), indent=1) + "\n").encode())
-    write_atomic(folder / REPORT, _page(plan, records, folder).encode())
+    records, events = read_results(plan, folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomic(folder / FIGURES, (json.dumps(figures(plan, records, events), indent=1) + "\n").encode())
+    write_atomic(folder / REPORT, _page(plan, records, events, folder).encode())
     return folder / REPORT
 
 
-def figures(plan: TrialPlan, records: Sequence[Record]) -> dict[str, Any]:
+def figures(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event] = ()) -> dict[str, Any]:
     """Compute the report's figures.
 
     Args:
         plan: The plan.
         records: The results that there are.
+        events: What else happened.
 
     Returns:
         By name, for JSON.
@@ -77,10 +83,11 @@ def figures(plan: TrialPlan, records: Sequence[Record]) -> dict[str, Any]:
         if not mine:
             continue
         arms[str(arm)] = {
-            "flush": asdict(share([record.success for record in mine])),
+            "flush": asdict(_share(mine)),
             "against_first": None if arm is plan.arms[0] else asdict(compare(mine, first)),
             "medians": {name: median(mine, name) for name in MEDIANS},
             "outcomes": dict(Counter(str(record.figures["outcome"]) for record in mine)),
+            "conditions": {words: asdict(_share(of)) for words, of in by_conditions(mine).items()},
         }
     tools = {str(record.figures.get("tool")) for record in records}
     return {
@@ -91,14 +98,17 @@ def figures(plan: TrialPlan, records: Sequence[Record]) -> dict[str, Any]:
         "distinct_tools": len(tools),
         "arms": arms,
         "sweeps": [asdict(sweep) | {"too_much": sweep.told} for sweep in sweeps(first)],
+        **({"attended": agreement(plan, records, events)} if plan.led else {}),
     }
 
 
-def _page(plan: TrialPlan, records: Sequence[Record], folder: Path) -> str:
-    made = figures(plan, records)
+def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], folder: Path) -> str:
+    made = figures(plan, records, events)
     page = Page(plan.name, f"plan {plan.hash[:12]} · {made['finished']} of {made['of']} trials finished")
     page.section("Result")
-    cards = [(f"{made['distinct_tools']}", "distinct tools"), (f"{plan.trials}", "seeds, the same in every arm")]
+    pair = "repetition" if plan.led else "seed"
+    pairs = "repetitions of each tool, nail and wood" if plan.led else "seeds, the same in every arm"
+    cards = [(f"{made['distinct_tools']}", "distinct tools"), (f"{plan.trials}", pairs)]
     for arm, of in made["arms"].items():
         flush = of["flush"]
         cards.append((f"{flush['hits']} of {flush['of']}", f"flush, {arm.replace('_', ' ')}"))
@@ -114,26 +124,35 @@ def _page(plan: TrialPlan, records: Sequence[Record], folder: Path) -> str:
             for arm, of in made["arms"].items()
         ],
     )
+    if rows := _conditions(made):
+        page.heading("Tools, nails and woods")
+        page.table(["arm", "tool, nail, wood", "flush", "95 % (Wilson)"], rows, left=2)
     page.section("Failures")
     failed = [record for record in records if not record.success]
     if failed:
         page.table(["arm", "outcome", "trials"], _outcomes(made), left=2)
-        page.table(["arm", "seed", "error", "tool", "outcome", "reason"], [_failure(r, folder) for r in failed], left=6)
+        page.table(
+            ["arm", pair, "conditions", "tool", "outcome", "reason"], [_failure(r, folder) for r in failed], left=6
+        )
     else:
         page.paragraph("None.")
     first = of_arm(records, plan.arms[0])
-    if plan.sweep:
+    if plan.led:
+        attended_section(page, made["attended"])
+    elif plan.sweep:
         _swept(page, plan, sweeps(first))
     else:
         _drawn(page, plan, first)
     page.section("Every trial")
     page.table(
-        ["arm", "seed", "error", "tool", "outcome", "strikes", "robot's time, s", "tries"],
+        ["arm", pair, "conditions", "tool", "outcome", "strikes", "robot's time, s", "tries"],
         [_row(record, folder) for record in records],
         left=5,
     )
     page.section("The plan")
-    page.definitions({name: _words(value) for name, value in asdict(plan).items()} | {"hash (SHA-256)": plan.hash})
+    simulated = ("errors", "sweep") if plan.on_robot else ()
+    said = {name: _words(value) for name, value in asdict(plan).items() if name not in simulated}
+    page.definitions(said | {"hash (SHA-256)": plan.hash})
     if records:
         page.paragraph(
             f"A trial is repeated by its own command, the first one by: toolee hammer {' '.join(records[0].command)}"
@@ -189,6 +208,18 @@ def _arms(made: dict[str, Any]) -> list[list[str]]:
     return rows
 
 
+def _share(records: Sequence[Record]) -> Share:
+    return share([record.success for record in records])
+
+
+def _conditions(made: dict[str, Any]) -> list[list[str]]:
+    return [
+        [arm.replace("_", " "), words, f"{s['hits']} of {s['of']}", f"{s['low']:.3f} to {s['high']:.3f}"]
+        for arm, of in made["arms"].items()
+        for words, s in of["conditions"].items()
+    ]
+
+
 def _outcomes(made: dict[str, Any]) -> list[list[str]]:
     return [
         [arm.replace("_", " "), outcome.replace("_", " "), str(count)]
@@ -202,19 +233,23 @@ def _failure(record: Record, folder: Path) -> list[Any]:
     f = record.figures
     outcome = str(f["outcome"]).replace("_", " ")
     arm = str(record.trial.arm).replace("_", " ")
-    return [arm, _link(record, folder), _error(record), f["tool"], outcome, f["reason"]]
+    return [arm, _link(record, folder), record.trial.conditions, f["tool"], outcome, f["reason"]]
 
 
 def _row(record: Record, folder: Path) -> list[Any]:
     f, arm = record.figures, str(record.trial.arm).replace("_", " ")
     outcome = "flush" if record.success else str(f["outcome"]).replace("_", " ")
     time = _figure(f.get("robot_seconds"))
-    return [arm, _link(record, folder), _error(record), f["tool"], outcome, str(f["strikes"]), time, str(f["tries"])]
-
-
-def _error(record: Record) -> str:
-    """The error that has a size of its own."""
-    return "" if record.trial.error is None else f"{record.trial.error} {record.trial.size:g}"
+    return [
+        arm,
+        _link(record, folder),
+        record.trial.conditions,
+        f["tool"],
+        outcome,
+        str(f["strikes"]),
+        time,
+        str(f["tries"]),
+    ]
 
 
 def _link(record: Record, folder: Path) -> Markup | str:
@@ -232,7 +267,7 @@ def _figure(value: float | None) -> str:
 def _words(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{name} {_words(size)}" for name, size in value.items()) or "none"
-    return ", ".join(map(str, value)) or "none" if isinstance(value, list | tuple) else str(value)
+    return ", ".join(map(_words, value)) or "none" if isinstance(value, list | tuple) else str(value)
 
 
 def _curves(records: Sequence[Record]) -> bytes | None:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from toolee_robot.trials.plan import Arm
-from toolee_robot.trials.run import Record
+from toolee_robot.trials.results import Record
 
 
 @dataclass(frozen=True)
@@ -144,3 +144,19 @@ def of_arm(records: Sequence[Record], arm: Arm) -> list[Record]:
         Its results, in their order.
     """
     return [record for record in records if record.trial.arm is arm]
+
+
+def by_conditions(records: Sequence[Record]) -> dict[str, list[Record]]:
+    """Sort results by tool, nail and wood.
+
+    Args:
+        records: The results.
+
+    Returns:
+        By their names in words; nothing where the plan lists none.
+    """
+    sorted_: dict[str, list[Record]] = {}
+    for record in records:
+        if record.trial.put_there:
+            sorted_.setdefault(replace(record.trial, error=None).conditions, []).append(record)
+    return sorted_

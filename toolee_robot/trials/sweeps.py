@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from toolee_robot.frames import Array
 from toolee_robot.trials.panels import BLUE, RED, errors, panels, png, rates
-from toolee_robot.trials.run import Record
+from toolee_robot.trials.results import Record
 from toolee_robot.trials.statistics import Share, share
 
 ENOUGH = 0.9

@@ -17,8 +17,8 @@ from tests.perception.folders import assert_same
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.dataset.spec import DatasetSpec, SceneJob
 from toolee_robot.perception.dataset.validation.validate import validate
-from toolee_robot.perception.synthesis.cluster import joined, on_ray
 from toolee_robot.perception.synthesis.generate import generate
+from toolee_robot.runtime.ray_cluster import joined, on_ray
 
 pytestmark = [pytest.mark.sim, pytest.mark.nightly]
 

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig, load_lab_station, load_station
+from toolee_robot.config import StationConfig, load_lab_station, load_station, with_setup
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor, is_loopback
 from toolee_robot.runtime.yaml_files import read_record
@@ -106,6 +106,9 @@ class Hammer:
     """With --hand: the port of a hand that `toolee hand-emulator` emulates, which feels its own --handle instead."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """Changes of the simulated station: any subset of the fields in docs/reference/station_file.md."""
+    setup: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """What is set up for this job instead of what the station file says: `tool`, and of `work` the nail's sizes and the
+    wood's specific gravity."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Parent of the run's folder, which holds summary.json, recording.mcap and picture.png."""
     gui: Flag = False
@@ -137,8 +140,9 @@ class Hammer:
                 "--perfect-perception with --no-correction changes nothing: leave one out", code="user.option"
             )
         console = Console(stderr=self.json, highlight=False)
-        # Only somebody at a terminal can have looked at the robot.
-        interactive = not self.json and console.is_terminal and sys.stdin.isatty()
+        # Only somebody at a terminal can have looked at the robot. With --json a simulated one asks nobody: a script
+        # that was started there would wait for an answer.
+        interactive = (not self.json or self.station is not None) and console.is_terminal and sys.stdin.isatty()
         source = self._simulated() if self.station is None else self._own(self.station)
         nails = self._nails(source.config)
 
@@ -179,6 +183,13 @@ class Hammer:
                 "--rehearse without --station: give the station file that is rehearsed", code="user.no_station"
             )
         config = StationConfig() if self.config is None else load_station(self.config)
+        if self.setup is not None:
+            config = with_setup(config, self.setup)
+            if config.tool is not None:
+                raise UserError(
+                    f"{self.setup} gives a tool, and a simulated one is drawn from --seed: leave `tool` out",
+                    code="user.option",
+                )
         if self.robot is not None:
             config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
         address = self._address(config.arm.model)
@@ -225,6 +236,8 @@ class Hammer:
                 code="user.option",
             )
         config = load_lab_station(path)
+        if self.setup is not None:
+            config = with_setup(config, self.setup)
 
         from toolee_robot.cli.hammering.sources import LabSource, RehearsalSource
 

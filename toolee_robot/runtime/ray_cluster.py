@@ -1,18 +1,22 @@
-"""Generation on a Ray cluster (the `cluster` extra). All machines must see the output folder under the same path."""
+"""Calls on a Ray cluster (the `cluster` extra). Files that they write are on a folder that all machines share."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import os
+import signal
 import socket
-from collections.abc import Callable, Generator, Iterator
-from typing import Any
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import Any, TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.perception.dataset.parallel import ONE_THREAD
-from toolee_robot.perception.dataset.spec import SceneJob
 from toolee_robot.runtime.clock import is_loopback
+from toolee_robot.runtime.process_pool import ONE_THREAD
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 _PATIENCE = 5.0
 """[s] A cluster's head that takes no connection for so long is not there; Ray itself would wait for minutes."""
@@ -21,30 +25,31 @@ _NO_CLUSTER = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 system; an address given to `ray.init` does not."""
 
 
-def on_ray(make: Callable[[SceneJob], SceneJob], jobs: list[SceneJob], workers: int) -> Generator[SceneJob]:
-    """Run a function for every scene on a Ray cluster, see `joined`.
+def on_ray(call: Callable[[Item], Result], items: Sequence[Item], count: int | None) -> Generator[Result]:
+    """Call a function for every item on a Ray cluster, see `joined`.
 
-    A call whose process dies is repeated up to twice.
+    A call whose process or machine dies is repeated up to twice.
 
     Args:
-        make: The function.
-        jobs: The scenes.
-        workers: Largest number of calls at a time; each uses one core.
+        call: The function.
+        items: The items.
+        count: Largest number of calls at a time, of which each uses a core; None for the cluster's cores.
 
     Yields:
         The results, in the order in which they are finished.
 
     Raises:
-        TooleeError: A call failed; errors of `make` that are of this class pass as they are.
+        TooleeError: A call failed; errors of `call` that are of this class pass as they are.
         UserError: Ray or the cluster is missing.
     """
     with joined() as ray:
-        remote = ray.remote(num_cpus=1, max_retries=2)(make_one)
-        waiting = list(reversed(jobs))
+        remote = ray.remote(num_cpus=1, max_retries=2)(call_one)
+        most = max(1, int(ray.cluster_resources().get("CPU", 1))) if count is None else count
+        waiting = list(reversed(items))
         running: list[Any] = []
         while waiting or running:
-            while waiting and len(running) < workers:
-                running.append(remote.remote(make, waiting.pop()))
+            while waiting and len(running) < most:
+                running.append(remote.remote(call, waiting.pop()))
             finished, running = ray.wait(running, num_returns=1)
             try:
                 yield ray.get(finished[0])
@@ -57,17 +62,17 @@ def on_ray(make: Callable[[SceneJob], SceneJob], jobs: list[SceneJob], workers: 
                 ) from error
 
 
-def make_one(make: Callable[[SceneJob], SceneJob], job: SceneJob) -> SceneJob:
-    """Call the function for one scene; the body of a Ray task.
+def call_one(call: Callable[[Item], Result], item: Item) -> Result:
+    """Call the function for one item; the body of a Ray task.
 
     Args:
-        make: The function.
-        job: The scene.
+        call: The function.
+        item: The item.
 
     Returns:
         The function's result.
     """
-    return make(job)
+    return call(item)
 
 
 @contextlib.contextmanager
@@ -109,11 +114,14 @@ def _connect(ray: Any, address: str | None) -> None:
         where = {"address": "local", "include_dashboard": False}
     else:
         _knock(address)
+    terminate = signal.getsignal(signal.SIGTERM)
     try:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, runtime_env={"env_vars": ONE_THREAD}, **where)
     except (ConnectionError, RuntimeError, ValueError) as error:
         what = "start a Ray cluster here" if address is None else f"join the Ray cluster at RAY_ADDRESS={address}"
         raise UserError(f"cannot {what}: {error}") from error
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, terminate)  # Ray's own handler would end the process at once
     if address is None and not is_loopback(ray.util.get_node_ip_address()):
         ray.shutdown()
         raise UserError(f"Ray would listen to the whole network: set {_NO_CLUSTER}=0 before it is imported")

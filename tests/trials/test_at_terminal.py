@@ -1,0 +1,127 @@
+"""`toolee trials` with a person at a real terminal, which the command shares with the job."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.trials.terminal import Terminal
+from toolee_robot.trials import load_plan
+from toolee_robot.trials.results import Happened, read_results
+
+MAIN = "from toolee_robot.cli import main; main()"
+JOB = """
+import json, signal, sys, time
+signal.signal(signal.SIGTERM, signal.default_int_handler)  # as `toolee hammer` does
+print("job: at the terminal", sys.stdin.isatty(), sys.stderr.isatty(), file=sys.stderr)
+try:
+    print("job: moving?", file=sys.stderr, flush=True)
+    interrupted = sys.stdin.readline() != "go\\n"
+except KeyboardInterrupt:
+    time.sleep(1.0)  # an arm takes its time to stop
+    print("job: the arm stands still", file=sys.stderr)
+    interrupted = True
+nail = {"name": "nail", "measured_protrusion_mm": None if interrupted else 0.3}
+print(json.dumps({
+    "success": not interrupted, "outcome": "interrupted" if interrupted else "flush", "reason": "for a test",
+    "strikes": 3, "tool": "a hammer", "nails": [nail], "stage_seconds": {}, "run_folder": None,
+}))
+"""
+"""What stands in for `toolee hammer`: it asks at the terminal, and stops its arm on Ctrl-C."""
+CHEAP = f"import toolee_robot.trials.process as process; process._COMMAND = {JOB!r}; {MAIN}"
+LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
+ANSWERS = {"go on later?": "r", "in mm,": "0.3", "does it lean": "n", "slip in the hand?": "n", "done again?": "y"}
+
+
+def written(folder: Path, **fields: object) -> Path:
+    path = folder / "plan.yaml"
+    plan = {"name": "two", "first_seed": 1, "trials": 2, "options": ["--station", str(LAB)], **fields}
+    path.write_text(json.dumps(plan))
+    return path
+
+
+def test_the_job_has_the_terminal_and_the_person_answers_both(tmp_path: Path) -> None:
+    plan = written(tmp_path)
+    with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
+        assert terminal.until_end({**ANSWERS, "moving?": "go"}) == 0, terminal.text
+    assert "job: at the terminal True True" in terminal.text
+    assert "2 of 2 flush" in terminal.text
+    records, _ = read_results(load_plan(plan), tmp_path / "out")
+    assert [record.figures["robot"]["outcome"] for record in records] == ["flush", "flush"]
+
+
+@pytest.mark.parametrize("by", ["the keyboard", "SIGTERM"])
+def test_ctrl_c_in_a_job_stops_the_job_alone_and_the_person_measures_it(tmp_path: Path, by: str) -> None:
+    plan = written(tmp_path, trials=1)
+    with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
+        terminal.wait_for(["go on later?"])
+        terminal.answer("r")
+        terminal.wait_for(["moving?"])
+        if by == "SIGTERM":
+            os.kill(terminal.pid, signal.SIGTERM)
+        else:
+            terminal.answer("\x03")
+        assert terminal.until_end({**ANSWERS, "in mm,": "9"}) == 0, terminal.text
+    (record,), _ = read_results(load_plan(plan), tmp_path / "out")
+    assert not record.success
+    assert record.figures["tries"] == 1
+
+
+def test_ctrl_c_at_a_question_stops_and_the_same_command_goes_on(tmp_path: Path) -> None:
+    plan = written(tmp_path)
+    with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
+        terminal.wait_for(["go on later?"])
+        terminal.answer("r")
+        terminal.wait_for(["moving?"])
+        terminal.answer("go")
+        terminal.wait_for(["in mm,"])
+        terminal.answer("\x03")
+        assert terminal.until_end({}) == 130, terminal.text
+    assert [event.what for event in read_results(load_plan(plan), tmp_path / "out")[1]][-1] is Happened.STOPPED
+    with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
+        assert terminal.wait_for(["in mm,", "go on later?"]) == "in mm,", "the job was done: only measure"
+        terminal.answer("0.3")
+        assert terminal.until_end({**ANSWERS, "moving?": "go"}) == 0, terminal.text
+    assert len(read_results(load_plan(plan), tmp_path / "out")[0]) == 2
+
+
+def test_without_a_terminal_or_with_several_jobs_it_is_refused(tmp_path: Path) -> None:
+    plan = written(tmp_path)
+    command = [sys.executable, "-c", MAIN, "trials", str(plan), "--out", str(tmp_path / "out")]
+    for options, what in ([], "there is none"), (["--jobs", "2"], "one trial at a time"):
+        done = subprocess.run([*command, *options], stdin=subprocess.DEVNULL, capture_output=True, text=True)
+        assert done.returncode == 2
+        assert what in " ".join(done.stderr.split())
+
+
+@pytest.mark.sim
+@pytest.mark.nightly
+def test_a_rehearsal_stands_in_for_the_robot(tmp_path: Path) -> None:
+    """`toolee hammer` itself at the terminal, every device emulated; after a stop the person quits the job."""
+    plan = written(
+        tmp_path,
+        trials=1,
+        attended=True,
+        options=["--station", str(LAB), "--rehearse", "--controller-profile", "ideal"],
+        nails=[
+            {
+                "name": "short", "diameter": 0.0022, "length": 0.025, "head_diameter": 0.006, "protrusion": 0.008,
+                "pilot_hole_diameter": 0.0019,
+            }
+        ],
+        woods={"white pine": 0.35},
+    )  # fmt: skip
+    with Terminal(MAIN, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
+        answers = {**ANSWERS, "quit?": "q"}
+        assert terminal.until_end(answers, timeout=900.0) == 0, terminal.text
+    assert "2.2 x 25 mm, head 6 mm, 8 mm over the wood, pilot hole 1.9 mm" in terminal.text
+    (record,), _ = read_results(load_plan(plan), tmp_path / "out")
+    assert record.figures["source"] == "rehearsal"
+    assert record.success, "the person says so"
+    assert Path(record.figures["run_folder"], "summary.json").is_file()

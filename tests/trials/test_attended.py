@@ -1,0 +1,288 @@
+"""A person is led through a plan's trials: nothing that was said or measured is lost, and nothing is assumed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.errors import raises
+from toolee_robot.config import ToolData
+from toolee_robot.errors import ConfigError, TooleeError, UserError
+from toolee_robot.trials import Arm, TrialPlan, lead_trials, load_plan, run_trials, write_report
+from toolee_robot.trials.attended_plan import option
+from toolee_robot.trials.plan import NailSizes
+from toolee_robot.trials.results import Event, Happened, read_results
+
+LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
+PEEN = ToolData("ball peen", 0.014, (0.05, 0.0, 0.27), (1.0, 0.0, 0.0), 0.6, (0.0, 0.0, 0.16))
+LONG = NailSizes("3.1 x 65", 0.0031, 0.065, 0.007, 0.03, 0.0026)
+PLAN = TrialPlan(
+    "two hammers", 1, 2, (Arm.FULL, Arm.NO_CORRECTION), options=("--station", str(LAB)), tools=("claw hammer", PEEN)
+)
+GOOD = ("r", "0.2", "n", "n", "y")
+"""Ready; 0.2 mm over the wood, not bent; not slipped; counts."""
+
+
+class Robot:
+    """A job that believes that its nail is flush, unless it is the arm without correction."""
+
+    def __init__(self) -> None:
+        self.options: list[tuple[str, ...]] = []
+
+    def __call__(self, options: Sequence[str]) -> dict[str, Any]:
+        self.options.append(tuple(options))
+        success = "--no-correction" not in options
+        nail = {"name": "nail", "measured_protrusion_mm": 0.5 if success else None}
+        return {
+            "success": success, "outcome": "flush" if success else "nail_missed", "reason": "for a test",
+            "strikes": 9, "tool": "a hammer", "run_folder": None, "nails": [nail],
+        }  # fmt: skip
+
+
+class Person:
+    """Answers from a list, then hangs up."""
+
+    def __init__(self, *answers: str) -> None:
+        self._answers: Iterator[str] = iter(answers)
+        self.read: list[str] = []
+        self.asked: list[str] = []
+
+    def ask(self, question: str) -> str:
+        self.asked.append(question)
+        for answer in self._answers:
+            return answer
+        raise EOFError
+
+    def tell(self, text: str) -> None:
+        self.read.append(text)
+
+
+def lead(plan: TrialPlan, folder: Path, person: Person, robot: Robot | None = None) -> Robot:
+    robot = Robot() if robot is None else robot
+    lead_trials(plan, folder, person.ask, person.tell, robot)
+    return robot
+
+
+def events(plan: TrialPlan, folder: Path) -> list[Event]:
+    return read_results(plan, folder)[1]
+
+
+def test_every_trial_is_led_and_the_persons_calipers_are_the_outcome(tmp_path: Path) -> None:
+    person = Person(*8 * GOOD)
+    robot = lead(PLAN, tmp_path, person)
+    records, _ = read_results(PLAN, tmp_path)
+    assert [record.trial for record in records] == list(PLAN.jobs())
+    assert all(record.success for record in records)
+    assert {record.figures["robot"]["success"] for record in records} == {True, False}
+    assert all("--seed" not in options for options in robot.options), "on a robot a seed draws nothing"
+    setups = [option(options, "--setup") for options in robot.options]
+    assert setups.count(None) == 4, "the station file's own tool"
+    assert {yaml.safe_load(Path(setup).read_text())["tool"]["mass"] for setup in setups if setup} == {0.6}
+    text = "\n".join(person.read)
+    assert "Trial 8 of 8" in text
+    assert "claw hammer, 0.5 kg" in text
+    assert "ball peen, 0.6 kg" in text
+    assert "2.2 x 30 mm, head 6 mm, 20 mm over the wood, pilot hole 1.5 mm" in text
+    assert "specific gravity 0.35" in text
+
+
+def test_arms_are_paired_in_blocks_in_an_order_that_the_hash_draws() -> None:
+    plan = replace(PLAN, trials=20)
+    order = plan.order()
+    assert sorted(map(str, order)) == sorted(map(str, plan.jobs()))
+    blocks = list(zip(order[::2], order[1::2], strict=True))
+    assert all((a.tool, a.seed) == (b.tool, b.seed) and a.arm is not b.arm for a, b in blocks)
+    first = sum(a.arm is Arm.FULL for a, _ in blocks)
+    assert 10 <= first <= 30, "of 40: neither arm always comes first"
+    assert [a.seed for a, _ in blocks] != sorted(a.seed for a, _ in blocks)
+    assert order == replace(plan).order()
+    assert order != replace(plan, name="another").order()
+
+
+@pytest.mark.parametrize("after", range(3 * len(GOOD)))
+def test_whenever_the_terminal_closes_the_same_command_goes_on(tmp_path: Path, after: int) -> None:
+    """What was answered in a trial that had ended is asked again; a job that was done is not done again."""
+    answers = 8 * GOOD
+    robot = Robot()
+    lead(PLAN, tmp_path, Person(*answers[:after]), robot)
+    done = len(read_results(PLAN, tmp_path)[0])
+    assert done == after // len(GOOD)
+    ended = after % len(GOOD) > 0  # the job, not yet measured
+    lead(PLAN, tmp_path, Person(*answers[done * len(GOOD) + ended :]), robot)
+    assert len(robot.options) == 8
+    assert len(read_results(PLAN, tmp_path)[0]) == 8
+    assert [event.what for event in events(PLAN, tmp_path)].count(Happened.SESSION) == 2
+
+
+def test_a_skipped_trial_is_not_done_and_is_asked_for_again(tmp_path: Path) -> None:
+    person = Person("s", "", "  ", "no nails left", *7 * GOOD)
+    lead(PLAN, tmp_path, person)
+    assert person.asked.count("Why is it skipped? ") == 3, "a reason is needed"
+    write_report(PLAN, tmp_path)
+    made = json.loads((tmp_path / "report.json").read_text())
+    assert (made["finished"], made["of"], made["attended"]["skipped"]) == (7, 8, 1)
+    assert made["attended"]["interruptions"][0]["reason"] == "no nails left"
+    robot = lead(PLAN, tmp_path, Person(*GOOD))
+    assert len(robot.options) == 1
+    write_report(PLAN, tmp_path)
+    made = json.loads((tmp_path / "report.json").read_text())
+    assert (made["finished"], made["attended"]["skipped"]) == (8, 0)
+
+
+def test_no_answer_has_a_default(tmp_path: Path) -> None:
+    person = Person("", "x", "r", "", "two", "3000", "-90", "0,4", "", "n", "maybe", "n", "", "y")
+    lead(PLAN, tmp_path, person)
+    (record,) = read_results(PLAN, tmp_path)[0]
+    assert record.figures["person"]["nails"] == [{"name": "nail", "protrusion_mm": 0.4, "bent": False, "flush": True}]
+    assert any("the nail is 30 mm long" in line for line in person.read)
+
+
+@pytest.mark.parametrize(
+    ("answers", "flush", "outcome"),
+    [
+        (("1.0", "n", "n"), True, "flush"),
+        (("1.1", "n", "y"), False, "not_flush"),
+        (("-0.5", "n", "n"), True, "flush"),
+        (("0.1", "y", "n"), False, "bent"),
+        (("-", "n", "n"), False, "not_flush"),
+    ],
+)
+def test_the_person_decides_whatever_the_robot_believes(
+    tmp_path: Path, answers: tuple[str, ...], flush: bool, outcome: str
+) -> None:
+    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), tools=())
+    lead(plan, tmp_path, Person("r", *answers, "y"))
+    (record,) = read_results(plan, tmp_path)[0]
+    assert (record.success, record.figures["outcome"]) == (flush, outcome)
+    assert record.figures["robot"]["success"]
+    assert record.figures["person"]["slipped"] == (answers[2] == "y")
+
+
+def test_a_void_trial_is_kept_with_its_reason_and_done_again(tmp_path: Path) -> None:
+    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), tools=())
+    robot = lead(plan, tmp_path, Person("r", "9", "n", "n", "n", "somebody bumped the table", *GOOD))
+    (record,) = read_results(plan, tmp_path)[0]
+    assert record.success
+    assert (len(robot.options), record.figures["tries"]) == (2, 2)
+    (void,) = [event for event in events(plan, tmp_path) if event.what is Happened.VOID]
+    assert void.facts["reason"] == "somebody bumped the table"
+    assert void.facts["figures"]["person"]["nails"][0]["protrusion_mm"] == 9.0
+
+
+def test_a_job_that_cannot_begin_is_no_trial(tmp_path: Path) -> None:
+    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), tools=())
+    robot = Robot()
+    faults = iter([TooleeError("the robot does not answer"), None])
+
+    def job(options: Sequence[str]) -> dict[str, Any]:
+        if fault := next(faults):
+            raise fault
+        return robot(options)
+
+    lead_trials(plan, tmp_path, Person("r", *GOOD).ask, lambda _: None, job)
+    assert len(read_results(plan, tmp_path)[0]) == 1
+    (fault,) = [event for event in events(plan, tmp_path) if event.what is Happened.NOT_BEGUN]
+    assert fault.facts["reason"] == "the robot does not answer"
+
+
+def test_a_command_that_is_killed_in_a_job_does_that_trial_again_and_tells_it(tmp_path: Path) -> None:
+    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), tools=())
+
+    def killed(_: Sequence[str]) -> dict[str, Any]:
+        raise KeyboardInterrupt
+
+    with suppress(KeyboardInterrupt):
+        lead_trials(plan, tmp_path, Person("r").ask, lambda _: None, killed)
+    person = Person(*GOOD)
+    lead(plan, tmp_path, person)
+    assert any("ended while this trial was under way" in line for line in person.read)
+    page = write_report(plan, tmp_path).read_text()
+    assert "cut off" in page
+    assert read_results(plan, tmp_path)[0][0].figures["tries"] == 2
+
+
+def test_the_report_tells_where_person_and_robot_disagree(tmp_path: Path) -> None:
+    plan = replace(PLAN, tools=())
+    lead(plan, tmp_path, Person(*3 * GOOD, "r", "4", "n", "n", "y"))
+    page = write_report(plan, tmp_path).read_text()
+    made = json.loads((tmp_path / "report.json").read_text())["attended"]
+    whole = [sum(of[who] for of in made["flush"].values()) for who in ("both", "person", "robot", "neither")]
+    assert sum(whole) == 4
+    assert len(made["disagreements"]) == whole[1] + whole[2]
+    assert made["touch_against_calipers_mm"]["nails"] == 2
+    assert "Person and robot" in page
+    assert "only the robot" in page
+    assert not made["rehearsed"]
+    assert made["station_files"] == 1
+
+
+def test_nails_and_woods_of_the_plan_are_told_to_person_and_job(tmp_path: Path) -> None:
+    plan = replace(
+        PLAN,
+        trials=1,
+        arms=(Arm.FULL,),
+        tools=(),
+        nails=("nail", LONG),
+        woods={"oak": 0.68},
+        instructions="Look twice.",
+    )
+    person = Person(*2 * GOOD)
+    robot = lead(plan, tmp_path, person)
+    told = {(option(options, "--nail"), Path(str(option(options, "--setup"))).read_text()) for options in robot.options}
+    work = {nail: yaml.safe_load(text)["work"] for nail, text in told}
+    assert work["nail"] == {"wood_specific_gravity": 0.68}
+    assert work[None] == {
+        "wood_specific_gravity": 0.68, "nail_diameter": 0.0031, "nail_length": 0.065, "nail_head_diameter": 0.007,
+        "nail_protrusion": 0.03, "pilot_hole_diameter": 0.0026,
+    }  # fmt: skip
+    text = "\n".join(person.read)
+    assert "3.1 x 65: 3.1 x 65 mm, head 7 mm, 30 mm over the wood, pilot hole 2.6 mm" in text
+    assert "oak, specific gravity 0.68" in text
+    assert "Look twice." in text
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"arms": (Arm.FULL, Arm.PERFECT_PERCEPTION)}, "only a simulation knows"),
+        ({"arms": (Arm.ICP,)}, "nobody has measured"),
+        ({"errors": "exact"}, "a station has its own"),
+        ({"errors": {"ruler": 0.001}}, "a station has its own"),
+        ({"sweep": {"ruler": (0.001,)}}, "a station has its own"),
+        ({"options": ("--station", "a.yaml", "--perfect-perception")}, "only a simulation knows"),
+        ({"options": (), "attended": True}, "no station file"),
+        ({"tools": ("a", PEEN, "a")}, "a name of its own"),
+        ({"nails": ("nail",), "options": ("--station", "a.yaml", "--nail", "nail")}, "--nail"),
+    ],
+)
+def test_what_makes_no_sense_on_a_robot_is_refused_with_the_reason(change: dict[str, Any], what: str) -> None:
+    with pytest.raises(ValueError, match=what):
+        replace(PLAN, **change)
+
+
+def test_a_plan_on_a_robot_has_a_person_and_a_rehearsal_where_it_says_so(tmp_path: Path) -> None:
+    rehearsal = ("--station", str(LAB), "--rehearse")
+    assert PLAN.led
+    assert not replace(PLAN, tools=(), options=rehearsal).led
+    assert replace(PLAN, tools=(), options=rehearsal, attended=True).led
+    assert load_plan(LAB.with_name("robot_trials.yaml")).on_robot
+    with pytest.raises(ValueError, match="drawn from the seed"):
+        replace(PLAN, options=rehearsal)
+    with raises(UserError, code="user.attended"):
+        run_trials(PLAN, tmp_path)
+
+
+@pytest.mark.parametrize(("change", "what"), [({"tools": ("mallet",)}, "mallet"), ({"nails": ("left",)}, "left")])
+def test_a_tool_or_nail_that_the_station_does_not_have_is_refused(
+    tmp_path: Path, change: dict[str, Any], what: str
+) -> None:
+    with raises(ConfigError, code="config.plan") as refused:
+        lead(replace(PLAN, **change), tmp_path, Person())
+    assert what in str(refused.value)

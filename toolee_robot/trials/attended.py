@@ -1,0 +1,181 @@
+"""Trials on a robot, or in a rehearsal: a person is led through them, one at a time, and measures what came out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+from toolee_robot.config import StationConfig, load_lab_station, with_setup
+from toolee_robot.errors import ConfigError, TooleeError
+from toolee_robot.trials.attended_plan import option
+from toolee_robot.trials.judgement import Ask, choice, judged, words, yes
+from toolee_robot.trials.plan import TrialPlan
+from toolee_robot.trials.process import run_at_terminal
+from toolee_robot.trials.results import Happened, Record, Results, now
+from toolee_robot.trials.run import told
+from toolee_robot.trials.tasks import Job, Task, task_of
+
+READY = "r: it is so, begin; s: skip this trial; q: stop, and go on later? "
+"""The question before each trial."""
+COUNTS = "Was all as the plan says, so that the trial counts, however it ended? y: it counts, n: it is done again? "
+"""The question after each trial."""
+Tell = Callable[[str], object]
+
+
+class _Stopped(Exception):
+    """The person goes on later."""
+
+
+def lead_trials(
+    plan: TrialPlan, folder: Path, ask: Ask, tell: Tell = print, job: Job = run_at_terminal
+) -> list[Record]:
+    """Lead a person through the trials of a plan that its folder does not have yet.
+
+    Before each the person reads what to set up and says that it is so, skips the trial or stops; after it the person
+    measures, and says whether it counts. A skipped one is not done: the same command asks for it again.
+
+    Args:
+        plan: The plan, with a person (`TrialPlan.led`).
+        folder: Its folder; made where there is none.
+        ask: Asks the person.
+        tell: Tells the person.
+        job: Runs a job at the terminal.
+
+    Returns:
+        The results, in the plan's order; not all where the person skipped some or stopped.
+
+    Raises:
+        UserError: The folder holds another plan's trials; code `user.other_plan`.
+        ConfigError: The station file is not complete, or lacks a tool or nail of the plan (`config.plan`).
+    """
+    station = load_lab_station(Path(str(option(plan.options, "--station"))))
+    _check(plan, station)
+    with Results(plan, folder) as results:
+        order = plan.order()
+        tell(f"{len(results.done)} of {len(order)} trials are done, in the order that the plan's hash drew")
+        results.note(Happened.SESSION)
+        try:
+            for i, trial in enumerate(order):
+                if trial not in results.done:
+                    task = task_of(plan, trial, folder)
+                    _Trial(plan, task, _station_of(station, task), results, ask, tell, i + 1, len(order), job).lead()
+        except (_Stopped, EOFError, KeyboardInterrupt) as stop:
+            results.note(Happened.STOPPED)
+            tell("stopped: the same command goes on")
+            if isinstance(stop, KeyboardInterrupt):
+                raise
+        return results.records
+
+
+def _check(plan: TrialPlan, station: StationConfig) -> None:
+    own = None if station.tool is None else station.tool.name
+    for tool in plan.tools:
+        if isinstance(tool, str) and tool != own:
+            raise ConfigError(
+                f"tools: the station file's tool is {own or 'not given'}, and the plan says {tool}: give the plan its "
+                "data, as `tool` of a station file; a job that is told another hammer's does not strike with its face",
+                code="config.plan",
+            )
+    for nail in plan.nails:
+        if isinstance(nail, str) and nail not in station.work.names:
+            raise ConfigError(
+                f"nails: the station's are {', '.join(station.work.names)}, and the plan says {nail}: give its sizes",
+                code="config.plan",
+            )
+
+
+def _station_of(station: StationConfig, task: Task) -> StationConfig:
+    """What the job is told of the station."""
+    setup = option(task.command, "--setup")
+    return station if setup is None else with_setup(station, Path(setup))
+
+
+def _digest(plan: TrialPlan) -> str:
+    """SHA-256 of the station file, which a lab may change between trials."""
+    return hashlib.sha256(Path(str(option(plan.options, "--station"))).read_bytes()).hexdigest()
+
+
+class _Trial:
+    """Leads a person through one trial."""
+
+    def __init__(
+        self, plan: TrialPlan, task: Task, config: StationConfig, results: Results, ask: Ask, tell: Tell, number: int,
+        of: int, job: Job,
+    ) -> None:  # fmt: skip
+        self._plan, self._task, self._config, self._results = plan, task, config, results
+        self._ask, self._tell, self._number, self._of, self._job = ask, tell, number, of, job
+
+    @property
+    def _nails(self) -> tuple[str, ...]:
+        """Those that are to be driven."""
+        one = option(self._task.command, "--nail")
+        return self._config.work.names if one is None else (one,)
+
+    def lead(self) -> None:
+        trial, results = self._task.trial, self._results
+        while trial not in results.done:
+            last = [event for event in results.events if event.trial == trial][-1:]
+            if last and last[0].what is Happened.ENDED:  # the person has not measured yet
+                self._measure(last[0].facts)
+                continue
+            if last and last[0].what is Happened.BEGUN:
+                self._tell("The command ended while this trial was under way: it is done again.")
+            for line in self._card():
+                self._tell(line)
+            answer = choice(READY, "rsq", self._ask)
+            if answer == "q":
+                raise _Stopped
+            if answer == "s":
+                results.note(Happened.SKIPPED, trial, reason=words("Why is it skipped? ", self._ask))
+                return
+            self._do()
+
+    def _card(self) -> list[str]:
+        """What the person sets up."""
+        trial, config = self._task.trial, self._config
+        tool = "the station file names none" if config.tool is None else f"{config.tool.name}, {config.tool.mass:g} kg"
+        lines = [
+            "",
+            f"Trial {self._number} of {self._of}: arm {trial.arm.replace('_', ' ')}, repetition {trial.seed}",
+            f"  tool  {tool}; the robot asks for it",
+        ]
+        for name, work in config.work.each():
+            if name in self._nails:
+                hole = work.pilot_hole_diameter * 1e3
+                lines.append(
+                    f"  nail  {trial.nail or name}: {work.nail_diameter * 1e3:g} x {work.nail_length * 1e3:g} mm, head "
+                    f"{work.nail_head_diameter * 1e3:g} mm, {work.nail_protrusion * 1e3:g} mm over the wood, "
+                    f"{f'pilot hole {hole:g} mm' if hole else 'no pilot hole'}; a new one, upright, at x "
+                    f"{work.nail_xy[0]:.3f} m, y {work.nail_xy[1]:.3f} m of base"
+                )
+        wood = f"{trial.wood}, " if trial.wood else ""
+        lines.append(f"  wood  {wood}specific gravity {config.work.wood_specific_gravity:g}")
+        return [*lines, *(f"  {line}" for line in self._plan.instructions.splitlines())]
+
+    def _do(self) -> None:
+        trial, results = self._task.trial, self._results
+        results.note(Happened.BEGUN, trial, station=_digest(self._plan))
+        begun = now()
+        try:
+            figures = self._job(self._task.options)
+        except TooleeError as error:
+            results.note(Happened.NOT_BEGUN, trial, reason=str(error))
+            self._tell(f"The job came to no end of its own, and does not count: {error}")
+            return
+        results.note(Happened.ENDED, trial, figures={**figures, "begun": begun}, command=self._task.command)
+
+    def _measure(self, facts: dict[str, object]) -> None:
+        trial, results, figures = self._task.trial, self._results, facts["figures"]
+        assert isinstance(figures, dict)
+        self._tell(f"Trial {self._number} of {self._of}: measure, without regard to what the robot says.")
+        judgement = judged(self._config, self._nails, self._ask, self._tell)
+        made = judgement.outcome(figures)
+        if not yes(COUNTS, self._ask):
+            reason = words("What was not as the plan says? ", self._ask)
+            results.note(Happened.VOID, trial, reason=reason, figures=made)
+            return
+        tries = sum(event.trial == trial and event.what is Happened.BEGUN for event in results.events)
+        record = Record(trial, {**made, "number": self._number, "tries": tries}, tuple(self._task.command))
+        results.add(record)
+        self._tell(told(record))

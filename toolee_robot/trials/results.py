@@ -1,0 +1,204 @@
+"""The results of a plan's trials on the disk: `trials.jsonl`, whose first line is the plan, then one line a result.
+
+Trials that a person is led through have lines for what else happened, too: skipped, void, interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import toolee_robot
+from toolee_robot.errors import UserError
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.trials.plan import Arm, Trial, TrialPlan
+
+RESULTS = "trials.jsonl"
+"""The file with the results."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """Result of a trial.
+
+    Attributes:
+        trial: Which one.
+        figures: What `toolee hammer --json` printed, and `tries`; of a trial with a person also what that measured.
+        command: Options of `toolee hammer` that repeat it.
+    """
+
+    trial: Trial
+    figures: dict[str, Any]
+    command: tuple[str, ...]
+
+    @property
+    def success(self) -> bool:
+        """Whether the nail is flush."""
+        return bool(self.figures["success"])
+
+
+class Happened(StrEnum):
+    """What else happened in trials with a person."""
+
+    SESSION = "session"
+    """The command was started."""
+    BEGUN = "begun"
+    """The person is ready; the job begins."""
+    NOT_BEGUN = "not_begun"
+    """The job could not begin, or did not come to an end of its own."""
+    ENDED = "ended"
+    """The job has ended, and the person has not measured yet; facts: its figures and its command."""
+    VOID = "void"
+    """The trial was not as the plan says; facts: the reason and the figures."""
+    SKIPPED = "skipped"
+    """The person skipped the trial; facts: the reason."""
+    STOPPED = "stopped"
+    """The person stopped, to go on later."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened.
+
+    Attributes:
+        what: What.
+        at: When, ISO 8601.
+        trial: To which trial; None for none.
+        facts: What there is to know of it.
+    """
+
+    what: Happened
+    at: str
+    trial: Trial | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+class Results:
+    """The results that a folder has, and the file to which new ones are added: each is on the disk at once.
+
+    Args:
+        plan: The plan.
+        folder: Its folder; made where there is none.
+
+    Attributes:
+        done: The results.
+        events: What else happened.
+
+    Raises:
+        UserError: The folder holds another plan's trials; code `user.other_plan`.
+    """
+
+    def __init__(self, plan: TrialPlan, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / RESULTS
+        _begin(path, plan)
+        self._plan = plan
+        self.done, self.events = _read(path, plan)
+        self._file = path.open("a")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    @property
+    def records(self) -> list[Record]:
+        """The results in the plan's order."""
+        return [self.done[trial] for trial in self._plan.jobs() if trial in self.done]
+
+    def add(self, record: Record) -> None:
+        """Keep a result.
+
+        Args:
+            record: The result.
+        """
+        self._append({"trial": _trial(record.trial), "figures": record.figures, "command": record.command})
+        self.done[record.trial] = record
+
+    def note(self, what: Happened, trial: Trial | None = None, **facts: Any) -> None:
+        """Keep what happened.
+
+        Args:
+            what: What.
+            trial: To which trial.
+            **facts: What there is to know of it, for JSON.
+        """
+        event = Event(what, now(), trial, facts)
+        self._append({"event": {**asdict(event), "trial": None if trial is None else _trial(trial)}})
+        self.events.append(event)
+
+    def _append(self, line: dict[str, Any]) -> None:
+        os.write(self._file.fileno(), (json.dumps(line) + "\n").encode())
+        os.fsync(self._file.fileno())
+
+
+def now() -> str:
+    """The time, ISO 8601, to a second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def read_results(plan: TrialPlan, folder: Path) -> tuple[list[Record], list[Event]]:
+    """Read what a plan's folder has.
+
+    Args:
+        plan: The plan.
+        folder: Its folder.
+
+    Returns:
+        The results, in the plan's order, and what else happened; none where the folder has none.
+
+    Raises:
+        UserError: The folder holds another plan's trials; code `user.other_plan`.
+    """
+    path = folder / RESULTS
+    done, events = _read(path, plan) if path.is_file() else ({}, [])
+    return [done[trial] for trial in plan.jobs() if trial in done], events
+
+
+def _begin(path: Path, plan: TrialPlan) -> None:
+    """Make the file, or let it end with a whole line."""
+    data = path.read_bytes() if path.exists() else b""
+    if data:  # a process may have been killed while it wrote
+        os.truncate(path, data.rfind(b"\n") + 1)
+    if b"\n" not in data:
+        head = {"plan": asdict(plan), "hash": plan.hash, "version": toolee_robot.__version__}
+        write_atomic(path, (json.dumps(head) + "\n").encode())
+
+
+def _read(path: Path, plan: TrialPlan) -> tuple[dict[Trial, Record], list[Event]]:
+    lines = path.read_text().splitlines(keepends=True)
+    head, *rest = [json.loads(line) for line in lines if line.endswith("\n")]
+    if head["hash"] != plan.hash:
+        raise UserError(
+            f"{path} holds the trials of another plan, {head['plan']['name']!r} ({head['hash'][:12]}): this one is "
+            f"{plan.hash[:12]}. A plan is not changed once its trials have begun: give another --out",
+            code="user.other_plan",
+        )
+    records = [_record(line) for line in rest if "event" not in line]
+    return {record.trial: record for record in records}, [_event(line["event"]) for line in rest if "event" in line]
+
+
+def _trial(trial: Trial) -> dict[str, Any]:
+    return {name: value for name, value in asdict(trial).items() if value is not None}
+
+
+def _to_trial(said: dict[str, Any]) -> Trial:
+    return Trial(**{**said, "arm": Arm(said["arm"])})
+
+
+def _record(line: dict[str, Any]) -> Record:
+    return Record(_to_trial(line["trial"]), line["figures"], tuple(line["command"]))
+
+
+def _event(said: dict[str, Any]) -> Event:
+    trial = None if said["trial"] is None else _to_trial(said["trial"])
+    return Event(Happened(said["what"]), said["at"], trial, said["facts"])

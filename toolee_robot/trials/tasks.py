@@ -1,0 +1,107 @@
+"""What is run for a trial: the options of `toolee hammer`, the files that they name, and the tries of a job."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.trials.plan import Trial, TrialPlan
+from toolee_robot.trials.results import Record
+
+RUNS = "runs"
+"""The folder with the jobs' folders."""
+ERRORS, SETUPS = "errors", "setups"
+"""The folders with the sizes of the errors and with what is set up, where the plan gives them."""
+TRIES = 6
+"""Number of times that a job is tried which ends because the machine itself stalled."""
+
+Job = Callable[[Sequence[str]], dict[str, Any]]
+"""Runs `toolee hammer` with options, and returns its figures."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """The job of a trial.
+
+    Attributes:
+        trial: The trial.
+        command: Options of `toolee hammer` that repeat it.
+        out: Parent of the job's folder.
+    """
+
+    trial: Trial
+    command: tuple[str, ...]
+    out: Path
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Options with which the trials run it."""
+        return ("--json", "--out", str(self.out), *self.command)
+
+
+def task_of(plan: TrialPlan, trial: Trial, folder: Path) -> Task:
+    """Write the files of a trial's job, and make its options.
+
+    Args:
+        plan: The plan.
+        trial: The trial.
+        folder: The trials' folder.
+
+    Returns:
+        The task.
+    """
+    command = (
+        *(() if plan.on_robot else ("--seed", str(trial.seed))),
+        *trial.arm.options, *_errors(plan, trial, folder), *_setup(plan, trial, folder), *plan.options,
+    )  # fmt: skip
+    # Jobs of one seed that begin in the same second need folders of their own.
+    return Task(trial, command, folder / RUNS / trial.arm / trial.variation)
+
+
+def run_task(job: Job, task: Task) -> Record:
+    """Run a trial's job, again where the machine itself stalled.
+
+    Args:
+        job: Runs it.
+        task: The task.
+
+    Returns:
+        Its result.
+
+    Raises:
+        TooleeError: It did not come to an end of its own; code `trials.crashed`.
+    """
+    figures, tries = job(task.options), 1
+    while figures.get("machine_stalled") and tries < TRIES:
+        figures, tries = job(task.options), tries + 1
+    return Record(task.trial, {**figures, "tries": tries}, task.command)
+
+
+def _errors(plan: TrialPlan, trial: Trial, folder: Path) -> tuple[str, ...]:
+    """Options for a trial's errors."""
+    if plan.errors == "exact":
+        return ("--exact",)
+    sizes = dict(plan.errors) if isinstance(plan.errors, dict) else {}
+    if trial.error is not None and trial.size is not None:
+        sizes[trial.error] = trial.size
+    swept = "all" if trial.error is None else f"{trial.error}-{trial.size:g}"
+    return ("--errors", str(_written(folder / ERRORS / f"{swept}.yaml", sizes))) if sizes else ()
+
+
+def _setup(plan: TrialPlan, trial: Trial, folder: Path) -> tuple[str, ...]:
+    """Options for what a trial has of its own in the place of the station's."""
+    own = plan.setup(trial)
+    options = ("--setup", str(_written(folder / SETUPS / f"{trial.put_there}.yaml", own))) if own else ()
+    return (*options, "--nail", str(trial.nail)) if trial.nail in plan.nails else options
+
+
+def _written(file: Path, content: Mapping[str, Any]) -> Path:
+    if not file.is_file():
+        file.parent.mkdir(exist_ok=True)
+        write_atomic(file, yaml.safe_dump(content).encode())
+    return file
