@@ -6,7 +6,7 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, angle_between, frame_from_axes
-from toolee_robot.perception.annotation.depth_sample import depth_sigma
+from toolee_robot.perception.annotation.depth_sample import depth_sigma, noise_factor
 from toolee_robot.perception.annotation.fit import Rows
 from toolee_robot.perception.annotation.measurements import CALIPER, CLICK, Measurements
 from toolee_robot.perception.annotation.protocol import Role
@@ -16,6 +16,8 @@ INSIDE, INSIDE_SIGMA = 0.85, 0.15
 line, less over its width."""
 END_ON = np.deg2rad(10.0)
 """Angle between shaft and ray below which the shaft is seen end-on [rad]."""
+THINNEST = 4.0
+"""Width of a shaft below which its depth is not told from that of what lies behind [px]."""
 _U, _V, _Z, _BIAS, _RADIUS, _INSIDE, _A, _B = range(8)
 
 
@@ -52,6 +54,13 @@ class AxisModel:
                 "the shaft points at the camera, so that its axis does not show: leave this end out",
                 code="user.too_oblique",
             )
+        pixels = self._diameter * measured.camera.fx / float(np.median(points[:, 2]))
+        if pixels < THINNEST:
+            raise UserError(
+                f"the shaft is {pixels:.1f} pixels wide, too thin for this camera's depth, which is mixed with what lies "
+                f"behind: photograph it from nearer, so that it has {THINNEST:g}",
+                code="user.too_thin",
+            )
         self._across = np.linalg.svd(self._direction[None])[2][1:]
         ray = measured.rays(tip)
         # The tip's depth: where its ray passes nearest to the line through the shaft's clicks.
@@ -65,10 +74,11 @@ class AxisModel:
             sigma += [CLICK] * 2
             pixels += [True] * 2
         incidence = np.pi / 2 - min(sight, np.pi - sight)
+        noise = noise_factor([m.depth for m in self._shaft if m.depth is not None], incidence)
         for m in self._shaft:
             assert m.depth is not None
             owner += [m.number] * 2
-            sigma += [CLICK, depth_sigma(m.depth, incidence, m.share)]
+            sigma += [CLICK, depth_sigma(m.depth, incidence, m.share, noise)]
             pixels += [True, False]
         self.rows = Rows(np.array(owner), np.array(sigma), np.array(pixels))
 

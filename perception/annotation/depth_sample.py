@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from toolee_robot.types import RgbdFrame
 REACH = 0.0055
 """Half of the window's width, a share of the focal length: 4 mm at 0.7 m, with two pixels at least."""
 STEP = 0.012
-"""Gap between the sorted depths of a window that parts two surfaces [m]."""
+"""Depths of a window that lie no farther behind the nearest one are of one surface [m]."""
 LEAST = 4
 """Fewest pixels of a surface in a window."""
 _MEDIAN = np.pi / 2
@@ -30,12 +31,14 @@ class DepthSample:
         pixel: Mean of the pixels that it was taken from, (2,) as u, v; beside a hole it is not the click.
         z: Median depth of these pixels [m].
         pixels: Their flat indices in the image, (N,).
+        scatter: Standard deviation of these depths about the plane that suits them best [m].
         correlation: Mean over all pairs of these pixels of the correlation of what neighbours' noise has in common.
     """
 
     pixel: Array
     z: float
     pixels: NDArray[np.int64]
+    scatter: float
     correlation: float
 
 
@@ -68,14 +71,13 @@ def sample_depth(
         z = frame.depth[rows, columns].astype(np.float64)
         known = np.isfinite(z) & (z > between[0]) & (z < between[1])
         rows, columns, z = rows[known], columns[known], z[known]
-        order = np.argsort(z)
-        surfaces = np.split(order, np.flatnonzero(np.diff(z[order]) > STEP) + 1)
-        near = next((s for s in surfaces if len(s) >= LEAST), None)
-        if near is not None:
+        near = _nearest(z)
+        if len(near):
             at = np.stack([columns[near], rows[near]], 1).astype(np.float64)
             apart = ((at[:, None] - at[None]) ** 2).sum(2)
             correlation = float(np.exp(-apart / (4 * COMMON**2)).mean())  # of white noise, blurred by a Gaussian
-            return DepthSample(at.mean(0), float(np.median(z[near])), rows[near] * width + columns[near], correlation)
+            pixels = rows[near] * width + columns[near]
+            return DepthSample(at.mean(0), float(np.median(z[near])), pixels, _scatter(at, z[near]), correlation)
     raise UserError(
         f"there is no depth of the tool about {u}, {v} (at least {LEAST} pixels of one surface are needed): click where "
         "the cloud shows it; if it has a hole there, photograph again from a little aside, and shield shiny steel from "
@@ -84,23 +86,69 @@ def sample_depth(
     )
 
 
-def depth_sigma(sample: DepthSample, incidence: float, share: float) -> float:
-    """Standard deviation of the depth at a click.
+def _nearest(z: Array) -> NDArray[np.int64]:
+    """Indices of the depths of the nearest surface; none where no surface has LEAST pixels.
 
-    The sensor's model is that of `depth_noise`, part of whose noise neighbouring pixels have in common. Where the real
-    sensor is noisier, the fit's residuals say so, and its covariance grows.
+    It ends STEP behind its beginning, because at an edge pixels mix its depth with that of what lies behind, in all
+    proportions. Of a surface that is deeper than that its near part is left, with the pixels that it was seen at.
+    """
+    order = np.argsort(z)
+    for first in range(len(order) - LEAST + 1):
+        if z[order[first + LEAST - 1]] - z[order[first]] <= STEP:
+            return order[first:][z[order[first:]] <= z[order[first]] + STEP]
+    return np.empty(0, np.int64)
+
+
+def _scatter(at: Array, z: Array) -> float:
+    A = np.column_stack([at - at.mean(0), np.ones(len(at))])
+    left = z - A @ np.linalg.lstsq(A, z, rcond=None)[0]
+    return float(np.sqrt(left @ left / max(len(z) - 3, 1)))
+
+
+def pixel_sigma(z: float, incidence: float) -> float:
+    """Standard deviation of one pixel's depth by the model of `depth_noise`.
 
     Args:
-        sample: The depth.
+        z: Depth [m].
         incidence: Angle between the ray and the surface's normal [rad].
-        share: Number of the sample's pixels, those that other samples have too divided between them.
 
     Returns:
         The standard deviation [m].
     """
     a, b, c, d = AXIAL_MM
-    z, n, theta = sample.z, len(sample.pixels), min(incidence, STEEPEST)
-    one = 1e-3 * (a + b * z + c * z**2 + d * z**1.5 * (theta / (np.pi / 2 - theta)) ** 2)
-    common = DepthNoise.correlation
+    theta = min(incidence, STEEPEST)
+    return float(1e-3 * (a + b * z + c * z**2 + d * z**1.5 * (theta / (np.pi / 2 - theta)) ** 2))
+
+
+def noise_factor(samples: Sequence[DepthSample], incidence: float) -> float:
+    """How much noisier than the model's a sensor is.
+
+    Args:
+        samples: Depths on one surface.
+        incidence: Angle between the rays and the surface's normal [rad].
+
+    Returns:
+        Ratio of the pixels' scatter to what the model says; at least 1.
+    """
+    enough = [s for s in samples if len(s.pixels) >= 9]
+    if not enough:
+        return 1.0
+    ratios = [(s.scatter / pixel_sigma(s.z, incidence)) ** 2 for s in enough]
+    return float(np.sqrt(max(1.0, np.median(ratios))))
+
+
+def depth_sigma(sample: DepthSample, incidence: float, share: float, noise: float = 1.0) -> float:
+    """Standard deviation of the depth at a click; part of the pixels' noise is common to neighbours.
+
+    Args:
+        sample: The depth.
+        incidence: Angle between the ray and the surface's normal [rad].
+        share: Number of the sample's pixels, those that other samples have too divided between them.
+        noise: How much noisier than the model's the sensor is, see `noise_factor`.
+
+    Returns:
+        The standard deviation [m].
+    """
+    n, common = len(sample.pixels), DepthNoise.correlation
     of_median = (1 - common) * _MEDIAN / n + common * sample.correlation
-    return float(one * np.sqrt(min(1.0, of_median * n / share)))
+    return noise * pixel_sigma(sample.z, incidence) * float(np.sqrt(min(1.0, of_median * n / share)))

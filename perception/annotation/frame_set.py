@@ -8,8 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.errors import UserError
-from toolee_robot.perception.annotation.clicks import CLICKS, ClickedFrame, ClicksFile, read_clicks, write_clicks
-from toolee_robot.perception.annotation.poses import AnnotatedEnd, annotate_end
+from toolee_robot.perception.annotation.clicks import (
+    CLICKS,
+    ClickedEnd,
+    ClickedFrame,
+    ClicksFile,
+    read_clicks,
+    write_clicks,
+)
+from toolee_robot.perception.annotation.poses import AnnotatedEnd, annotate_end, clicked_box
+from toolee_robot.perception.annotation.protocol import Role
 from toolee_robot.perception.io import BopImage, bop_images
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.types import RgbdFrame
@@ -25,17 +33,20 @@ class AnnotatedFrame:
     Attributes:
         name: Its name.
         frame: Colour and depth.
-        ends: For each clicked end effector its pose, or why there is none.
+        clicked: The clicked end effectors.
+        ends: For each of them its pose, or why there is none.
     """
 
     name: str
     frame: RgbdFrame
+    clicked: tuple[ClickedEnd, ...]
     ends: tuple[AnnotatedEnd | UserError, ...]
 
     @property
     def complete(self) -> bool:
-        """Whether every clicked end effector has a pose; another frame is left out of the test."""
-        return not any(isinstance(end, UserError) for end in self.ends)
+        """Whether every end effector has a pose or at least a clicked box; another frame is left out of the test."""
+        pairs = zip(self.clicked, self.ends, strict=True)
+        return all(isinstance(end, AnnotatedEnd) or len(clicked.of(Role.BOX)) == 2 for clicked, end in pairs)
 
     @property
     def annotated(self) -> list[AnnotatedEnd]:
@@ -70,6 +81,11 @@ class FrameSet:
         self.clicks = ClicksFile(folder.resolve().name) if new else read_clicks(source)
         if self.clicks.half not in ("A", "B"):
             raise UserError(f"{source}: half {self.clicks.half}: it is A or B", code="user.clicks_file")
+        if clicks is not None and own.exists() and read_clicks(own) != self.clicks:
+            raise UserError(
+                f"{own} holds other clicks than {clicks}, and would be overwritten: move it away, or give it with --clicks",
+                code="user.clicks_exist",
+            )
         unknown = sorted(set(self.clicks.frames) - set(self.names))
         if unknown:
             raise UserError(
@@ -96,12 +112,13 @@ class FrameSet:
         """
         images = self.read(name) if frame is None else frame
         ends: list[AnnotatedEnd | UserError] = []
-        for clicked in self.clicks.frames.get(name, ClickedFrame()).ends:
+        every = self.clicks.frames.get(name, ClickedFrame()).ends
+        for clicked in every:
             try:
                 ends.append(annotate_end(images, clicked, self.clicks.tape_offset_mm))
             except UserError as error:
                 ends.append(error)
-        return AnnotatedFrame(name, images, tuple(ends))
+        return AnnotatedFrame(name, images, every, tuple(ends))
 
     def change(self, clicks: ClicksFile) -> None:
         """Take other clicks, and save them. Raises UserError where the folder cannot be written."""
@@ -109,14 +126,15 @@ class FrameSet:
         self.clicks = clicks
 
     def write(self) -> list[AnnotatedFrame]:
-        """Fit all clicks and write `frames.json`.
+        """Fit all clicks and write `frames.json`, the clicks beside it.
 
         Returns:
-            The frames that were looked at; those with an end without a pose are not in `frames.json`.
+            The frames that were looked at; those with an end without pose and box are not in `frames.json`.
 
         Raises:
             UserError: Images are unusable, or the folder cannot be written.
         """
+        write_clicks(self.folder / CLICKS, self.clicks)
         looked_at = [name for name in self.names if self._decided(name)]
         frames = [self.annotate(name) for name in looked_at]
         entries = [self._entry(f) for f in frames if f.complete]
@@ -140,7 +158,7 @@ class FrameSet:
             "depth_scale": image.scale * 1000.0,
             "depth_is": "measured",
             "intrinsics": [k.fx, k.fy, k.cx, k.cy],
-            "ends": [_end(end) for end in annotated.annotated],
+            "ends": [_end(*pair) for pair in zip(annotated.clicked, annotated.ends, strict=True)],
             "ignore": [],
         }
 
@@ -159,9 +177,11 @@ class FrameSet:
             )
 
 
-def _end(end: AnnotatedEnd) -> dict[str, Any]:
-    fields: dict[str, Any] = {"category": str(end.category), "box": [round(v, 1) for v in end.box]}
-    if end.known:
+def _end(clicked: ClickedEnd, end: AnnotatedEnd | UserError) -> dict[str, Any]:
+    box = end.box if isinstance(end, AnnotatedEnd) else clicked_box(clicked)
+    assert box is not None
+    fields: dict[str, Any] = {"category": str(clicked.shape.category), "box": [round(v, 1) for v in box]}
+    if isinstance(end, AnnotatedEnd) and end.known:
         X = end.fit.X_camera_ee.round(7).tolist()
         fields |= {"X_camera_ee": X, "covariance": [[float(f"{v:.5g}") for v in row] for row in end.fit.covariance]}
     return fields

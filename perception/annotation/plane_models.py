@@ -12,7 +12,7 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, angle_between, cross, frame_from_axes
-from toolee_robot.perception.annotation.depth_sample import depth_sigma
+from toolee_robot.perception.annotation.depth_sample import depth_sigma, noise_factor
 from toolee_robot.perception.annotation.fit import Rows
 from toolee_robot.perception.annotation.measurements import CALIPER, CLICK, Measurement, Measurements
 from toolee_robot.perception.annotation.protocol import Role, Shape
@@ -53,6 +53,8 @@ class PlaneModel:
         self._across = np.linalg.svd(self._normal[None])[2][1:]
         self._reference = measured.project(through)
         self._depth = float(through[2])
+        middle = self._incidence(self._surface[0])
+        self._noise = noise_factor([m.depth for m in self._surface if m.depth is not None], middle)
         self.caliper_row: int | None = None
         self.rows = self._rows()
 
@@ -183,7 +185,7 @@ class PlaneModel:
 
     def _depth_sigma(self, m: Measurement, incidence: float) -> float:
         assert m.depth is not None
-        return depth_sigma(m.depth, incidence, m.share)
+        return depth_sigma(m.depth, incidence, m.share, self._noise)
 
     def _plane_normal(self, p: Array) -> Array:
         n = self._normal + self._across.T @ p[[_A, _B]]

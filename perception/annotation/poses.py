@@ -137,7 +137,7 @@ def annotate_end(frame: RgbdFrame, clicked: ClickedEnd, tape_offset_mm: float | 
     if clicked.tape_mm is not None:
         checks.append(_tape(found, clicked.tape_mm, tape_offset_mm))
     circle = model.circle(found.parameters) if isinstance(model, PlaneModel) else None
-    box = _box(frame, clicked, measured, found.X_camera_ee)
+    box = clicked_box(clicked) or _connected_box(frame, clicked, measured, found.X_camera_ee)
     return AnnotatedEnd(clicked, clicked.shape.category, found, box, tuple(checks), circle)
 
 
@@ -154,16 +154,31 @@ def _tape(found: Fit, tape_mm: float, offset_mm: float | None) -> Check:
     return Check("distance by tape", tape_mm, fitted, float(np.sqrt(TAPE**2 + variance)))
 
 
-def _box(frame: RgbdFrame, clicked: ClickedEnd, measured: Measurements, X_camera_ee: Array) -> Box:
-    """Box by two clicked corners, or else about the depth that is connected with the clicks, within the EE's sphere."""
+def clicked_box(clicked: ClickedEnd) -> Box | None:
+    """The box by two clicked corners [px].
+
+    Args:
+        clicked: The clicks.
+
+    Returns:
+        x0, y0, x1, y1; None where no corner is clicked.
+
+    Raises:
+        UserError: There is one corner, or more than two.
+    """
     corners = clicked.of(Role.BOX)
     if len(corners) == 1 or len(corners) > 2:
         raise UserError(
             f"{len(corners)} clicks on the box's corners: give two opposite ones", code="user.clicks_missing"
         )
-    if corners:
-        (u0, u1), (v0, v1) = sorted(c.u for c in corners), sorted(c.v for c in corners)
-        return u0, v0, u1, v1
+    if not corners:
+        return None
+    (u0, u1), (v0, v1) = sorted(c.u for c in corners), sorted(c.v for c in corners)
+    return u0, v0, u1, v1
+
+
+def _connected_box(frame: RgbdFrame, clicked: ClickedEnd, measured: Measurements, X_camera_ee: Array) -> Box:
+    """Box about the depth that is connected with the clicks, within the EE's sphere."""
     height, width = frame.depth.shape
     v, u = np.indices((height, width))
     points = measured.rays(np.stack([u, v], -1).astype(np.float64)) * frame.depth[..., None]

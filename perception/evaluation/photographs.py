@@ -20,6 +20,7 @@ import torch
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.perception.annotation.poses import position_sigma, rotation_sigma
 from toolee_robot.perception.detection.boxes import pairwise_iou
 from toolee_robot.perception.image_files import read_depth, read_rgb
 from toolee_robot.perception.io import make_intrinsics
@@ -36,6 +37,10 @@ MIN_IOU = 0.5
 """Least IoU of a detection's box with the annotated one."""
 MAX_DISTANCE, MAX_ANGLE = 0.02, np.deg2rad(10)
 """Errors up to which a pose is right [m, rad]."""
+DOUBT = 2.0
+"""A verdict within so many of the annotation's standard deviations of the bounds is not decided."""
+MEASURES = ("mm", "deg", "annotation_mm", "annotation_deg")
+"""Errors of the estimates, and standard deviations of the annotations."""
 
 Box = tuple[float, float, float, float]
 
@@ -48,11 +53,14 @@ class End:
         category: Its category.
         box: Box of its visible part, x0, y0, x1, y1 [px].
         X_camera_ee: Its pose, 4x4; None where it is not known.
+        covariance: The pose's covariance, 6x6: position [m], rotation vector [rad], in the camera's axes; None where it
+            is not known.
     """
 
     category: Category
     box: Box
     X_camera_ee: Array | None
+    covariance: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -113,14 +121,18 @@ def _photograph(folder: Path, entry: dict[str, Any]) -> Photograph:
     rgb = read_rgb(folder / entry["rgb"])
     height, width = rgb.shape[:2]
     fx, fy, cx, cy = (float(v) for v in entry["intrinsics"])
-    depth = read_depth(folder / entry["depth"], 0.001)
+    depth = read_depth(folder / entry["depth"], 0.001 * float(entry.get("depth_scale", 1.0)))
     frame = RgbdFrame(rgb, depth, make_intrinsics(fx, fy, cx, cy, width, height))
     ends = tuple(
-        End(Category(e["category"]), _box(e["box"]), None if (X := e.get("X_camera_ee")) is None else np.array(X))
+        End(Category(e["category"]), _box(e["box"]), _matrix(e, "X_camera_ee", 4), _matrix(e, "covariance", 6))
         for e in entry["ends"]
     )
     ignore = tuple(_box(b) for b in entry["ignore"])
     return Photograph(entry["name"], entry["place"], entry["half"], entry["depth_is"], frame, ends, ignore)
+
+
+def _matrix(entry: dict[str, Any], key: str, size: int) -> Array | None:
+    return None if entry.get(key) is None else np.array(entry[key], dtype=np.float64).reshape(size, size)
 
 
 def _box(values: Sequence[float]) -> Box:
@@ -211,7 +223,8 @@ def summary(
     Returns:
         Number of ends, how many are found at the operating score and from CERTAIN on, the median score of the best
         detection (0 where there is none), how many have a usable estimate, how many of those with a known pose a
-        right one; frames without an end, their false alarms at both scores, and how many give a usable estimate.
+        right one, and of how many the annotation is too uncertain to say (see `_decided`); their median errors, and the
+        median standard deviations of their annotation; frames without an end, their false alarms at both scores, and how many give a usable estimate.
     """
 
     def chosen(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -231,11 +244,17 @@ def summary(
         "usable": sum(r["usable"] for r in asked),
         "known_poses": len(posed),
         "right": sum(r["right"] for r in posed),
+        "undecided": sum(r["decided"] is False for r in posed),
+        **{f"median_{k}": _median([r[k] for r in posed if r[k] is not None]) for k in MEASURES},
         "empty_frames": len(empty),
         "false_alarms": sum(r["detections"] for r in empty),
         "certain_false_alarms": sum(r["certain"] for r in empty),
         "frames_with_usable_alarm": sum(r["usable"] > 0 for r in empty),
     }
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return round(float(np.median(values)), 2) if values else None
 
 
 def _ends(photograph: Photograph, estimates: Sequence[ToolEstimate], view: str) -> list[dict[str, Any]]:
@@ -247,7 +266,7 @@ def _ends(photograph: Photograph, estimates: Sequence[ToolEstimate], view: str) 
         fields: dict[str, Any] = {"name": photograph.name, "place": photograph.place, "half": photograph.half}
         fields |= {"view": view, "category": str(end.category), "score": 0.0, "usable": False, "right": None}
         if end.X_camera_ee is not None:
-            fields |= {"right": False, "mm": None, "deg": None}
+            fields |= {"right": False, "mm": None, "deg": None, "decided": None, **_annotation(end)}
         if best is not None:
             fields |= {"score": round(best.detection.score, 4), "usable": best.usable}
         if best is not None and end.X_camera_ee is not None and np.isfinite(best.X_camera_ee).all():
@@ -255,8 +274,31 @@ def _ends(photograph: Photograph, estimates: Sequence[ToolEstimate], view: str) 
             angle = end.category.symmetry.rotation_error(best.X_camera_ee[:3, :3], end.X_camera_ee[:3, :3])
             fields |= {"mm": round(1000 * distance, 2), "deg": round(float(np.rad2deg(angle)), 2)}
             fields["right"] = bool(distance <= MAX_DISTANCE and angle <= MAX_ANGLE)
+            fields["decided"] = _decided(fields, distance, angle)
         records.append(fields)
     return records
+
+
+def _annotation(end: End) -> dict[str, float | None]:
+    """Standard deviations of an annotated pose, where they are known."""
+    if end.X_camera_ee is None or end.covariance is None:
+        return {"annotation_mm": None, "annotation_deg": None}
+    turn = rotation_sigma(end.category, end.X_camera_ee, end.covariance)
+    return {
+        "annotation_mm": round(1000 * position_sigma(end.covariance), 2),
+        "annotation_deg": round(float(np.rad2deg(turn)), 2),
+    }
+
+
+def _decided(record: dict[str, Any], distance: float, angle: float) -> bool | None:
+    """Whether a verdict would be the same were the annotation off by DOUBT standard deviations; None: not known."""
+    if record["annotation_mm"] is None:
+        return None
+    beyond = [
+        (distance - MAX_DISTANCE) / (1e-3 * record["annotation_mm"]),
+        (angle - MAX_ANGLE) / np.deg2rad(record["annotation_deg"]),
+    ]
+    return bool(max(beyond) > DOUBT or max(beyond) < -DOUBT)
 
 
 def _alarms(photograph: Photograph, estimates: Sequence[ToolEstimate]) -> dict[str, Any]:

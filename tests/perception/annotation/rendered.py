@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import trimesh
+from scipy.spatial import ConvexHull
 
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform_points
@@ -48,7 +49,7 @@ def rendered_ends(data: Path, split: str, seed: int = 0) -> Iterator[RenderedEnd
             mesh: Any = trimesh.load(data / "models" / f"obj_{entry['obj_id']:06d}.ply")
             category = CATEGORIES[entry["category_id"] - 1]
             made = {Category.HAMMER_HEAD: _face, Category.SCREWDRIVER_HEAD: _tip}.get(category)
-            points = None if made is None else made(np.asarray(mesh.vertices) / 1000, X, rng)
+            points = None if made is None else made(mesh, X, rng)
             if points is None or not _seen(points, X, K, mask, category):
                 continue
             clicks, caliper = [], points.pop("caliper", None)
@@ -61,11 +62,11 @@ def rendered_ends(data: Path, split: str, seed: int = 0) -> Iterator[RenderedEnd
             yield RenderedEnd(f"{int(key):06d}", ClickedEnd(shape, tuple(clicks), caliper), X, box)
 
 
-def _face(vertices: Array, X: Array, rng: np.random.Generator) -> dict[str, Any] | None:
+def _face(mesh: Any, X: Array, rng: np.random.Generator) -> dict[str, Any] | None:
     """Rim and inside of a round face, from the vertices in its plane; None for another face, or one seen obliquely."""
+    vertices = np.asarray(mesh.vertices) / 1000
     flat = vertices[np.abs(vertices[:, 2]) < 1e-5]
-    radii = np.linalg.norm(flat[:, :2], axis=1)
-    edge = flat[radii > 0.5 * radii.max()]
+    edge = flat[ConvexHull(flat[:, :2]).vertices]
     size = np.linalg.norm(edge[:, :2], axis=1)
     facing = -X[:3, 2] @ X[:3, 3] / np.linalg.norm(X[:3, 3])
     if np.ptp(size) > 0.02 * size.max() or facing < np.cos(np.deg2rad(65)):
@@ -76,16 +77,20 @@ def _face(vertices: Array, X: Array, rng: np.random.Generator) -> dict[str, Any]
     return {"rim": r * ring, "surface": 0.55 * r * ring[:6]}
 
 
-def _tip(vertices: Array, X: Array, rng: np.random.Generator) -> dict[str, Any] | None:
-    """Tip and shaft, whose radius is that of the vertices half-way back."""
+def _tip(mesh: Any, X: Array, rng: np.random.Generator) -> dict[str, Any] | None:
+    """Tip and shaft, where the shaft is a round rod of one diameter."""
     along = -X[:3, 2] @ X[:3, 3] / np.linalg.norm(X[:3, 3])
-    back = vertices[(vertices[:, 2] < -0.03) & (vertices[:, 2] > -0.06)]
-    if abs(along) > np.cos(np.deg2rad(25)) or len(back) < 3:
+    if abs(along) > np.cos(np.deg2rad(25)):
         return None
-    radius = float(np.linalg.norm(back[:, :2], axis=1).mean())
-    z = -np.linspace(0.010, 0.042, 5)
+    points, _ = trimesh.sample.sample_surface(mesh, 4000, seed=int(rng.integers(2**31)))
+    points = np.asarray(points) / 1000
+    back = points[(points[:, 2] < -0.015) & (points[:, 2] > -0.045)]
+    radii = np.linalg.norm(back[:, :2], axis=1)
+    if len(radii) < 20 or np.ptp(np.percentile(radii, (5, 95))) > 0.15 * radii.mean():
+        return None
+    z = -np.linspace(0.012, 0.045, 5)
     shaft = np.stack([0 * z, 0 * z, z], 1)
-    return {"tip": np.zeros((2, 3)), "shaft": shaft, "caliper": 2000 * radius}
+    return {"tip": np.zeros((2, 3)), "shaft": shaft, "caliper": 2000 * float(radii.mean())}
 
 
 def _seen(points: dict[str, Any], X: Array, K: Array, mask: Array, category: Category) -> bool:
