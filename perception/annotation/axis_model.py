@@ -12,8 +12,8 @@ from toolee_robot.perception.annotation.measurements import CALIPER, CLICK, Meas
 from toolee_robot.perception.annotation.protocol import Role
 
 INSIDE, INSIDE_SIGMA = 0.85, 0.15
-"""How far the axis lies behind the depth that is measured about a click, as a share of the radius: 1 on the shaft's front
-line, less over its width."""
+"""How far the axis lies behind the depth that is measured about a click, as a share of the radius: 1 on the shaft's
+front line, less over its width."""
 END_ON = np.deg2rad(10.0)
 """Angle between shaft and ray below which the shaft is seen end-on [rad]."""
 THINNEST = 4.0
@@ -30,7 +30,6 @@ class AxisModel:
     Attributes:
         rows: What the residuals are.
         free_spin: True: a shaft is round.
-        caliper_row: Index of the residual of the caliper's reading.
 
     Raises:
         UserError: The shaft's clicks are one point, or it points at the camera.
@@ -57,8 +56,8 @@ class AxisModel:
         pixels = self._diameter * measured.camera.fx / float(np.median(points[:, 2]))
         if pixels < THINNEST:
             raise UserError(
-                f"the shaft is {pixels:.1f} pixels wide, too thin for this camera's depth, which is mixed with what lies "
-                f"behind: photograph it from nearer, so that it has {THINNEST:g}",
+                f"the shaft is {pixels:.1f} pixels wide, too thin for this camera's depth, which is mixed with what "
+                f"lies behind: photograph it from nearer, so that it has {THINNEST:g}",
                 code="user.too_thin",
             )
         self._across = np.linalg.svd(self._direction[None])[2][1:]
@@ -68,7 +67,6 @@ class AxisModel:
         z = float(np.linalg.lstsq(A, near, rcond=None)[0][0])
         self._begin = np.array([*tip, z, 0.0, 0.5 * self._diameter, INSIDE, 0.0, 0.0])
         owner, sigma, pixels = [-1, -1, -1], [measured.bias, INSIDE_SIGMA, CALIPER], [False] * 3
-        self.caliper_row: int | None = 2
         for m in self._tip:
             owner += [m.number] * 2
             sigma += [CLICK] * 2

@@ -83,8 +83,8 @@ class ClicksFile:
     Attributes:
         place: Where the frames were taken, as the tables name it.
         half: A: to choose by; B: to report.
-        tape_offset_mm: Distance of the depth's origin behind the point where the tape begins [mm], from the camera's data
-            sheet; needed where there is a tape-measured distance.
+        tape_offset_mm: Distance of the depth's origin behind the point where the tape begins [mm], from the camera's
+            data sheet; needed where there is a tape-measured distance.
         frames: By name; a frame that is not here has not been looked at.
     """
 

@@ -18,7 +18,7 @@ WRONG = 1e-4
 """Probability, were all clicks right, of an improvement as large as the one by leaving out the click called wrong."""
 CLEARER = 8.0
 """By how much more than any other's the removal of the wrong click must improve chi-square."""
-LARGEST_SCALE = 3.5
+LARGEST_SCALE = 2.5
 """Residuals that are so many times larger than expected are no noise."""
 _FREE_SPIN = np.pi**2 / 3
 
@@ -67,6 +67,7 @@ class Fit:
         X_camera_ee: The pose, 4x4.
         covariance: Its covariance, 6x6: position [m], rotation vector [rad], both in the camera's axes.
         parameters: The model's parameters, (P,).
+        parameter_sigma: Their standard deviations, (P,).
         wrong: Index of the click that was left out because it contradicts the others; None: none.
         scale: How much larger than expected the residuals are; at least 1, and the covariance has grown by its square.
         redundancy: Number of measurements beyond those that determine the pose; 0: a wrong click does not show.
@@ -77,6 +78,7 @@ class Fit:
     X_camera_ee: Array
     covariance: Array
     parameters: Array
+    parameter_sigma: Array
     wrong: int | None
     scale: float
     redundancy: int
@@ -107,11 +109,11 @@ def fit(model: Model) -> Fit:
     scale = float(np.sqrt(max(1.0, cost / redundancy))) if redundancy > 0 else 1.0
     if scale > LARGEST_SCALE:
         raise UserError(
-            f"the clicks contradict each other: their residuals are {scale:.1f} times what a click and the depth are off "
-            "by; undo those with large residuals, and see in the cloud whether the depth there is the tool's",
+            f"the clicks contradict each other: their residuals are {scale:.1f} times what a click and the depth are "
+            "off by; undo those with large residuals, and see in the cloud whether the depth there is the tool's",
             code="user.clicks_disagree",
         )
-    X, covariance = _pose(model, parameters, kept, scale)
+    X, covariance, sigma = _pose(model, parameters, kept, scale)
     raw = model.residuals(parameters)
     pixels: dict[int, float] = {}
     metres: dict[int, float] = {}
@@ -121,30 +123,7 @@ def fit(model: Model) -> Fit:
             pixels[int(owner)] = float(np.linalg.norm(raw[of & rows.pixels]))
         if (of & ~rows.pixels).any():
             metres[int(owner)] = float(np.linalg.norm(raw[of & ~rows.pixels]))
-    return Fit(X, covariance, parameters, wrong, scale, redundancy, pixels, metres)
-
-
-def deleted(model: Model, found: Fit, row: int) -> tuple[float, float]:
-    """Compare a measurement with what all others say.
-
-    Args:
-        model: The model.
-        found: Its fit.
-        row: Index of the measurement's residual.
-
-    Returns:
-        The difference, what the others say less the measurement, and its standard deviation without the measurement's
-        own; in the residual's unit.
-    """
-    kept = model.rows.owner != found.wrong if found.wrong is not None else np.ones(len(model.rows.owner), dtype=bool)
-    J = _jacobian(model, found.parameters)[kept]
-    at = int(kept[:row].sum())
-    leverage = float(J[at] @ np.linalg.solve(J.T @ J, J[at]))
-    sigma = float(model.rows.sigma[row])
-    if leverage > 1 - 1e-6:
-        return 0.0, float("inf")
-    difference = float(model.residuals(found.parameters)[row]) / (1 - leverage)
-    return difference, found.scale * sigma * float(np.sqrt(leverage / (1 - leverage)))
+    return Fit(X, covariance, parameters, sigma, wrong, scale, redundancy, pixels, metres)
 
 
 def _solve(model: Model, kept: NDArray[np.bool_], start: Array | None = None) -> tuple[Array, float]:
@@ -198,8 +177,8 @@ def _derivatives(function: object, parameters: Array) -> Array:
     return np.stack(columns, 1)
 
 
-def _pose(model: Model, parameters: Array, kept: NDArray[np.bool_], scale: float) -> tuple[Array, Array]:
-    """The pose, and its covariance."""
+def _pose(model: Model, parameters: Array, kept: NDArray[np.bool_], scale: float) -> tuple[Array, Array, Array]:
+    """The pose, its covariance, and the parameters' standard deviations."""
     J = _jacobian(model, parameters)[kept]
     X = model.pose(parameters)
 
@@ -219,4 +198,5 @@ def _pose(model: Model, parameters: Array, kept: NDArray[np.bool_], scale: float
     if model.free_spin:
         z = X[:3, 2]
         covariance[3:, 3:] += _FREE_SPIN * np.outer(z, z)
-    return X, 0.5 * (covariance + covariance.T)
+    sigma = scale * np.sqrt(np.diag(np.linalg.inv(information))) / size
+    return X, 0.5 * (covariance + covariance.T), sigma

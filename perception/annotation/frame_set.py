@@ -83,7 +83,7 @@ class FrameSet:
             raise UserError(f"{source}: half {self.clicks.half}: it is A or B", code="user.clicks_file")
         if clicks is not None and own.exists() and read_clicks(own) != self.clicks:
             raise UserError(
-                f"{own} holds other clicks than {clicks}, and would be overwritten: move it away, or give it with --clicks",
+                f"{own} holds other clicks than {clicks} and would be overwritten: move it away, or leave out --clicks",
                 code="user.clicks_exist",
             )
         unknown = sorted(set(self.clicks.frames) - set(self.names))

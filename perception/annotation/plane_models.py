@@ -1,7 +1,7 @@
 """Models of what lies on a plane: a hammer's face, a ring, an open jaw, a claw about the middle of its slot.
 
-The plane is the surface that is seen. Its parameters are two tilts against the normal of the start, the depth at a pixel,
-and the depths' common error; then come what the caliper measures, and the model's own points.
+The plane is the surface that is seen. Its parameters are two tilts against the normal of the start, the depth at a
+pixel, and the depths' common error; then come what the caliper measures, and the model's own points.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, angle_between, cross, frame_from_axes
 from toolee_robot.perception.annotation.depth_sample import depth_sigma, noise_factor
-from toolee_robot.perception.annotation.fit import Rows
+from toolee_robot.perception.annotation.fit import Fit, Rows
 from toolee_robot.perception.annotation.measurements import CALIPER, CLICK, Measurement, Measurements
 from toolee_robot.perception.annotation.protocol import Role, Shape
 
@@ -36,7 +36,6 @@ class PlaneModel:
     Attributes:
         rows: What the residuals are.
         free_spin: Whether the handle is not clicked.
-        caliper_row: Index of the residual of the caliper's reading; None: not measured.
 
     Raises:
         UserError: The surface is seen too obliquely, or its clicks lie on one line.
@@ -55,7 +54,6 @@ class PlaneModel:
         self._depth = float(through[2])
         middle = self._incidence(self._surface[0])
         self._noise = noise_factor([m.depth for m in self._surface if m.depth is not None], middle)
-        self.caliper_row: int | None = None
         self.rows = self._rows()
 
     def start(self) -> Array:
@@ -133,6 +131,10 @@ class PlaneModel:
                 x = handle - origin
         return frame_from_axes(z=z, x=x, p=origin)
 
+    def diameter(self, found: Fit) -> tuple[float, float]:
+        """Diameter of a face, and its standard deviation [m]."""
+        return 2.0 * float(found.parameters[_SIZE]), 2.0 * float(found.parameter_sigma[_SIZE])
+
     def circle(self, parameters: Array, steps: int = 48) -> Array | None:
         """The fitted circle, (steps, 3) [m]; None where the model has none."""
         if not self._rim:
@@ -155,7 +157,6 @@ class PlaneModel:
         for m in self._surface:
             add(m.number, self._depth_sigma(m, self._incidence(m)))
         if self._m.caliper is not None:
-            self.caliper_row = len(owner)
             add(-1, CALIPER)
         for m in self._rim:
             add(m.number, CLICK, True)
@@ -177,8 +178,8 @@ class PlaneModel:
         angle = angle_between(self._normal, -self._m.rays(m.pixel))
         if angle > STEEPEST:
             raise UserError(
-                f"the surface is seen at {np.rad2deg(angle):.0f} degrees from its normal, of which a photograph tells no "
-                "pose: leave this end out, or mark that a click on the surface is wrong",
+                f"the surface is seen at {np.rad2deg(angle):.0f} degrees from its normal, of which a photograph tells "
+                "no pose: leave this end out, or undo a wrong click on the surface",
                 code="user.too_oblique",
             )
         return angle
@@ -224,7 +225,7 @@ class PlaneModel:
 
 
 def _first_plane(points: Array) -> tuple[Array, Array]:
-    """Normal towards the camera (3,), and a point (3,) [m], of the plane through three points that suits most of them."""
+    """Normal towards the camera (3,), and a point (3,) [m], of the plane through three points that suits most."""
     best, found = np.inf, None
     for three in combinations(points, 3):
         n = cross(three[1] - three[0], three[2] - three[0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,8 +13,8 @@ from toolee_robot.frames import Array
 from toolee_robot.perception.annotation.axis_model import AxisModel
 from toolee_robot.perception.annotation.clicks import ClickedEnd
 from toolee_robot.perception.annotation.depth_sample import STEP
-from toolee_robot.perception.annotation.fit import Fit, deleted, fit
-from toolee_robot.perception.annotation.measurements import Measurements, measure
+from toolee_robot.perception.annotation.fit import Fit, fit
+from toolee_robot.perception.annotation.measurements import CALIPER, Measurements, measure
 from toolee_robot.perception.annotation.plane_models import PlaneModel
 from toolee_robot.perception.annotation.protocol import PROTOCOL, Role, Shape
 from toolee_robot.symmetry import SymmetryKind
@@ -126,14 +126,17 @@ def annotate_end(frame: RgbdFrame, clicked: ClickedEnd, tape_offset_mm: float | 
             beginning is not known.
     """
     measured = measure(frame, clicked)
+    checks = []
+    if clicked.shape is Shape.FACE and measured.caliper is not None:
+        # First without the caliper's reading, which is then compared with what the clicks say of themselves.
+        free = PlaneModel(Shape.FACE, replace(measured, caliper=None))
+        diameter, sigma = free.diameter(fit(free))
+        both = float(np.hypot(sigma, CALIPER))
+        check = Check(PROTOCOL[Shape.FACE].caliper, *(1000.0 * v for v in (measured.caliper, diameter, both)))
+        checks.append(check)
+        measured = measured if check.agrees else replace(measured, caliper=None)
     model = AxisModel(measured) if clicked.shape is Shape.TIP else PlaneModel(clicked.shape, measured)
     found = fit(model)
-    checks = []
-    if clicked.caliper_mm is not None and clicked.shape is Shape.FACE and model.caliper_row is not None:
-        difference, sigma = deleted(model, found, model.caliper_row)
-        free = 1000.0 * difference
-        both = 1000.0 * float(np.hypot(sigma, model.rows.sigma[model.caliper_row]))
-        checks.append(Check(PROTOCOL[clicked.shape].caliper, clicked.caliper_mm, clicked.caliper_mm + free, both))
     if clicked.tape_mm is not None:
         checks.append(_tape(found, clicked.tape_mm, tape_offset_mm))
     circle = model.circle(found.parameters) if isinstance(model, PlaneModel) else None
@@ -144,8 +147,8 @@ def annotate_end(frame: RgbdFrame, clicked: ClickedEnd, tape_offset_mm: float | 
 def _tape(found: Fit, tape_mm: float, offset_mm: float | None) -> Check:
     if offset_mm is None:
         raise UserError(
-            "a distance was measured by tape, but not where the tape begins: enter how far the depth's origin lies behind "
-            "that point (the camera's data sheet; 0 if the tape begins at the origin)",
+            "a distance was measured by tape, but not where the tape begins: enter how far the depth's origin lies "
+            "behind that point (the camera's data sheet; 0 if the tape begins at the origin)",
             code="user.tape_offset_missing",
         )
     line = 1000.0 * found.X_camera_ee[:3, 3] - np.array([0.0, 0.0, offset_mm])

@@ -82,9 +82,13 @@ class AnnotationPage:
             self._undo.on_click(self._handled(self._session.undo))
             self._caliper = gui.add_text("Caliper [mm]", "")
             self._caliper.on_update(self._chosen(lambda: self._session.enter(caliper_mm=_number(self._caliper.value))))
-            self._tape = gui.add_text("Tape [mm]", "")
+            self._tape = gui.add_text("Tape [mm]", "", hint="From where the tape begins to the end's origin.")
             self._tape.on_update(self._chosen(lambda: self._session.enter(tape_mm=_number(self._tape.value))))
-            self._offset = gui.add_text("Depth's origin behind the tape's [mm]", "")
+            self._offset = gui.add_text(
+                "Tape offset [mm]",
+                "",
+                hint="How far the depth's origin lies behind the point where the tape begins (camera's data sheet).",
+            )
             self._offset.on_update(self._chosen(lambda: self._session.enter_tape_offset(_number(self._offset.value))))
         self._result = gui.add_markdown("")
         self._ends, self._roles = [NOTHING], {NOTHING: Role.BOX}
@@ -200,7 +204,7 @@ def result_text(end: AnnotatedEnd) -> str:
     """
     x, y, z = 1000.0 * end.fit.X_camera_ee[:3, 3]
     rows = [
-        f"### {end.category.spec.label}: ± {end.sigma_mm:.1f} mm, ± {end.sigma_deg:.1f}°",
+        f"### {PROTOCOL[end.clicked.shape].label}: ± {end.sigma_mm:.1f} mm, ± {end.sigma_deg:.1f}°",
         f"At {x:.1f}, {y:.1f}, {z:.1f} mm from the camera.",
     ]
     if end.fit.redundancy == 0:
@@ -213,16 +217,23 @@ def result_text(end: AnnotatedEnd) -> str:
             f"{check.name}: {check.measured_mm:.1f} mm measured, {check.fitted_mm:.1f} ± {check.sigma_mm:.1f} mm by the "
             f"clicks, {verdict}."
         )
-    table = ["| click | image [px] | depth [mm] |", "|---|---|---|"]
-    for n, click in enumerate(end.clicked.clicks):
-        pixels, metres = end.fit.pixels.get(n), end.fit.metres.get(n)
-        if click.role is Role.BOX:
-            continue
-        mark = " **wrong, left out**" if n == end.fit.wrong else ""
-        off = "" if pixels is None else f"{pixels:.1f}"
-        deep = "" if metres is None else f"{1000 * metres:.1f}"
-        table.append(f"| {n + 1} {click.role}{mark} | {off} | {deep} |")
+    table = ["| residuals | image [px] | depth [mm] |", "|---|---|---|"]
+    for role in PROTOCOL[end.clicked.shape].clicks:
+        numbers = [n for n, click in enumerate(end.clicked.clicks) if click.role is role]
+        off = [_residual(end, n, end.fit.pixels, 1.0) for n in numbers]
+        deep = [_residual(end, n, end.fit.metres, 1000.0) for n in numbers]
+        if numbers:
+            table.append(f"| {role} | {' '.join(off)} | {' '.join(deep)} |")
+    if end.fit.wrong is not None:
+        rows.append("The click in bold contradicts the others and is left out: undo it or leave it so.")
     return "\n\n".join(rows) + "\n\n" + "\n".join(table)
+
+
+def _residual(end: AnnotatedEnd, number: int, residuals: dict[int, float], unit: float) -> str:
+    if number not in residuals:
+        return ""
+    text = f"{unit * residuals[number]:.1f}"
+    return f"**{text}**" if number == end.fit.wrong else text
 
 
 def _number(text: str) -> float | None:

@@ -39,13 +39,20 @@ def project(points: Array) -> Array:
     return CAMERA.fx * points[..., :2] / points[..., 2:] + [CAMERA.cx, CAMERA.cy]
 
 
-def _pose(rng: np.random.Generator, steepest: float) -> Array:
-    """A pose before the camera, its z towards it within an angle [deg]."""
-    p = np.array([rng.uniform(-0.15, 0.15), rng.uniform(-0.1, 0.1), rng.uniform(0.45, 0.9)])
-    tilt, turn = np.deg2rad(rng.uniform(0, steepest)), rng.uniform(0, 2 * np.pi)
-    to_camera = frame_from_axes(z=-p, x=[1.0, 0.0, 0.0])[:3, :3]
-    z = to_camera @ [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)]
-    return frame_from_axes(z=z, x=Rotation.random(random_state=rng).as_matrix()[0], p=p)
+def _pose(
+    rng: np.random.Generator, steepest: float, farthest: float = 0.9, seen: tuple[float, float, float] = (0, 0, 0)
+) -> Array:
+    """A pose before the camera, its z towards it within an angle [deg], that has a point of the EE frame in view."""
+    while True:
+        p = np.array([rng.uniform(-0.15, 0.15), rng.uniform(-0.1, 0.1), rng.uniform(0.4, farthest)])
+        tilt, turn = np.deg2rad(rng.uniform(0, steepest)), rng.uniform(0, 2 * np.pi)
+        to_camera = frame_from_axes(z=-p, x=np.array([1.0, 0.0, 0.0]))[:3, :3]
+        z = to_camera @ [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)]
+        X = frame_from_axes(z=z, x=Rotation.random(random_state=rng).as_matrix()[0], p=p)
+        point = transform_points(X, np.array([seen]))[0]
+        u, v = project(point)
+        if point[2] > 0.3 and 15 < u < CAMERA.width - 15 and 15 < v < CAMERA.height - 15:
+            return X
 
 
 def _noisy(rng: np.random.Generator, depth: Array, cosine: Array) -> Array:
@@ -95,8 +102,9 @@ def _disc(rng: np.random.Generator, n: int, inner: float, outer: float) -> Array
 
 def face(rng: np.random.Generator, *, caliper: bool = False, handle: bool = True) -> Scene:
     """A round striking face of 24 to 40 mm diameter."""
-    X, radius = _pose(rng, 60.0), rng.uniform(0.012, 0.020)
-    butt = transform_points(X, np.array([[0.22, 0.0, -0.05]]))[0]
+    far = (0.15, 0.0, -0.05)
+    X, radius = _pose(rng, 60.0, seen=far), rng.uniform(0.012, 0.020)
+    butt = transform_points(X, np.array([far]))[0]
     frame = _seen(rng, X, lambda x, y: np.hypot(x, y) < radius, handle=butt if handle else None)
     rim = transform_points(X, _disc(rng, 8, radius, radius))
     inside = transform_points(X, _disc(rng, 6, 0.2 * radius, 0.65 * radius))
@@ -107,11 +115,11 @@ def face(rng: np.random.Generator, *, caliper: bool = False, handle: bool = True
 
 def ring(rng: np.random.Generator) -> Scene:
     """A ring of a wrench, its nut's centre in the middle of its thickness."""
-    X, hole, thickness = _pose(rng, 50.0), rng.uniform(0.008, 0.012), rng.uniform(0.006, 0.014)
+    X, hole, thickness = _pose(rng, 50.0, seen=(0.15, 0.0, 0.0)), rng.uniform(0.008, 0.012), rng.uniform(0.006, 0.014)
     X_top = X.copy()
     X_top[:3, 3] += 0.5 * thickness * X[:3, 2]
     outer = hole + rng.uniform(0.008, 0.012)
-    far = transform_points(X, np.array([[0.2, 0.0, 0.0]]))[0]
+    far = transform_points(X, np.array([[0.15, 0.0, 0.0]]))[0]
 
     def inside(x: Array, y: Array) -> Array:
         return (np.hypot(x, y) < outer) & (np.hypot(x, y) > hole)
@@ -123,9 +131,10 @@ def ring(rng: np.random.Generator) -> Scene:
     return Scene(frame, ClickedEnd(Shape.RING, tuple(clicks), 1000 * thickness), X)
 
 
-def _slotted(rng: np.random.Generator, shape: Shape, towards_handle: float) -> Scene:
-    """A plate with a slot along x, its origin in the slot's middle; the handle lies behind it, or along -x."""
-    X, thickness = _pose(rng, 50.0), rng.uniform(0.004, 0.010)
+def _slotted(rng: np.random.Generator, shape: Shape) -> Scene:
+    """A plate with a slot along x, its origin in the slot's middle; the handle lies along -x, a claw's behind it."""
+    handle_end = (-0.15, 0.0, -0.05 if shape is Shape.CLAW else 0.0)
+    X, thickness = _pose(rng, 50.0, seen=handle_end), rng.uniform(0.004, 0.010)
     length, gap, width = rng.uniform(0.018, 0.030), rng.uniform(0.005, 0.008), rng.uniform(0.022, 0.028)
     X_top = X.copy()
     X_top[:3, 3] += 0.5 * thickness * X[:3, 2]
@@ -143,7 +152,7 @@ def _slotted(rng: np.random.Generator, shape: Shape, towards_handle: float) -> S
     }
     y = 0.5 * (gap + width)
     surface = [[x * length, s * y, 0.0] for x in (-0.25, 0.0, 0.25) for s in (-1, 1)]
-    handle = transform_points(X, np.array([[towards_handle, 0.0, -0.05 if shape is Shape.CLAW else 0.0]]))[0]
+    handle = transform_points(X, np.array([handle_end]))[0]
     if shape is Shape.OPEN_JAW:  # x points to the handle
         X = X @ np.diag([-1.0, -1.0, 1.0, 1.0])
     frame = _seen(rng, X_top, inside, handle=handle)
@@ -156,18 +165,18 @@ def _slotted(rng: np.random.Generator, shape: Shape, towards_handle: float) -> S
 
 def open_jaw(rng: np.random.Generator) -> Scene:
     """An open jaw, one flat longer than the other."""
-    return _slotted(rng, Shape.OPEN_JAW, -0.2)
+    return _slotted(rng, Shape.OPEN_JAW)
 
 
 def claw(rng: np.random.Generator) -> Scene:
     """A flat claw."""
-    return _slotted(rng, Shape.CLAW, -0.15)
+    return _slotted(rng, Shape.CLAW)
 
 
 def tip(rng: np.random.Generator) -> Scene:
-    """A screwdriver's shaft of 4 to 8 mm diameter, a round rod."""
-    radius = rng.uniform(0.002, 0.004)
-    X = _pose(rng, 60.0)
+    """A screwdriver's shaft of 6 to 10 mm diameter, a round rod."""
+    radius = rng.uniform(0.003, 0.005)
+    X = _pose(rng, 60.0, 0.5)
     lying = frame_from_axes(z=X[:3, 0], x=X[:3, 2], p=X[:3, 3])
     d, end, length = lying[:3, 2], lying[:3, 3], 0.09
     v, u = np.indices((CAMERA.height, CAMERA.width))
