@@ -66,19 +66,19 @@ class AxisModel:
         A = np.stack([ray, -self._direction], 1)
         z = float(np.linalg.lstsq(A, near, rcond=None)[0][0])
         self._begin = np.array([*tip, z, 0.0, 0.5 * self._diameter, INSIDE, 0.0, 0.0])
-        owner, sigma, pixels = [-1, -1, -1], [measured.bias, INSIDE_SIGMA, CALIPER], [False] * 3
+        owner, sigma, in_pixels = [-1, -1, -1], [measured.bias, INSIDE_SIGMA, CALIPER], [False] * 3
         for m in self._tip:
             owner += [m.number] * 2
             sigma += [CLICK] * 2
-            pixels += [True] * 2
+            in_pixels += [True] * 2
         incidence = np.pi / 2 - min(sight, np.pi - sight)
         noise = noise_factor([m.depth for m in self._shaft if m.depth is not None], incidence)
         for m in self._shaft:
             assert m.depth is not None
             owner += [m.number] * 2
             sigma += [CLICK, depth_sigma(m.depth, incidence, m.share, noise)]
-            pixels += [True, False]
-        self.rows = Rows(np.array(owner), np.array(sigma), np.array(pixels))
+            in_pixels += [True, False]
+        self.rows = Rows(np.array(owner), np.array(sigma), np.array(in_pixels))
 
     @property
     def _diameter(self) -> float:

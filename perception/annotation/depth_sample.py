@@ -80,8 +80,8 @@ def sample_depth(
             return DepthSample(at.mean(0), float(np.median(z[near])), pixels, _scatter(at, z[near]), correlation)
     raise UserError(
         f"there is no depth of the tool about {u}, {v} (at least {LEAST} pixels of one surface are needed): click "
-        "where the cloud shows it; if it has a hole there, photograph again from a little aside, and shield shiny steel from "
-        "the lamp",
+        "where the cloud shows it; if it has a hole there, photograph again from a little "
+        "aside, and shield shiny steel from the lamp",
         code="user.no_depth_at_click",
     )
 

@@ -223,8 +223,9 @@ def summary(
     Returns:
         Number of ends, how many are found at the operating score and from CERTAIN on, the median score of the best
         detection (0 where there is none), how many have a usable estimate, how many of those with a known pose a
-        right one, and of how many the annotation is too uncertain to say (see `_decided`); their median errors, and the
-        median standard deviations of their annotation; frames without an end, their false alarms at both scores, and how many give a usable estimate.
+        right one, and of how many the annotation is too uncertain to say (see `_decided`); their median errors, and
+        the median standard deviations of their annotation; frames without an end, their false alarms at both scores,
+        and how many give a usable estimate.
     """
 
     def chosen(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

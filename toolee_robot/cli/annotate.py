@@ -26,8 +26,8 @@ class Annotate:
     Example: toolee annotate my_frames --clicks my_frames/clicks.yaml
 
     Opens a page on this computer; Ctrl-C ends it and writes frames.json, which `toolee evaluate photographs my_frames`
-    scores. Clicks are saved in clicks.yaml at once, and a later call goes on with them. docs/how-to/own_test.md says how
-    to take the frames and what to click. Exit code 0: every end that was clicked has a pose; 1: not every one.
+    scores. Clicks are saved in clicks.yaml at once, and a later call goes on with them. docs/how-to/own_test.md says
+    how to take the frames and what to click. Exit code 0: every end that was clicked has a pose; 1: not every one.
     """
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]

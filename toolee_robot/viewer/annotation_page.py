@@ -214,8 +214,8 @@ def result_text(end: AnnotatedEnd) -> str:
     for check in end.checks:
         verdict = "agrees" if check.agrees else "**disagrees: the pose is not used**"
         rows.append(
-            f"{check.name}: {check.measured_mm:.1f} mm measured, {check.fitted_mm:.1f} ± {check.sigma_mm:.1f} mm by the "
-            f"clicks, {verdict}."
+            f"{check.name}: {check.measured_mm:.1f} mm measured, {check.fitted_mm:.1f} ± {check.sigma_mm:.1f} mm by "
+            f"the clicks, {verdict}."
         )
     table = ["| residuals | image [px] | depth [mm] |", "|---|---|---|"]
     for role in PROTOCOL[end.clicked.shape].clicks:

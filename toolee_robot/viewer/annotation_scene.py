@@ -1,7 +1,7 @@
 """The photograph and the cloud of a frame in the browser, with clicks and fitted poses drawn over them.
 
-The scene's frame is the camera's. The photograph stands at depth 1, where the ray through a pixel meets it at that pixel
-from wherever the browser looks.
+The scene's frame is the camera's. The photograph stands at depth 1, where the ray through a pixel meets it at that
+pixel from wherever the browser looks.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from toolee_robot.end_effectors import CATEGORIES, Category
@@ -42,8 +43,9 @@ def rendered_ends(data: Path, split: str, seed: int = 0) -> Iterator[RenderedEnd
     for key, entries in truth.items():
         K = np.array(cameras[key]["cam_K"]).reshape(3, 3)
         for k, entry in enumerate(entries):
-            mask = cv2.imread(str(scene / "mask_visib" / f"{int(key):06d}_{k:06d}.png"), cv2.IMREAD_GRAYSCALE)
-            assert mask is not None
+            loaded = cv2.imread(str(scene / "mask_visib" / f"{int(key):06d}_{k:06d}.png"), cv2.IMREAD_GRAYSCALE)
+            assert loaded is not None
+            mask = np.asarray(loaded, np.uint8)
             X = np.eye(4)
             X[:3, :3], X[:3, 3] = np.reshape(entry["cam_R_m2c"], (3, 3)), np.array(entry["cam_t_m2c"]) / 1000
             mesh: Any = trimesh.load(data / "models" / f"obj_{entry['obj_id']:06d}.ply")
@@ -93,7 +95,7 @@ def _tip(mesh: Any, X: Array, rng: np.random.Generator) -> dict[str, Any] | None
     return {"tip": np.zeros((2, 3)), "shaft": shaft, "caliper": 2000 * float(radii.mean())}
 
 
-def _seen(points: dict[str, Any], X: Array, K: Array, mask: Array, category: Category) -> bool:
+def _seen(points: dict[str, Any], X: Array, K: Array, mask: NDArray[np.uint8], category: Category) -> bool:
     every = np.vstack([p for role, p in points.items() if role != "caliper"])
     pixels = np.rint(_project(K, transform_points(X, every))).astype(int)
     height, width = mask.shape

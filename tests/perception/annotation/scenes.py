@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
@@ -68,7 +69,11 @@ def _noisy(rng: np.random.Generator, depth: Array, cosine: Array) -> Array:
 
 
 def _seen(
-    rng: np.random.Generator, X_camera_plane: Array, inside: Callable[[Array, Array], Array], *, handle: Array | None
+    rng: np.random.Generator,
+    X_camera_plane: Array,
+    inside: Callable[[Array, Array], NDArray[np.bool_]],
+    *,
+    handle: Array | None,
 ) -> RgbdFrame:
     """A flat thing in the xy plane of a frame before a wall, and a disc about the handle's end."""
     v, u = np.indices((CAMERA.height, CAMERA.width))
@@ -121,7 +126,7 @@ def ring(rng: np.random.Generator) -> Scene:
     outer = hole + rng.uniform(0.008, 0.012)
     far = transform_points(X, np.array([[0.15, 0.0, 0.0]]))[0]
 
-    def inside(x: Array, y: Array) -> Array:
+    def inside(x: Array, y: Array) -> NDArray[np.bool_]:
         return (np.hypot(x, y) < outer) & (np.hypot(x, y) > hole)
 
     frame = _seen(rng, X_top, inside, handle=far)
@@ -140,7 +145,7 @@ def _slotted(rng: np.random.Generator, shape: Shape) -> Scene:
     X_top[:3, 3] += 0.5 * thickness * X[:3, 2]
     longer = rng.uniform(0.0, 0.006) if shape is Shape.OPEN_JAW else 0.0  # one flat may be longer
 
-    def inside(x: Array, y: Array) -> Array:
+    def inside(x: Array, y: Array) -> NDArray[np.bool_]:
         end = 0.5 * length + np.where(y > 0, longer, 0.0)
         plate = (np.abs(y) < width) & (x > -length) & (x < end)
         return plate & ~((np.abs(y) < gap) & (x > -0.5 * length))
