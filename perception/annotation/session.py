@@ -66,8 +66,8 @@ class Session:
     def add_end(self, shape: Shape) -> None:
         """Begin with another end effector."""
         ends = (*self.clicked.ends, ClickedEnd(shape))
-        self.end = len(ends) - 1
         self._change(ClickedFrame(False, ends))
+        self.end = len(ends) - 1
 
     def remove_end(self) -> None:
         """Forget the current end effector."""

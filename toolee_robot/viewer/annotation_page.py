@@ -55,9 +55,15 @@ class AnnotationPage:
         """Stop serving."""
         self.scene.close()
 
+    def refresh(self) -> None:
+        """Show what the session holds, after a change that was not made on the page."""
+        with self._lock:
+            self._refresh()
+
     def _build(self) -> None:
         gui = self.scene.server.gui
-        gui.configure_theme(control_layout="fixed", control_width="large", show_logo=False, show_share_button=False)
+        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
         self._head = gui.add_markdown("")
         self._go = gui.add_button_group("Frame", ("previous", "next", "next unseen"))
         self._go.on_click(self._handled(lambda: self._walk(str(self._go.value))))

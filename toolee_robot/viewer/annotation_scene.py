@@ -23,20 +23,22 @@ from toolee_robot.types import CameraIntrinsics
 
 View = Literal["photograph", "cloud"]
 COLORS: dict[Role, tuple[int, int, int]] = {
-    Role.RIM: (255, 196, 0),
-    Role.SURFACE: (0, 190, 255),
+    Role.RIM: (255, 170, 0),
+    Role.SURFACE: (0, 150, 255),
     Role.THROAT: (255, 90, 90),
     Role.END_A: (255, 130, 220),
     Role.END_B: (190, 120, 255),
     Role.TIP: (255, 90, 90),
-    Role.SHAFT: (0, 190, 255),
+    Role.SHAFT: (0, 150, 255),
     Role.HANDLE: (120, 230, 120),
     Role.BOX: (235, 235, 235),
 }
 """Colours of the clicks by role."""
 AXES = 0.03
 """Length of a drawn pose's axes [m]."""
-RED_GREEN_BLUE = ((235, 64, 52), (60, 200, 80), (70, 130, 255))
+RED_GREEN_BLUE = ((255, 0, 0), (0, 200, 0), (0, 60, 255))
+MARGIN = 1.04
+"""Height or width of the browser's picture over that of the whole photograph."""
 _MARK = 4.0
 """Half of a click's cross [px] at whole size."""
 _WITHIN = 0.02
@@ -76,7 +78,7 @@ class AnnotationScene:
         self._zoom, self._middle = 1.0, np.zeros(2)
         self.server.scene.set_up_direction("-y")
         self.server.scene.on_click()(self._on_click)
-        self.server.on_client_connect(lambda client: self._aim([client]))
+        self.server.on_client_connect(self._connect)
 
     @property
     def address(self) -> str:
@@ -102,7 +104,7 @@ class AnnotationScene:
         self._pixels = np.stack([u, v], 1).astype(np.float64)
         self._points = self._on_photograph(self._pixels) * z[:, None]
         self._cloud = scene.add_point_cloud(
-            "/cloud", self._points, frame.rgb[v, u], point_size=0.0012, precision="float32", point_shape="circle"
+            "/cloud", self._points, frame.rgb[v, u], point_size=0.0009, precision="float32", point_shape="circle"
         )
         self.look(self.view)
 
@@ -179,6 +181,18 @@ class AnnotationScene:
         u, v = pixels[:, 0], pixels[:, 1]
         return np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(len(u))], 1)
 
+    def _connect(self, client: Any) -> None:
+        shape = [0.0]
+
+        def aim(_camera: Any) -> None:
+            """Aim again when the picture's shape has changed: the panel is docked, the window resized."""
+            if abs(client.camera.aspect - shape[0]) > 0.01:
+                shape[0] = client.camera.aspect
+                self._aim([client])
+
+        client.camera.on_update(aim)
+        aim(client.camera)
+
     def _aim(self, clients: list[Any]) -> None:
         if self._camera is None:
             return
@@ -189,8 +203,9 @@ class AnnotationScene:
             middle = self._points[near]
         for client in clients:
             with client.atomic():
-                client.camera.fov = float(2 * np.arctan(1.04 * half))
-                back = middle[2] / self._zoom
+                client.camera.fov = float(2 * np.arctan(MARGIN * half))
+                narrow = max(1.0, self._camera.width / self._camera.height / max(client.camera.aspect, 0.1))
+                back = middle[2] * narrow / self._zoom
                 client.camera.up_direction = (0.0, -1.0, 0.0)
                 client.camera.position = (middle[0], middle[1], middle[2] - back)
                 client.camera.look_at = tuple(middle)
