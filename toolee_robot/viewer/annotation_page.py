@@ -15,7 +15,7 @@ from toolee_robot.perception.annotation.session import Session
 from toolee_robot.viewer.annotation_scene import COLORS, AnnotationScene
 
 ZOOMS = {"whole": 1.0, "3x": 3.0, "8x": 8.0}
-NOTHING = "none yet"
+NOTHING, ENOUGH = "none yet", "nothing"
 
 
 class AnnotationPage:
@@ -97,7 +97,8 @@ class AnnotationPage:
             )
             self._offset.on_update(self._chosen(lambda: self._session.enter_tape_offset(_number(self._offset.value))))
         self._result = gui.add_markdown("")
-        self._ends, self._roles = [NOTHING], {NOTHING: Role.BOX}
+        self._ends = [NOTHING]
+        self._roles: dict[str, Role | None] = {NOTHING: None}
 
     def _handled(self, act: Callable[[], None]) -> Callable[[Any], None]:
         """A callback that does something, tells what was wrong, and brings the page up to date."""
@@ -120,7 +121,8 @@ class AnnotationPage:
 
     def _click(self, u: float, v: float) -> None:
         role = self._roles[str(self._role.value)]
-        self._handled(lambda: self._session.click(role, u, v))(None)
+        if role is not None:
+            self._handled(lambda: self._session.click(role, u, v))(None)
 
     def _walk(self, where: str) -> None:
         session = self._session
@@ -174,7 +176,7 @@ class AnnotationPage:
     def _refresh_roles(self, advance: bool) -> None:
         session = self._session
         asked = session.roles()
-        self._roles = {NOTHING: Role.BOX}
+        self._roles = {NOTHING: None}
         if not asked or session.current is None:
             _options(self._role, [NOTHING], NOTHING)
             self._where.content = (
@@ -183,20 +185,19 @@ class AnnotationPage:
             return
         before = str(self._role.value).partition(":")[0]
         labels = {r: f"{r}: {len(session.current.of(r))} of {a.advised}" for r, a in asked.items()}
-        self._roles = {label: role for role, label in labels.items()}
+        self._roles = {**{label: role for role, label in labels.items()}, ENOUGH: None}
         role = next((r for r in asked if r == before), None)
-        full = role is None or (advance and len(session.current.of(role)) >= asked[role].advised)
-        if full:
-            role = session.next_role() or role or Role.BOX
-        assert role is not None
-        _options(self._role, list(labels.values()), labels[role])
-        r, g, b = COLORS[role]
+        if role is None or (advance and len(session.current.of(role)) >= asked[role].advised):
+            role = session.next_role()
+        _options(self._role, list(self._roles), ENOUGH if role is None else labels[role])
         protocol = PROTOCOL[session.current.shape]
-        needed = "needed" if protocol.caliper_needed else "a check"
-        self._where.content = (
-            f'<span style="color: rgb({r},{g},{b})">■</span> Click **{asked[role].where}**.\n\n'
-            f"Caliper ({needed}): {protocol.caliper}."
-        )
+        caliper = f"Caliper ({'needed' if protocol.caliper_needed else 'a check'}): {protocol.caliper}."
+        if role is None:
+            self._where.content = f"There are enough clicks.\n\n{caliper}"
+            return
+        r, g, b = COLORS[role]
+        mark = f'<span style="color: rgb({r},{g},{b})">■</span>'
+        self._where.content = f"{mark} Click **{asked[role].where}**.\n\n{caliper}"
 
 
 def result_text(end: AnnotatedEnd) -> str:
