@@ -26,6 +26,7 @@ class Session:
     def __init__(self, frames: FrameSet) -> None:
         self.frames = frames
         self.number, self.end = 0, -1
+        self._annotated: AnnotatedFrame | None = None
         todo = [k for k, name in enumerate(frames.names) if name not in frames.clicks.frames]
         self.look_at(todo[0] if todo else 0)
 
@@ -56,7 +57,7 @@ class Session:
         number = min(max(number, 0), len(self.frames.names) - 1)
         self._images = self.frames.read(self.frames.names[number])
         self.number = number
-        self._annotated: AnnotatedFrame | None = None
+        self._annotated = None
         self.end = len(self.clicked.ends) - 1
 
     def choose_end(self, end: int) -> None:
