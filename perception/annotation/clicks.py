@@ -96,7 +96,15 @@ class ClicksFile:
     frames: dict[str, ClickedFrame] = field(default_factory=dict)
 
     def with_frame(self, name: str, frame: ClickedFrame) -> ClicksFile:
-        """These clicks, those of one frame replaced."""
+        """Replace the clicks on one frame.
+
+        Args:
+            name: The frame.
+            frame: What a person said of it.
+
+        Returns:
+            These clicks with that change.
+        """
         return replace(self, frames={**self.frames, name: frame})
 
 

@@ -136,7 +136,15 @@ class PlaneModel:
         return 2.0 * float(found.parameters[_SIZE]), 2.0 * float(found.parameter_sigma[_SIZE])
 
     def circle(self, parameters: Array, steps: int = 48) -> Array | None:
-        """The fitted circle, (steps, 3) [m]; None where the model has none."""
+        """The fitted circle.
+
+        Args:
+            parameters: The fitted parameters, (P,).
+            steps: Number of points.
+
+        Returns:
+            Its points, (steps, 3) [m], camera frame; None where the model has none.
+        """
         if not self._rim:
             return None
         p = parameters
