@@ -54,13 +54,19 @@ def _errors(end: AnnotatedEnd, truth: np.ndarray) -> tuple[float, float]:
 
 def _runs(kind: str, n: int) -> tuple[float, np.ndarray]:
     """Share of true poses inside of the 95 % region, and errors beside what was expected (N, 4)."""
-    inside, rows = [], []
+    inside, rows, refused = [], [], list[str]()
     for seed in range(n):
         scene = KINDS[kind](np.random.default_rng(seed))
-        end = _annotated(scene)
+        try:
+            end = _annotated(scene)
+        except UserError as error:
+            refused.append(error.code)  # a click with no depth about it
+            continue
         d2, k = _distance(end, scene.X_camera_ee)
         inside.append(d2 < chi2.ppf(0.95, k))
         rows.append([*_errors(end, scene.X_camera_ee), end.sigma_mm, end.sigma_deg])
+    assert set(refused) <= {"user.no_depth_at_click"}
+    assert len(refused) <= 0.02 * n
     return float(np.mean(inside)), np.array(rows)
 
 
@@ -82,7 +88,8 @@ def test_the_true_pose_lies_in_the_95_percent_region_in_90_to_99_percent_of_runs
     inside, rows = _runs(kind, 300)
     mm, deg, expected_mm, expected_deg = np.sqrt((rows**2).mean(0))
     print(f"{kind}: {inside:.3f}, {mm:.2f} mm of {expected_mm:.2f}, {deg:.2f} deg of {expected_deg:.2f}")
-    assert 0.90 <= inside <= 0.99
+    # A shaft's curvature counts as noise, so that a tip's covariance is cautious.
+    assert 0.90 <= inside <= (1.0 if kind == "tip" else 0.99)
 
 
 @pytest.mark.sim(seconds=10)
