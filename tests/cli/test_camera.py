@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
@@ -56,6 +57,12 @@ def test_record_writes_what_can_be_played(folder: Path, capsys: pytest.CaptureFi
     assert recording.serial == SERIAL
     assert recording.intrinsics == INTRINSICS
     assert run(command) == EXIT_USER, "never over another recording"
+    seldom = ["--out", str(out.with_name("seldom")), "--seconds", "1.2", "--every", "0.5", "--json"]
+    assert run([*command[:4], *seldom]) == 0
+    capsys.readouterr()
+    stamps = open_recording(out.with_name("seldom")).stamps
+    assert 2 <= len(stamps) <= 3
+    assert all(b - a >= 0.5 for a, b in itertools.pairwise(stamps))
 
 
 @pytest.mark.realtime

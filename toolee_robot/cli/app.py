@@ -17,6 +17,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from toolee_robot.cli.annotate import Annotate
 from toolee_robot.cli.arm.command import Arm
 from toolee_robot.cli.bench.calibration import BenchCalibration
 from toolee_robot.cli.bench.command import Bench
@@ -46,6 +47,7 @@ EXIT_FAILED, EXIT_USER, EXIT_INTERRUPTED = 1, 2, 130
 Command = (
     Annotated[Hammer, tyro.conf.subcommand("hammer")]
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
+    | Annotated[Annotate, tyro.conf.subcommand("annotate")]
     | Annotated[Arm, tyro.conf.subcommand("arm")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[BenchCalibration, tyro.conf.subcommand("bench-calibration")]
@@ -71,6 +73,7 @@ Command = (
 AnyCommand = (
     Hammer
     | Estimate
+    | Annotate
     | Arm
     | Bench
     | BenchCalibration

@@ -229,7 +229,8 @@ class EvaluatePhotographs:
 
     def run(self) -> int:
         from toolee_robot.perception.evaluation.ledger import Ledger
-        from toolee_robot.perception.evaluation.photographs import evaluate, read_photographs
+        from toolee_robot.perception.evaluation.photograph_scores import evaluate
+        from toolee_robot.perception.evaluation.photographs import read_photographs
         from toolee_robot.perception.pipeline import ToolPerception
 
         console = Console(stderr=self.json, highlight=False)

@@ -106,19 +106,29 @@ def photograph_tables(report: dict[str, Any]) -> Iterator[Table]:
         report: Its record.
 
     Yields:
-        The ends that are found, and the false alarms.
+        The ends that are found, their errors beside the annotations' uncertainty, and the false alarms.
     """
-    ends, alarms = [], []
+    ends, errors, alarms = [], [], []
     for row in report["table"]:
         score = "-" if row["median_score"] is None else f"{row['median_score']:.2f}"
         right = f"{row['right']} of {row['known_poses']}" if row["known_poses"] else "-"
         counts = [str(row[k]) for k in ("ends", "found", "certain")]
         ends.append([f"{row['half']}, {row['view']}", *counts, score, str(row["usable"]), right])
+        if row["median_mm"] is not None:
+            annotated = [_or_dash(row[f"median_{k}"]) for k in ("mm", "annotation_mm", "deg", "annotation_deg")]
+            errors.append([f"{row['half']}, {row['view']}", *annotated, str(row["undecided"])])
     for row in [r for r in report["table"] if r["view"] == "whole"] + report["places"]:
         keys = ("empty_frames", "false_alarms", "certain_false_alarms", "frames_with_usable_alarm")
         alarms.append([row["place"] or f"half {row['half']}", *[str(row[k]) for k in keys]])
     columns = ("half, view", "ends", "found", "certain", "median score", "usable", "right pose")
     yield text_table("End effectors on photographs", columns, ends)
+    if errors:
+        heads = ("half, view", "error [mm]", "annotation [mm]", "error [deg]", "annotation [deg]", "undecided")
+        yield text_table("Medians of errors, and of the annotations' standard deviations", heads, errors)
     yield text_table(
         "Frames without a tool", ("where", "frames", "false alarms", "certain", "frames with a usable one"), alarms
     )
+
+
+def _or_dash(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"

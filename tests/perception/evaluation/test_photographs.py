@@ -12,7 +12,8 @@ import pytest
 from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
-from toolee_robot.perception.evaluation.photographs import crops, evaluate, read_photographs
+from toolee_robot.perception.evaluation.photograph_scores import decided, evaluate
+from toolee_robot.perception.evaluation.photographs import crops, read_photographs
 from toolee_robot.perception.pipeline import ToolPerception
 
 
@@ -62,3 +63,12 @@ def test_grey_pictures_score_nothing_and_raise_no_usable_alarm(folder: Path) -> 
 def test_a_folder_without_a_set_is_named(tmp_path: Path) -> None:
     with raises(UserError, code="user.photographs"):
         read_photographs(tmp_path)
+
+
+def test_an_uncertain_annotation_decides_nothing_near_the_bounds() -> None:
+    record = {"annotation_mm": 3.0, "annotation_deg": 3.0}
+    assert decided(record, 0.002, np.deg2rad(1.0)) is True
+    assert decided(record, 0.018, np.deg2rad(1.0)) is False
+    assert decided(record, 0.002, np.deg2rad(5.0)) is False
+    assert decided(record, 0.040, np.deg2rad(5.0)) is True, "wrong by its position, however uncertain the rotation"
+    assert decided({"annotation_mm": None, "annotation_deg": None}, 0.002, 0.0) is None

@@ -28,6 +28,8 @@ class Record(CameraOptions):
     """A new folder."""
     seconds: float = 5.0
     """How long."""
+    every: Annotated[float, tyro.conf.arg(metavar="S")] = 0.0
+    """Record one frame every so many seconds, of which the terminal rings; 0: every frame."""
 
     def run(self) -> int:
         from toolee_robot.hardware.cameras.recording import RecordingWriter
@@ -36,8 +38,10 @@ class Record(CameraOptions):
 
         if self.seconds <= 0:
             raise UserError(f"--seconds {self.seconds:g}: give a time above 0", code="user.option")
+        if self.every < 0:
+            raise UserError(f"--every {self.every:g}: give a time above 0, or leave it out", code="user.option")
         console = Console(stderr=self.json, highlight=False)
-        clock, count, stamp = HostClock(), 0, 0.0
+        clock, count, stamp, due = HostClock(), 0, 0.0, 0.0
         with open_camera(self.camera(), clock, check_intrinsics=False) as camera:
             profile = camera.profile
             writer = RecordingWriter(self.out, profile.model, profile.serial, profile.fps, camera.intrinsics)
@@ -46,8 +50,13 @@ class Record(CameraOptions):
                 while clock.now() < end:
                     frame = camera.newer(stamp)
                     stamp = frame.stamp
+                    if stamp < due:
+                        continue
+                    due = stamp + self.every
                     writer.add(frame)
                     count += 1
+                    if self.every:
+                        console.bell()
         rate = count / self.seconds
         console.print(f"{count} frames in {self.out}, {rate:.1f} of {profile.fps:g} a second", soft_wrap=True)
         if self.json:
