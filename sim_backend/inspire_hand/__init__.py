@@ -19,7 +19,7 @@ code. What it does is
   what cannot be written.
 """
 
-from toolee_robot.sim_backend.inspire_hand.emulator import InspireEmulator
+from toolee_robot.sim_backend.inspire_hand.emulator import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.inspire_hand.hand import Hand
 
-__all__ = ["Hand", "InspireEmulator"]
+__all__ = ["Hand", "InspireEmulator", "ModbusEmulator"]

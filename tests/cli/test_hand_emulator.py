@@ -13,7 +13,7 @@ from tests.errors import raises
 from toolee_robot.cli.app import EXIT_USER, run
 from toolee_robot.errors import UserError
 from toolee_robot.hardware.hands.ability.line import HandLine as AbilityLine
-from toolee_robot.hardware.hands.inspire.line import HandLine
+from toolee_robot.hardware.hands.inspire.serial_line import SerialLine
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hand_wire import LineFault, happen
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
@@ -29,7 +29,7 @@ def test_a_driver_finds_it_at_the_path_that_it_prints(
     def drive() -> None:
         while not link.exists():
             pass
-        with HandLine(str(link), 3) as line:
+        with SerialLine(str(link), 3) as line:
             angles.append(line.read(1546, 2))
         os.write(theirs, b"\nnonsense\nshow\nunplug\n")
         os.close(theirs)
