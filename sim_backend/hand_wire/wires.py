@@ -31,7 +31,7 @@ class Wire(ABC):
         """Return what has come.
 
         Args:
-            ready: The `sources` on which something has.
+            ready: The descriptors on which something has, not only of `sources`.
 
         Returns:
             The bytes; None where another driver has come, or the last one has gone.
@@ -58,7 +58,7 @@ class PseudoTerminal(Wire):
         return [self._ours]
 
     def receive(self, ready: list[int]) -> bytes:
-        return os.read(self._ours, _CHUNK) if ready else b""
+        return os.read(self._ours, _CHUNK) if self._ours in ready else b""
 
     def send(self, data: bytes) -> None:
         os.write(self._ours, data)
