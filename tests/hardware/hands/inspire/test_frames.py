@@ -1,4 +1,4 @@
-"""The bytes of the RH56's frames on RS-485: the maker's own examples, and whatever may become of a reply on the line."""
+"""The bytes of the RH56's RS-485 frames: the maker's own examples, and whatever may become of a reply on the line."""
 
 from __future__ import annotations
 

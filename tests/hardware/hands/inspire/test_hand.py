@@ -1,4 +1,4 @@
-"""The Inspire driver on the emulated hand, over a pseudo-terminal and over Modbus-TCP: grasps, and what goes wrong with them."""
+"""The Inspire driver on the emulated hand, on RS-485 and on Modbus-TCP: grasps, and what goes wrong with them."""
 
 from __future__ import annotations
 
