@@ -11,6 +11,8 @@ from abc import ABC, abstractmethod
 from toolee_robot.errors import UserError
 
 _CHUNK = 4096
+_SEND_TIME = 1.0
+"""Time after which a driver that reads nothing is let go [s]."""
 
 
 class Wire(ABC):
@@ -125,6 +127,7 @@ class TcpServer(Wire):
             connection.close()
             return b""
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.settimeout(_SEND_TIME)
         self._driver = connection
         return None
 

@@ -171,8 +171,8 @@ class HandLine(ABC, Generic[RequestT]):
     def _refused(self, what: str) -> DeviceError:
         return DeviceError(f"the hand refuses {what}: is it another model?", code="device.hand_refuses")
 
-    def _silent(self, register: int) -> NoAnswerError:
-        message = f"no hand {self._hand_id} answers on {self._port.path} (register {register}, {ATTEMPTS} attempts)"
+    def _silent(self, register: int, attempts: int = ATTEMPTS) -> NoAnswerError:
+        message = f"no hand {self._hand_id} answers on {self._port.path} (register {register}, {attempts} attempts)"
         return NoAnswerError(f"{message}: {self._look_at}, and its number", code="no_answer.hand_silent")
 
     _look_at: str

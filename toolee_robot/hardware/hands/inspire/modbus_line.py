@@ -83,7 +83,7 @@ class ModbusLine(HandLine[Request]):
                 self._shifts = (search.shift,)
                 return
             before = search.shift
-        raise self._silent(ANGLE_ACT)
+        raise self._silent(ANGLE_ACT, len(_PROBES))
 
     def _reading(self, register: int, count: int) -> Request:
         return read_request(self._next(), self._hand_id, register, count)
