@@ -58,6 +58,10 @@ RequestT = TypeVar("RequestT")
 class HandLine(ABC, Generic[RequestT]):
     """The hand at the other end of a wire; one thread may use it.
 
+    Args:
+        port: What the bytes go through, open.
+        hand_id: The hand's number.
+
     Attributes:
         counts: What happened on the line.
     """

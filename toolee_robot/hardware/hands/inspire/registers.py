@@ -106,7 +106,15 @@ class Condition:
 
 
 def pack(values: tuple[int, ...], order: str) -> bytes:
-    """Encode one 16-bit number for each motor; `order` is that of its bytes, `HandLine.order`."""
+    """Encode one 16-bit number for each motor.
+
+    Args:
+        values: The six numbers.
+        order: Order of the bytes of a number, `HandLine.order`.
+
+    Returns:
+        12 bytes.
+    """
     return struct.pack(f"{order}6h", *values)
 
 
