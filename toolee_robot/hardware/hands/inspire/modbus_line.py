@@ -16,7 +16,8 @@ inspire_rh56dftp 0.1.0, "Modbus protocol quirks"), others send it back as they g
 GRACE = 0.35
 """Time after which another connection is tried [s]: a hand was seen to drop one that was made less than 0.3 s after the
 last one had ended (ibid.)."""
-_PROBES = range(2, 14, 2)
+_PROBES = range(2, 26, 2)
+"""Bytes that the first requests ask for, each another number of them; nothing moves yet, so that there is time."""
 
 
 class ModbusLine(HandLine[Request]):

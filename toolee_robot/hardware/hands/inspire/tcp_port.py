@@ -14,6 +14,8 @@ CONNECT_TIME = 1.0
 _SCHEME = "tcp://"
 _READ_TIME = 0.01
 _CHUNK = 4096
+_MOST_DROPPED = 64
+"""Chunks, if somebody talks without end."""
 
 
 def is_tcp(port: str) -> bool:
@@ -110,7 +112,9 @@ class TcpPort:
             NoAnswerError: The connection is gone.
         """
         with self._watched():
-            while select.select([self._socket], [], [], 0.0)[0]:
+            for _ in range(_MOST_DROPPED):
+                if not select.select([self._socket], [], [], 0.0)[0]:
+                    break
                 self._received()
 
     def _received(self) -> bytes:
