@@ -49,6 +49,10 @@ class EmulatedHand(Protocol):
         """See `HandEmulator.slip`."""
 
 
+RUN_PERIOD = 0.05
+"""Longest time for which the motors are left [s]: after minutes without a driver, catching up would keep the first one
+waiting for its answer."""
+
 HandT = TypeVar("HandT", bound=EmulatedHand)
 
 
@@ -202,7 +206,7 @@ class HandEmulator(ABC, Generic[HandT]):
         due: list[tuple[float, int, bytes]] = []
         count = 0
         while not self._over:
-            wait = max(0.0, due[0][0] - time.monotonic()) if due else None
+            wait = min(RUN_PERIOD, max(0.0, due[0][0] - time.monotonic())) if due else RUN_PERIOD
             ready, _, _ = select.select([*self._wire.sources(), self._woken], [], [], wait)
             while due and due[0][0] <= time.monotonic():
                 self._wire.send(heapq.heappop(due)[2])
@@ -211,6 +215,8 @@ class HandEmulator(ABC, Generic[HandT]):
                 self._connected()
                 due.clear()
             if not data:
+                with self._lock:
+                    self._hand.run()
                 continue
             begin = time.monotonic() + self._turnaround + self._byte_time * len(data)
             if self.faults.echo:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.errors import raises
-from tests.hardware.hands.inspire.conftest import Emulator
+from tests.hardware.hands.inspire.conftest import PACE, Emulator
 from toolee_robot.errors import NoAnswerError
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.inspire.line import ATTEMPTS, HandLine
@@ -120,3 +120,10 @@ def test_polling_loses_no_reply_and_no_memory(
     assert grown < 200_000
     if not rates:
         assert hand.line_counts.unanswered == 0
+
+
+def test_an_emulated_hand_that_was_left_alone_answers_the_first_request_at_once(emulator: Emulator) -> None:
+    time.sleep(0.5)
+    behind: list[float] = []
+    emulator.tell(lambda hand: behind.append(hand._clock() - hand._now))
+    assert behind[0] < 0.4 * PACE, "it would have to catch up first"
