@@ -6,7 +6,7 @@ import time
 
 from toolee_robot.sim_backend.ability_hand.hand import NAMES, Hand
 from toolee_robot.sim_backend.ability_hand.messages import MessageParser, foreign
-from toolee_robot.sim_backend.hand_wire import Frame, HandEmulator, LineFaults
+from toolee_robot.sim_backend.hand_wire import Frame, HandEmulator, LineFaults, PseudoTerminal
 
 TURNAROUND = 0.001
 """Time that the hand takes for a reply [s]: assumed; the maker's client asks 500 times a second."""
@@ -29,7 +29,7 @@ class AbilityEmulator(HandEmulator[Hand]):
 
     def __init__(self, address: int = 0x50, seed: int = 0, pace: float = 1.0) -> None:
         hand = Hand(lambda: pace * time.monotonic(), seed, pace)
-        super().__init__(hand, LineFaults(foreign, seed), TURNAROUND, BYTE_TIME, pace)
+        super().__init__(hand, PseudoTerminal(), LineFaults(foreign, seed), TURNAROUND, BYTE_TIME, pace)
         self._parser = MessageParser(address)
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:

@@ -1,4 +1,4 @@
-"""What emulators of hands on a serial line have in common: the pseudo-terminal, the line's times and faults, events.
+"""What emulators of hands have in common: pseudo-terminal or TCP connection, the line's times and faults, events.
 
     with InspireEmulator() as emulator:
         serial.Serial(emulator.port)   # a driver's side
@@ -9,5 +9,6 @@ What a hand says and does is each emulator's own; none of it is the drivers'.
 from toolee_robot.sim_backend.hand_wire.emulator import Frame, HandEmulator
 from toolee_robot.sim_backend.hand_wire.events import happen
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFault, LineFaults
+from toolee_robot.sim_backend.hand_wire.wires import PseudoTerminal, TcpServer, Wire
 
-__all__ = ["Frame", "HandEmulator", "LineFault", "LineFaults", "happen"]
+__all__ = ["Frame", "HandEmulator", "LineFault", "LineFaults", "PseudoTerminal", "TcpServer", "Wire", "happen"]

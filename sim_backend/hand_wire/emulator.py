@@ -1,4 +1,4 @@
-"""An emulated hand on a pseudo-terminal."""
+"""An emulated hand at one end of a wire."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import os
 import select
 import threading
 import time
-import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFaults
+from toolee_robot.sim_backend.hand_wire.wires import Wire
 
 
 class Motor(Protocol):
@@ -49,6 +49,10 @@ class EmulatedHand(Protocol):
         """See `HandEmulator.slip`."""
 
 
+RUN_PERIOD = 0.05
+"""Longest time for which the motors are left [s]: after minutes without a driver, catching up would keep the first one
+waiting for its answer."""
+
 HandT = TypeVar("HandT", bound=EmulatedHand)
 
 
@@ -67,16 +71,19 @@ class HandEmulator(ABC, Generic[HandT]):
 
     Args:
         hand: The hand.
+        wire: Its end of the wire.
         faults: Faults of its line.
         turnaround: Time that the hand takes for a reply [s].
         byte_time: Time of a byte on the line [s].
         pace: Rate of the hand's time relative to the host's; the line keeps to the host's.
 
     Attributes:
-        port: Path of the pseudo-terminal.
+        port: What a driver opens.
         faults: Faults of the line.
     """
 
+    line_events: tuple[str, ...] = ("mute", "unmute", "echo", "unplug", "show")
+    """What can happen to its line, besides faults of single replies."""
     label: str
     """The hand, for people."""
     motors: tuple[str, ...]
@@ -86,10 +93,10 @@ class HandEmulator(ABC, Generic[HandT]):
     events: str
     """What can happen to it and to nothing else, for people."""
 
-    def __init__(self, hand: HandT, faults: LineFaults, turnaround: float, byte_time: float, pace: float = 1.0) -> None:
-        self._ours, self._theirs = os.openpty()
-        tty.setraw(self._theirs)
-        self.port = os.ttyname(self._theirs)
+    def __init__(
+        self, hand: HandT, wire: Wire, faults: LineFaults, turnaround: float, byte_time: float, pace: float = 1.0
+    ) -> None:
+        self._wire, self.port = wire, wire.port
         self.faults = faults
         self._hand, self._pace = hand, pace
         self._turnaround, self._byte_time = turnaround, byte_time
@@ -186,27 +193,34 @@ class HandEmulator(ABC, Generic[HandT]):
     def _answer(self, data: bytes) -> list[Frame]:
         """The frames that answer bytes from the line."""
 
+    def _connected(self) -> None:
+        """Another driver has come, or the last one has gone: forget what it had begun to say."""
+
     def _run(self) -> None:
         try:
             self._serve()
         finally:
-            os.close(self._ours)
-            os.close(self._theirs)
+            self._wire.close()
 
     def _serve(self) -> None:
         due: list[tuple[float, int, bytes]] = []
         count = 0
         while not self._over:
-            wait = max(0.0, due[0][0] - time.monotonic()) if due else None
-            ready, _, _ = select.select([self._ours, self._woken], [], [], wait)
+            wait = min(RUN_PERIOD, max(0.0, due[0][0] - time.monotonic())) if due else RUN_PERIOD
+            ready, _, _ = select.select([*self._wire.sources(), self._woken], [], [], wait)
             while due and due[0][0] <= time.monotonic():
-                os.write(self._ours, heapq.heappop(due)[2])
-            if self._ours not in ready:
+                self._wire.send(heapq.heappop(due)[2])
+            data = self._wire.receive(ready)
+            if data is None:
+                self._connected()
+                due.clear()
+            if not data:
+                with self._lock:
+                    self._hand.run()
                 continue
-            data = os.read(self._ours, 4096)
             begin = time.monotonic() + self._turnaround + self._byte_time * len(data)
             if self.faults.echo:
-                os.write(self._ours, data)
+                self._wire.send(data)
             with self._lock:
                 frames = self._answer(data)
             for frame in frames:

@@ -30,7 +30,7 @@ def happen(emulator: HandEmulator[Any], line: str) -> str:
             _to_hand(emulator, event, words)
     except (ValueError, TypeError) as error:
         events = (
-            f"handle ANGLE, drop, slip ANGLE, {emulator.events}, mute, unmute, echo, unplug, show, or "
+            f"handle ANGLE, drop, slip ANGLE, {emulator.events}, {', '.join(emulator.line_events)}, or "
             f"{', '.join(LineFault)} with a number of replies; a MOTOR is one of {', '.join(emulator.motors)}"
         )
         raise UserError(f"{line.strip()!r} cannot happen: give {events}", code="user.hand_event") from error
@@ -41,7 +41,7 @@ def happen(emulator: HandEmulator[Any], line: str) -> str:
 
 def _to_line(emulator: HandEmulator[Any], event: str, words: list[str]) -> bool:
     """Let something happen to the line, without parameters; whether there is such an event."""
-    if words or event not in ("mute", "unmute", "echo", "unplug", "show"):
+    if words or event not in emulator.line_events:
         return False
     if event == "unplug":
         emulator.unplug()

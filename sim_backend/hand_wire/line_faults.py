@@ -44,6 +44,8 @@ class LineFaults:
     Args:
         foreign: Makes a reply of another hand on the line out of one of this hand.
         seed: Seed of the noise, and of faults at random.
+        framing: Number of a reply's first bytes in which noise can hit; None for all of them. On TCP, whose checksum
+            covers the data, what a hand could send wrong is its framing.
 
     Attributes:
         muted: Whether no reply comes at all.
@@ -52,8 +54,8 @@ class LineFaults:
         late_by: By how much late replies are late [s].
     """
 
-    def __init__(self, foreign: Callable[[bytes], bytes], seed: int = 0) -> None:
-        self._foreign = foreign
+    def __init__(self, foreign: Callable[[bytes], bytes], seed: int = 0, framing: int | None = None) -> None:
+        self._foreign, self._framing = foreign, framing
         self.muted = self.echo = False
         self.rates: Mapping[LineFault, float] = {}
         self.late_by = 0.12
@@ -90,7 +92,7 @@ class LineFaults:
         if fault is LineFault.GARBAGE:
             return [Piece(draw.randbytes(draw.randint(1, 30)) + frame, 0.0)]
         if fault is LineFault.CORRUPT:
-            at = draw.randrange(len(frame))
+            at = draw.randrange(len(frame[: self._framing]))
             return [Piece(frame[:at] + bytes([frame[at] ^ draw.randint(1, 255)]) + frame[at + 1 :], 0.0)]
         if fault is LineFault.SHORT:
             return [Piece(frame[: draw.randrange(len(frame))], 0.0)]

@@ -1,36 +1,35 @@
-"""The emulated RH56 on a pseudo-terminal."""
+"""The emulated RH56, on a pseudo-terminal or on Modbus-TCP."""
 
 from __future__ import annotations
 
 import time
 
-from toolee_robot.sim_backend.hand_wire import Frame, HandEmulator, LineFaults
+from toolee_robot.sim_backend.hand_wire import Frame, HandEmulator, LineFaults, PseudoTerminal, TcpServer, Wire
+from toolee_robot.sim_backend.inspire_hand import modbus, requests
 from toolee_robot.sim_backend.inspire_hand.hand import NAMES, Hand
-from toolee_robot.sim_backend.inspire_hand.requests import RequestParser, foreign
 
 TURNAROUND = 0.0041
 """Time that the hand takes for a reply [s]: with the 29 bytes of a read of 12 bytes, the measured 6.6 ms."""
 BYTE_TIME = 10.0 / 115200.0
 """Time of a byte on the line [s]."""
+TCP_TURNAROUND = 0.002
+"""Time that a hand with Ethernet takes for a reply [s]: assumed."""
+TCP_BYTE_TIME = 8.0e-8
+"""Time of a byte at 100 Mbit/s [s]."""
+GRACE = 0.3
+"""Time after the end of a connection for which a hand was seen to end the next one at once [s]."""
 
 
-class InspireEmulator(HandEmulator[Hand]):
-    """An Inspire RH56 that a driver finds at `port`.
-
-    Args:
-        number: The hand's number on the line.
-        seed: Seed of the line's noise.
-        pace: Rate of the motors' time relative to the host's; the line keeps to the host's.
-    """
-
+class _Emulator(HandEmulator[Hand]):
     label = "Inspire RH56"
     motors, thumb = NAMES, "thumb_bend"
     events = "heat MOTOR DEGREES, jam MOTOR, free MOTOR"
 
-    def __init__(self, number: int = 1, seed: int = 0, pace: float = 1.0) -> None:
+    def __init__(
+        self, number: int, wire: Wire, faults: LineFaults, turnaround: float, byte_time: float, pace: float
+    ) -> None:
         hand = Hand(lambda: pace * time.monotonic(), number)
-        super().__init__(hand, LineFaults(foreign, seed), TURNAROUND, BYTE_TIME, pace)
-        self._parser = RequestParser(number)
+        super().__init__(hand, wire, faults, turnaround, byte_time, pace)
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:
         """Let a motor get hot, jam, or come free.
@@ -55,7 +54,77 @@ class InspireEmulator(HandEmulator[Hand]):
 
         self.tell(change)
 
+
+class InspireEmulator(_Emulator):
+    """An Inspire RH56 on RS-485, a pseudo-terminal, that a driver finds at `port`.
+
+    Args:
+        number: The hand's number on the line.
+        seed: Seed of the line's noise.
+        pace: Rate of the motors' time relative to the host's; the line keeps to the host's.
+    """
+
+    def __init__(self, number: int = 1, seed: int = 0, pace: float = 1.0) -> None:
+        faults = LineFaults(requests.foreign, seed)
+        super().__init__(number, PseudoTerminal(), faults, TURNAROUND, BYTE_TIME, pace)
+        self._parser = requests.RequestParser(number)
+
     def _answer(self, data: bytes) -> list[Frame]:
-        frames = [frame for request in self._parser.take(data) for frame in self._hand.answer(request)]
+        frames = [frame for request in self._parser.take(data) for frame in requests.answer(self._hand, request)]
         self._parser.number = self._hand.number
         return frames
+
+
+class ModbusEmulator(_Emulator):
+    """An Inspire RH56 on Modbus-TCP that a driver finds at `port`.
+
+    Args:
+        address: Host and port to listen at; port 0 for a free one.
+        number: The hand's unit identifier.
+        seed: Seed of the line's noise.
+        pace: Rate of the motors' time relative to the host's; the line keeps to the host's.
+
+    Attributes:
+        server: What answers the requests.
+
+    Raises:
+        UserError: It cannot listen there.
+    """
+
+    label = "Inspire RH56 on Modbus-TCP"
+    events = f"{_Emulator.events}, shift TRANSACTIONS, refuse EXCEPTION, refuse EXCEPTION TIMES"
+    line_events = ("mute", "unmute", "unplug", "show")
+
+    def __init__(
+        self, address: tuple[str, int] = ("127.0.0.1", 0), number: int = 1, seed: int = 0, pace: float = 1.0
+    ) -> None:
+        faults = LineFaults(modbus.foreign, seed, modbus.FRAMING)
+        super().__init__(number, TcpServer(address, GRACE), faults, TCP_TURNAROUND, TCP_BYTE_TIME, pace)
+        self.server = modbus.ModbusServer(self._hand)
+
+    def happen(self, event: str, motor: int | None, *words: str) -> None:
+        """Let a motor get hot, jam, or come free, shift transaction identifiers, or refuse requests.
+
+        Args:
+            event: Its first word, one of `events`.
+            motor: The motor that it names; None without one.
+            words: What follows.
+
+        Raises:
+            ValueError: There is no such event, or a word is wrong.
+        """
+        if motor is None and event == "shift" and len(words) == 1:
+            self.server.shift = int(words[0])
+        elif motor is None and event == "refuse" and len(words) in (1, 2):
+            code, times = (int(word) for word in (*words, "1")[:2])
+            if not 1 <= code <= 255:
+                raise ValueError(event)
+            self.server.refusals.extend([code] * times)
+        else:
+            super().happen(event, motor, *words)
+
+    def _connected(self) -> None:
+        self.server.reset()
+
+    def _answer(self, data: bytes) -> list[Frame]:
+        return [Frame(reply) for reply in self.server.take(data)]

@@ -5,16 +5,18 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from toolee_robot.sim_backend.hand_wire import Frame
 from toolee_robot.sim_backend.inspire_hand.motor import RANGE, Motor
-from toolee_robot.sim_backend.inspire_hand.requests import ReadRequest, WriteRequest, reply
 
 NAMES = ("little", "ring", "middle", "index", "thumb_bend", "thumb_rotation")
 """The motors in the order of the registers."""
 STEP = 0.002
 """Longest step of the motors [s]."""
 _THUMB_ROTATION = 5
-_SAVE_TIME, _CALIBRATION_TIME = 1.0, 6.0  # [s] until the second frame
+IDENTIFIER, CLEAR, SAVE, CALIBRATE = 1000, 1004, 1005, 1009
+"""Registers of a single byte that can be written."""
+WORDS = (1472, 1474, 1486, 1498, 1522, 1534, 1546, 1582, 1594)
+"""First registers of the blocks of 16-bit numbers, in which the low byte comes first."""
+_VOLTAGE = 24000
 
 
 class Hand:
@@ -77,38 +79,59 @@ class Hand:
             for motor in self.motors:
                 motor.advance(self._now, step)
 
-    def answer(self, request: ReadRequest | WriteRequest) -> list[Frame]:
-        """Carry out a request.
+    def read(self, address: int, count: int) -> bytes:
+        """Read registers.
 
         Args:
-            request: A request to this hand.
+            address: Address of the first byte.
+            count: Number of bytes.
 
         Returns:
-            The frames that answer it.
+            The bytes, those of a number low byte first; 0 where there is no register.
         """
         self.run()
-        if isinstance(request, ReadRequest):
-            data = bytes(self._byte(address) for address in range(request.address, request.address + request.count))
-            return [Frame(reply(self.number, 0x11, request.address, data))]
-        done = self._write(request)
-        result = Frame(reply(self.number, 0x12, request.address, bytes([done])))
-        later = {1005: _SAVE_TIME, 1009: _CALIBRATION_TIME}.get(request.address) if done else None
-        return [result] if later is None else [result, Frame(result.data, later)]
+        words = {first: struct.pack(f"<{len(values)}h", *values) for first, values in self._words().items()}
+        blocks = words | self._bytes()
+        data = bytearray(count)
+        for first, block in blocks.items():
+            for i, value in enumerate(block, first - address):
+                if 0 <= i < count:
+                    data[i] = value
+        return bytes(data)
 
-    def _byte(self, address: int) -> int:
-        if address == 1000:
-            return self.number
-        for first, values in self._words().items():
-            if first <= address < first + 12:
-                return struct.pack("<6h", *values)[address - first]
-        for first, values in self._bytes().items():
-            if first <= address < first + 6:
-                return values[address - first]
-        return struct.pack("<h", 24000)[address - 1472] if 1472 <= address < 1474 else 0
+    def write(self, address: int, data: bytes) -> bool:
+        """Write registers.
+
+        Args:
+            address: Address of the first byte.
+            data: The bytes, those of a number low byte first.
+
+        Returns:
+            Whether they can be written; otherwise nothing is.
+        """
+        self.run()
+        if address == IDENTIFIER and len(data) == 1 and 1 <= data[0] <= 254:
+            self.number = data[0]
+            return True
+        if address in (CLEAR, SAVE, CALIBRATE) and data == b"\x01":
+            if address == CLEAR:
+                for motor in self.motors:
+                    motor.clear()
+            if address == CALIBRATE:
+                self._calibrate()
+            return True
+        for first, take in ((1486, self._aim), (1498, self._limit), (1522, self._pace)):
+            if first <= address and address + len(data) <= first + 12 and (address - first) % 2 == len(data) % 2 == 0:
+                for i in range(0, len(data), 2):
+                    (value,) = struct.unpack_from("<h", data, i)
+                    take(self.motors[(address - first + i) // 2], value)
+                return True
+        return False
 
     def _words(self) -> dict[int, list[int]]:
         motors = self.motors
         return {
+            1472: [_VOLTAGE],
             1474: [round(2.0 * (RANGE - motor.target)) for motor in motors],
             1486: [round(motor.target) for motor in motors],
             1498: [round(motor.threshold) for motor in motors],
@@ -119,32 +142,13 @@ class Hand:
             1594: [round(motor.current) for motor in motors],
         }
 
-    def _bytes(self) -> dict[int, list[int]]:
+    def _bytes(self) -> dict[int, bytes]:
         return {
-            1606: [motor.error for motor in self.motors],
-            1612: [motor.status for motor in self.motors],
-            1618: [round(motor.temperature) for motor in self.motors],
+            IDENTIFIER: bytes([self.number]),
+            1606: bytes(motor.error for motor in self.motors),
+            1612: bytes(motor.status for motor in self.motors),
+            1618: bytes(round(motor.temperature) for motor in self.motors),
         }
-
-    def _write(self, request: WriteRequest) -> bool:
-        address, data = request.address, request.data
-        if address == 1000 and len(data) == 1 and 1 <= data[0] <= 254:
-            self.number = data[0]
-            return True
-        if address in (1004, 1005, 1009) and data == b"\x01":
-            if address == 1004:
-                for motor in self.motors:
-                    motor.clear()
-            if address == 1009:
-                self._calibrate()
-            return True
-        for first, take in ((1486, self._aim), (1498, self._limit), (1522, self._pace)):
-            if first <= address and address + len(data) <= first + 12 and (address - first) % 2 == len(data) % 2 == 0:
-                for i in range(0, len(data), 2):
-                    (value,) = struct.unpack_from("<h", data, i)
-                    take(self.motors[(address - first + i) // 2], value)
-                return True
-        return False
 
     def _aim(self, motor: Motor, value: int) -> None:
         if 0 <= value <= RANGE:

@@ -1,9 +1,15 @@
-"""The hand's side of the wire: requests out of a stream of bytes, and the frames of replies."""
+"""The hand's side of RS-485: requests out of a stream of bytes, and the frames of replies."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum, auto
+
+from toolee_robot.sim_backend.hand_wire import Frame
+from toolee_robot.sim_backend.inspire_hand.hand import CALIBRATE, SAVE, Hand
+
+_SECOND_FRAME = {SAVE: 1.0, CALIBRATE: 6.0}
+"""Register -> time until a write of it is answered again [s]."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,25 @@ class RequestParser:
                 return WriteRequest(address, bytes(data))
         self.ignored += 1
         return None
+
+
+def answer(hand: Hand, request: ReadRequest | WriteRequest) -> list[Frame]:
+    """Carry out a request.
+
+    Args:
+        hand: The hand that it is for.
+        request: The request.
+
+    Returns:
+        The frames that answer it.
+    """
+    if isinstance(request, ReadRequest):
+        data = hand.read(request.address, request.count)
+        return [Frame(reply(hand.number, 0x11, request.address, data))]
+    done = hand.write(request.address, request.data)
+    result = Frame(reply(hand.number, 0x12, request.address, bytes([done])))
+    later = _SECOND_FRAME.get(request.address) if done else None
+    return [result] if later is None else [result, Frame(result.data, later)]
 
 
 def reply(number: int, command: int, address: int, data: bytes) -> bytes:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
+import socket
 import threading
 from pathlib import Path
 
@@ -11,9 +13,10 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.cli.app import EXIT_USER, run
-from toolee_robot.errors import UserError
+from toolee_robot.errors import NoAnswerError, UserError
 from toolee_robot.hardware.hands.ability.line import HandLine as AbilityLine
-from toolee_robot.hardware.hands.inspire.line import HandLine
+from toolee_robot.hardware.hands.inspire.modbus_line import ModbusLine
+from toolee_robot.hardware.hands.inspire.serial_line import SerialLine
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hand_wire import LineFault, happen
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
@@ -29,7 +32,7 @@ def test_a_driver_finds_it_at_the_path_that_it_prints(
     def drive() -> None:
         while not link.exists():
             pass
-        with HandLine(str(link), 3) as line:
+        with SerialLine(str(link), 3) as line:
             angles.append(line.read(1546, 2))
         os.write(theirs, b"\nnonsense\nshow\nunplug\n")
         os.close(theirs)
@@ -72,7 +75,49 @@ def test_the_ability_hand_answers_at_its_address_as_delivered(
     assert positions == [(0.0,) * 6]
 
 
-@pytest.mark.parametrize("options", [["--hand-id", "0"], ["--handle", "1200"], ["--link", "/no/such/folder/hand"]])
+def test_the_inspire_hand_on_tcp_answers_where_it_is_told_to_listen(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, theirs = os.pipe()
+    monkeypatch.setattr("sys.stdin", os.fdopen(ours))
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    angles: list[bytes] = []
+
+    def drive() -> None:
+        while not angles:
+            with contextlib.suppress(NoAnswerError), ModbusLine(f"tcp://{address}", 3) as line:
+                angles.append(line.read(1546, 2))
+        os.write(theirs, b"echo\nunplug\n")
+        os.close(theirs)
+
+    driver = threading.Thread(target=drive)
+    driver.start()
+    assert run(["hand-emulator", "inspire", "--hand-id", "3", "--tcp", address]) == 0
+    driver.join()
+    said = capsys.readouterr()
+    assert said.out == f"tcp://{address}\n"
+    assert "Modbus-TCP" in said.err
+    assert "'echo' cannot happen" in said.err
+    assert angles == [(1000).to_bytes(2, "big")]
+
+
+def test_an_ability_hand_is_not_on_tcp(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
+    assert run(["hand-emulator", "ability", "--tcp", "127.0.0.1:0"]) == EXIT_USER
+    assert run(["hand-emulator", "inspire", "--tcp", "127.0.0.1:0"]) == 0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--tcp", "6000"],
+        ["--tcp", "127.0.0.1:0", "--link", "hand"],
+        ["--hand-id", "0"],
+        ["--handle", "1200"],
+        ["--link", "/no/such/folder/hand"],
+    ],
+)
 def test_options_that_make_no_sense(options: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
     assert run(["hand-emulator", "inspire", *options]) == EXIT_USER

@@ -1,5 +1,5 @@
-"""What `hal.Hand` promises, asked of every hand: the simulated hand, the tool mount, and the drivers of the Inspire and
-the Ability Hand on their emulators."""
+"""What `hal.Hand` promises, asked of every hand: the simulated hand, the tool mount, and the drivers of the Inspire, on
+both of its wires, and the Ability Hand on their emulators."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.devices.hand import SimHand
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.types import HandMounting, ToolMount
 
 MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
@@ -101,7 +101,7 @@ class MountRig(Rig):
 class InspireRig(Rig):
     """The Inspire driver on the emulated hand, whose motors are four times as fast as real ones."""
 
-    def __init__(self, emulator: InspireEmulator) -> None:
+    def __init__(self, emulator: InspireEmulator | ModbusEmulator) -> None:
         self._emulator = emulator
         self.model = hand_model(HandConfig("inspire_rh56", mounting=MOUNTING))
         self.clock = HostClock()
@@ -150,6 +150,7 @@ TIERS = {
     "simulated": pytest.mark.sim,
     "mount": pytest.mark.unit,
     "inspire": pytest.mark.realtime,
+    "inspire_tcp": pytest.mark.realtime,
     "ability": pytest.mark.realtime,
 }
 
@@ -168,6 +169,9 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     elif request.param == "inspire":
         with InspireEmulator(pace=4.0) as emulator:
             yield InspireRig(emulator)
+    elif request.param == "inspire_tcp":
+        with ModbusEmulator(pace=4.0) as modbus:
+            yield InspireRig(modbus)
     elif request.param == "ability":
         with AbilityEmulator() as ability:
             yield AbilityRig(ability)
@@ -180,7 +184,7 @@ def state(rig: Rig) -> HandState:
     return rig.hand.state(max_age=1.0)
 
 
-@on("simulated", "mount", "inspire", "ability")
+@on("simulated", "mount", "inspire", "inspire_tcp", "ability")
 def test_its_state_is_that_of_its_model(rig: Rig) -> None:
     assert isinstance(rig.hand, Hand)
     assert rig.hand.joint_names == rig.model.joints
@@ -200,7 +204,7 @@ def test_its_state_is_that_of_its_model(rig: Rig) -> None:
         hand.state()
 
 
-@on("simulated", "mount", "inspire", "ability")
+@on("simulated", "mount", "inspire", "inspire_tcp", "ability")
 def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
     with rig.hand as hand:
         hand.open()
@@ -223,7 +227,7 @@ def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
         assert opened[len(rig.model.wrist) :].max(initial=0.0) < 0.1
 
 
-@on("inspire", "ability", nightly=("simulated",))
+@on("inspire", "inspire_tcp", "ability", nightly=("simulated",))
 def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
     with rig.hand as hand:
         hand.close()
@@ -232,7 +236,7 @@ def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
         assert np.abs(bent).max() > 0.8
 
 
-@on(nightly=("simulated", "inspire", "ability"))
+@on(nightly=("simulated", "inspire", "inspire_tcp", "ability"))
 def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
     with rig.hand as hand:
         with raises(DeviceError, "device.timeout"):
@@ -246,7 +250,7 @@ def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
         assert state(rig).holding
 
 
-@on(nightly=("simulated", "inspire", "ability"))
+@on(nightly=("simulated", "inspire", "inspire_tcp", "ability"))
 def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None:
     with rig.hand as hand:
         rig.give()
@@ -260,7 +264,7 @@ def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None
         assert state(rig).holding
 
 
-@on("inspire", "ability")
+@on("inspire", "inspire_tcp", "ability")
 def test_it_is_watched_and_stopped_by_other_threads_while_it_closes(rig: Rig) -> None:
     with rig.hand as hand, ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)

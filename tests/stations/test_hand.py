@@ -13,6 +13,9 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.robots import HANDS
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.stations.hand import SERIAL_HANDS, emulated_hand, hand_drivers, open_hand
+from toolee_robot.types import HandMounting
+
+MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
 
 
 def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,5 +42,18 @@ def test_every_hand_on_a_line_has_an_emulator_with_its_number() -> None:
     for name in SERIAL_HANDS:
         with emulated_hand(HandConfig(name)) as emulator:
             assert emulator.port.startswith("/dev/")
+    with emulated_hand(HandConfig("inspire_rh56", port="tcp://192.168.11.210:6000")) as emulator:
+        assert emulator.port.startswith("tcp://127.0.0.1:"), "not at the real hand's address"
     with raises(ConfigError, "config.hand_driver"):
         emulated_hand(HandConfig("shadow_right"))
+
+
+def test_a_port_that_the_hand_cannot_have() -> None:
+    for model, port in (("ability_hand", "tcp://192.168.11.210:6000"), ("inspire_rh56", "tcp://192.168.11.210")):
+        config = HandConfig(model, port=port, mounting=MOUNTING)
+        with raises(ConfigError, "config.hand_port"):
+            open_hand(config, HostClock())
+        with raises(ConfigError, "config.hand_port"):
+            emulated_hand(config)
+    with raises(ConfigError, "config.hand_port"):
+        open_hand(HandConfig("inspire_rh56", mounting=MOUNTING), HostClock())

@@ -127,11 +127,18 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize(("name", "driver"), [("inspire", InspireHand), ("ability", AbilityHand)])
+@pytest.mark.parametrize(
+    ("name", "driver", "port"),
+    [
+        ("inspire", InspireHand, "/dev/ttyUSB0"),
+        ("inspire", InspireHand, "tcp://192.168.11.210:6000"),
+        ("ability", AbilityHand, "/dev/ttyUSB0"),
+    ],
+)
 def test_the_emulated_fingers_hold_what_the_person_puts_between_them(
-    config: StationConfig, name: str, driver: type[Any]
+    config: StationConfig, name: str, driver: type[Any], port: str
 ) -> None:
-    config = _with_hand(config, name, port="/dev/ttyUSB0")
+    config = _with_hand(config, name, port)
     cell = job_cell(config, LAB, 7401)
     with EmulatedLab(cell, print, FACTOR, "ideal") as lab:
         hand, person = lab.station.hand, lab.station.person

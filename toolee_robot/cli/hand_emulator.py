@@ -1,4 +1,4 @@
-"""`toolee hand-emulator`: an emulated hand on a pseudo-terminal, for a driver to talk to."""
+"""`toolee hand-emulator`: an emulated hand on a pseudo-terminal or on TCP, for a driver to talk to."""
 
 from __future__ import annotations
 
@@ -21,22 +21,25 @@ _HANDS = {"inspire": ("inspire_rh56", 1000.0), "ability": ("ability_hand", 100.0
 
 @dataclass(frozen=True)
 class HandEmulator:
-    """Emulate a hand on a pseudo-terminal: a driver opens it as it opens the hand's port. Ctrl-C ends it.
+    """Emulate a hand on a pseudo-terminal or on TCP: a driver opens it as it opens the hand's port. Ctrl-C ends it.
 
-    Example: toolee hand-emulator inspire --handle 400 --link hand.port
+    Examples: toolee hand-emulator inspire --handle 400 --link hand.port;
+    toolee hand-emulator inspire --handle 400 --tcp 127.0.0.1:6000
 
-    The first line of standard output is the path of the pseudo-terminal. Each line of standard input is an event:
-    handle ANGLE, drop, slip ANGLE, heat MOTOR DEGREES, jam MOTOR, free MOTOR, mute, unmute, echo, unplug, show, or a
-    fault of the next replies and their number: garbage, corrupt, short, late, doubled, foreign, lost. Another line is
-    answered by those that there are. docs/how-to/inspire_hand.md and ability_hand.md say what is emulated.
+    The first line of standard output is the port. Each line of standard input is an event: handle ANGLE, drop, slip
+    ANGLE, heat MOTOR DEGREES, jam MOTOR, free MOTOR, mute, unmute, echo, unplug, show, or a fault of the next replies
+    and their number: garbage, corrupt, short, late, doubled, foreign, lost. Another line is answered by those that
+    there are. docs/how-to/inspire_hand.md and ability_hand.md say what is emulated.
     """
 
     hand: Annotated[Literal["inspire", "ability"], tyro.conf.Positional]
-    """The hand: an Inspire RH56 on RS-485, or a PSYONIC Ability Hand on a UART with byte stuffing."""
+    """The hand: an Inspire RH56 on RS-485 or Modbus-TCP, or a PSYONIC Ability Hand on a UART with byte stuffing."""
     hand_id: Annotated[
         int | None, tyro.conf.arg(metavar="1..254", help_behavior_hint="(default: as delivered, 1 and 80)")
     ] = None
-    """Its number on the line."""
+    """Its number on the line, of Modbus its unit identifier."""
+    tcp: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    """An Inspire RH56 on Modbus-TCP that listens there (port 0: at a free one), instead of the pseudo-terminal."""
     handle: Annotated[float | None, tyro.conf.arg(metavar="ANGLE", help_behavior_hint="")] = None
     """Something lies in the hand, met by fingers and thumb at this angle: 0 to 1000 as the Inspire counts, where 1000
     is open; 0 to 100 deg of the Ability Hand, where 0 is open."""
@@ -47,8 +50,9 @@ class HandEmulator:
 
     def run(self) -> int:
         from toolee_robot.config import HandConfig
+        from toolee_robot.hardware.hands.inspire.tcp_port import tcp_address
         from toolee_robot.sim_backend.hand_wire import happen
-        from toolee_robot.stations.hand import emulated_hand
+        from toolee_robot.stations.hand import LOOPBACK, emulated_hand
 
         if self.hand_id is not None and not 1 <= self.hand_id <= 254:
             raise UserError(f"--hand-id {self.hand_id}: a hand's number is 1 to 254", code="user.option")
@@ -56,8 +60,12 @@ class HandEmulator:
         if self.handle is not None and not 0 <= self.handle <= most:
             raise UserError(f"--handle {self.handle}: give 0 to {most:.0f}", code="user.option")
         console = Console(stderr=True, highlight=False)
-        config = HandConfig(model, hand_id=self.hand_id)
-        with emulated_hand(config, self.seed) as emulator, self._linked(emulator.port):
+        if self.tcp is not None and self.link is not None:
+            raise UserError("--link is for a pseudo-terminal: leave it out with --tcp", code="user.option")
+        port = None if self.tcp is None else f"tcp://{self.tcp}"
+        config = HandConfig(model, port=port, hand_id=self.hand_id)
+        listen = LOOPBACK if port is None else tcp_address(port)
+        with emulated_hand(config, self.seed, listen=listen) as emulator, self._linked(emulator.port):
             emulator.hold(self.handle)
             print(emulator.port, flush=True)
             console.print(f"[bold]{emulator.label}[/bold]. [dim]Ctrl-C ends it.[/dim]")

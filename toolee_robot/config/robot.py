@@ -64,14 +64,14 @@ class HandConfig:
     """How the hand sits on the flange, for a hand that every lab screws on in its own way (`inspire_rh56`); every one
     of its fields must be measured. Null for the others."""
     port: str | None = None
-    """Serial port of the hand's driver, such as `/dev/serial/by-id/...`; null for a simulated hand, and for one without
-    a port."""
+    """Port of the hand's driver: a serial one, such as `/dev/serial/by-id/...`, or `tcp://HOST:PORT` of an Inspire hand
+    with Ethernet; null for a simulated hand, and for one without a port."""
     strap_force: Positive | None = None
     """Force with which a strap presses the handle into the hand [N], for a hand whose fingers do not hold a hammer that
     strikes; null without a strap. The simulated grip counts it with the fingers' forces."""
     hand_id: Annotated[int, Field(ge=1, le=254)] | None = None
-    """Number of the hand on its line; null for the one with which its maker delivers it: 1 for `inspire_rh56`, 80 for
-    `ability_hand`."""
+    """Number of the hand on its line, of Modbus its unit identifier; null for the one with which its maker delivers it:
+    1 for `inspire_rh56`, 80 for `ability_hand`."""
 
     def __post_init__(self) -> None:
         if self.model != MOUNT:

@@ -16,38 +16,44 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
 from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
+from toolee_robot.hardware.hands.inspire.tcp_port import is_tcp, tcp_address
 from toolee_robot.hardware.hands.mount import MountedTool
 from toolee_robot.robots import MOUNT, HandModel, hand_model
 from toolee_robot.robots.hands.ability import ABILITY, joints_of_closures
 from toolee_robot.robots.hands.inspire import INSPIRE, joints_of_counts
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.hand_wire import HandEmulator
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.stations.devices import installed, load
 
 
 @dataclass(frozen=True)
 class SerialHandKind:
-    """A kind of hand on a serial line: its driver, and what stands in for the hand at the other end.
+    """A kind of hand on a serial line, or on TCP: its driver, and what stands in for the hand at the other end.
 
     Attributes:
         driver: Builds the driver from model, port, clock, and number of the hand.
         emulator: Builds the emulated hand with that number, a seed of its noise, and the rate of its motors' time.
         joints: Converts the emulated motors' angles to the positions of the model's joints [rad].
         hand_id: Number with which its maker delivers it.
+        tcp_emulator: Builds the emulated hand on TCP from the address to listen at and what `emulator` takes; None for
+            a hand that has no such port.
     """
 
     driver: Callable[[HandModel, str, Clock, int], Hand]
     emulator: Callable[[int, int, float], HandEmulator[Any]]
     joints: Callable[[Array], Array]
     hand_id: int
+    tcp_emulator: Callable[[tuple[str, int], int, int, float], HandEmulator[Any]] | None = None
 
 
 SERIAL_HANDS: dict[str, SerialHandKind] = {
-    INSPIRE: SerialHandKind(InspireHand, InspireEmulator, joints_of_counts, 1),
+    INSPIRE: SerialHandKind(InspireHand, InspireEmulator, joints_of_counts, 1, ModbusEmulator),
     ABILITY: SerialHandKind(AbilityHand, AbilityEmulator, joints_of_closures, 0x50),
 }
-"""Name in the station file -> hand on a serial line."""
+"""Name in the station file -> hand on a serial line, or on TCP."""
+LOOPBACK = ("127.0.0.1", 0)
+"""Where an emulated hand on TCP listens if nobody says otherwise."""
 
 
 def open_hand(config: HandConfig, clock: Clock) -> Hand:
@@ -79,30 +85,50 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
         raise ConfigError(message, code="config.hand_driver")
     if config.port is None:
         message = f"hand.port is missing: the serial port of the {model.label}, such as /dev/ttyUSB0"
+        if SERIAL_HANDS[config.model].tcp_emulator is not None:
+            message += ", or tcp://HOST:PORT of one with Ethernet"
         raise ConfigError(message, code="config.hand_port")
-    kind = SERIAL_HANDS[config.model]
+    kind = _kind(config)
     return kind.driver(model, config.port, clock, config.hand_id or kind.hand_id)
 
 
-def emulated_hand(config: HandConfig, seed: int = 0, pace: float = 1.0) -> HandEmulator[Any]:
+def emulated_hand(
+    config: HandConfig, seed: int = 0, pace: float = 1.0, listen: tuple[str, int] = LOOPBACK
+) -> HandEmulator[Any]:
     """Build the emulated hand that stands in for a station's.
 
     Args:
-        config: What the station file says of the hand.
+        config: What the station file says of the hand; `port` tells a serial line from TCP.
         seed: Seed of its noise.
         pace: Rate of its motors' time relative to the host's.
+        listen: Host and port at which it listens on TCP; port 0 for a free one.
 
     Returns:
         The emulated hand, not yet entered.
 
     Raises:
         ConfigError: The hand has no emulator.
+        UserError: It cannot listen there.
     """
     if config.model not in SERIAL_HANDS:
         known = ", ".join(SERIAL_HANDS)
         raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.hand_driver")
+    kind = _kind(config)
+    hand_id = config.hand_id or kind.hand_id
+    if kind.tcp_emulator is not None and config.port is not None and is_tcp(config.port):
+        return kind.tcp_emulator(listen, hand_id, seed, pace)
+    return kind.emulator(hand_id, seed, pace)
+
+
+def _kind(config: HandConfig) -> SerialHandKind:
+    """The kind of a hand with a driver here; refuses a port that it cannot have."""
     kind = SERIAL_HANDS[config.model]
-    return kind.emulator(config.hand_id or kind.hand_id, seed, pace)
+    if config.port is not None and is_tcp(config.port):
+        if kind.tcp_emulator is None:
+            message = f"hand.port {config.port!r}: {config.model} has a serial port only, such as /dev/ttyUSB0"
+            raise ConfigError(message, code="config.hand_port")
+        tcp_address(config.port)
+    return kind
 
 
 def hand_drivers() -> dict[str, str]:

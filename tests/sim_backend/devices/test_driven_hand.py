@@ -14,7 +14,7 @@ from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.errors import UserError
 from toolee_robot.hal import Hand
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.stations.driven_hand import DrivenHandStation
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 
@@ -82,8 +82,11 @@ def test_the_ability_hand_holds_by_contact_too() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.realtime
-def test_a_hand_emulated_elsewhere_moves_them_too(config: StationConfig, options: SimOptions) -> None:
-    with InspireEmulator() as emulator, DrivenHandStation(config, 100, options, emulator.port) as driven:
+@pytest.mark.parametrize("kind", [InspireEmulator, ModbusEmulator])
+def test_a_hand_emulated_elsewhere_moves_them_too(
+    config: StationConfig, options: SimOptions, kind: type[InspireEmulator] | type[ModbusEmulator]
+) -> None:
+    with kind() as emulator, DrivenHandStation(config, 100, options, emulator.port) as driven:
         emulator.tell(lambda hand: hand.hold(400.0))
         assert driven.station.person.request_handover("", 10.0)
         driven.station.hand.close()

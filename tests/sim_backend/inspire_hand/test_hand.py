@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from toolee_robot.sim_backend.hand_wire import LineFault, LineFaults
 from toolee_robot.sim_backend.inspire_hand import Hand
-from toolee_robot.sim_backend.inspire_hand.requests import ReadRequest, RequestParser, WriteRequest, foreign
+from toolee_robot.sim_backend.inspire_hand.requests import RequestParser, WriteRequest, answer, foreign
 
 CLOSE_ALL = "EB 90 01 0F 12 CE 05 00 00 00 00 00 00 00 00 00 00 E8 03 E0"
 """All but the thumb's rotation to 0."""
@@ -26,19 +26,17 @@ class Bench:
 
     def send(self, frame: str | bytes) -> list[str]:
         data = bytes.fromhex(frame) if isinstance(frame, str) else frame
-        answers = [a for request in self.parser.take(data) for a in self.hand.answer(request)]
-        return [answer.data.hex(" ").upper() for answer in answers]
+        frames = [frame for request in self.parser.take(data) for frame in answer(self.hand, request)]
+        return [frame.data.hex(" ").upper() for frame in frames]
 
     def words(self, address: int) -> tuple[int, ...]:
-        (frame,) = self.hand.answer(ReadRequest(address, 12))
-        return struct.unpack("<6h", frame.data[7:-1])
+        return struct.unpack("<6h", self.hand.read(address, 12))
 
     def bytes(self, address: int) -> tuple[int, ...]:
-        (frame,) = self.hand.answer(ReadRequest(address, 6))
-        return tuple(frame.data[7:-1])
+        return tuple(self.hand.read(address, 6))
 
     def write(self, address: int, *values: int) -> None:
-        self.hand.answer(WriteRequest(address, struct.pack(f"<{len(values)}h", *values)))
+        assert self.hand.write(address, struct.pack(f"<{len(values)}h", *values))
 
 
 @pytest.fixture
@@ -151,7 +149,7 @@ def test_a_hot_motor_stands_until_it_is_cool_whatever_is_cleared(bench: Bench) -
 
 def test_saving_and_calibrating_send_a_second_frame_and_calibrating_moves_the_hand(bench: Bench) -> None:
     for address, time in ((1005, 1.0), (1009, 6.0)):
-        first, second = bench.hand.answer(WriteRequest(address, b"\x01"))
+        first, second = answer(bench.hand, WriteRequest(address, b"\x01"))
         assert (first.delay, second.delay, first.data) == (0.0, time, second.data)
     bench.now += 2.2
     assert bench.words(1546)[0] < 100

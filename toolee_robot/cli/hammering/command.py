@@ -100,8 +100,8 @@ class Hammer:
     hand: Annotated[
         Literal["inspire", "ability"] | None, tyro.conf.arg(metavar="inspire|ability", help_behavior_hint="")
     ] = None
-    """The hand of the station file by its own driver, over a pseudo-terminal; an emulated hand, which feels what the
-    simulated one touches, is at its other end. Needs a --config with that hand."""
+    """The hand of the station file by its own driver, over a pseudo-terminal, or over TCP if hand.port is such; an
+    emulated hand, which feels what the simulated one touches, is at its other end. Needs a --config with that hand."""
     hand_port: Annotated[str | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
     """With --hand: the port of a hand that `toolee hand-emulator` emulates, which feels its own --handle instead."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None

@@ -1,7 +1,7 @@
 """A hand's own driver, on an emulated hand, in the place of the simulated hand's judgement.
 
 The hammer is held in the simulation by the simulated hand; whether it is held, and what is wrong with the hand, is what
-the driver says, which speaks to an emulated hand over a pseudo-terminal.
+the driver says, which speaks to an emulated hand over a pseudo-terminal, or over TCP.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ class HandKind:
         handle: Angle at which its fingers meet a handle, in the hand's own unit.
         slip: Way by which a slipping handle gives way, in that unit.
         margin: Largest distance of a finger that still holds from `handle`, in that unit.
+        port: Its port in a station file, as far as that tells its wire; None for a serial line.
     """
 
     model: str
@@ -44,13 +45,15 @@ class HandKind:
     handle: float
     slip: float
     margin: float
+    port: str | None = None
 
 
 HANDS = (
     HandKind("inspire_rh56", "Inspire RH56", 400.0, 60.0, 110.0),
     HandKind("ability_hand", "Ability Hand", 55.0, 6.0, 15.0),
+    HandKind("inspire_rh56", "Inspire Modbus-TCP", 400.0, 60.0, 110.0, "tcp://127.0.0.1:6000"),
 )
-"""The hands that have a driver here and an emulator."""
+"""The hands that have a driver here and an emulator, on each of their wires."""
 
 
 class DriverHand(ClosedHand):
@@ -69,7 +72,7 @@ class DriverHand(ClosedHand):
     def __init__(self, simulation: SimStation, simulated: SimHand, kind: HandKind) -> None:
         super().__init__(simulated)
         self.kind, self._simulation = kind, simulation
-        config = HandConfig(kind.model, mounting=MOUNTING)
+        config = HandConfig(kind.model, mounting=MOUNTING, port=kind.port)
         self.emulator: HandEmulator[Any] = emulated_hand(config)
         clock = simulation.station.clock
         self._driver = open_hand(replace(config, port=self.emulator.port), clock)

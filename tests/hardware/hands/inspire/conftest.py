@@ -1,4 +1,4 @@
-"""The driver on the emulated hand, whose motors are four times as fast as real ones."""
+"""The driver on the emulated hand, on either wire; its motors are four times as fast as real ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from toolee_robot.config import HandConfig
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.robots import HandModel, hand_model
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.types import HandMounting
 
 PACE = 4.0
@@ -22,13 +22,16 @@ def model() -> HandModel:
     return hand_model(HandConfig("inspire_rh56", mounting=MOUNTING))
 
 
-@pytest.fixture
-def emulator() -> Iterator[InspireEmulator]:
-    with InspireEmulator(pace=PACE) as emulator:
+Emulator = InspireEmulator | ModbusEmulator
+
+
+@pytest.fixture(params=[InspireEmulator, ModbusEmulator], ids=["rs485", "modbus"])
+def emulator(request: pytest.FixtureRequest) -> Iterator[Emulator]:
+    with request.param(pace=PACE) as emulator:
         yield emulator
 
 
 @pytest.fixture
-def hand(emulator: InspireEmulator, model: HandModel) -> Iterator[InspireHand]:
+def hand(emulator: Emulator, model: HandModel) -> Iterator[InspireHand]:
     with InspireHand(model, emulator.port, HostClock()) as hand:
         yield hand

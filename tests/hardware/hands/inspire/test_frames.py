@@ -1,4 +1,4 @@
-"""The bytes of the RH56's frames: the maker's own examples, and whatever may become of a reply on the line."""
+"""The bytes of the RH56's RS-485 frames: the maker's own examples, and whatever may become of a reply on the line."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ GOLDEN = [
     (read_request(1, ANGLE_ACT, 12), "EB 90 01 04 11 0A 06 0C 32"),
     (read_request(1, ERROR, 18), "EB 90 01 04 11 46 06 12 74"),
     (write_request(1, ANGLE_SET, bytes.fromhex("E8 03 84 03")), "EB 90 01 07 12 CE 05 E8 03 84 03 5F"),
-    (write_request(1, ANGLE_SET, pack((1000,) * 6)), "EB 90 01 0F 12 CE 05 " + "E8 03 " * 6 + "77"),
-    (write_request(1, ANGLE_SET, pack((100, 100, 100, 100, 2000, 0))),
+    (write_request(1, ANGLE_SET, pack((1000,) * 6, "<")), "EB 90 01 0F 12 CE 05 " + "E8 03 " * 6 + "77"),
+    (write_request(1, ANGLE_SET, pack((100, 100, 100, 100, 2000, 0), "<")),
      "EB 90 01 0F 12 CE 05 64 00 64 00 64 00 64 00 D0 07 00 00 5C"),
-    (write_request(1, FORCE_SET, pack((500,) * 6)), "EB 90 01 0F 12 DA 05 " + "F4 01 " * 6 + "BF"),
-    (write_request(1, SPEED_SET, pack((25,) * 6)), "EB 90 01 0F 12 F2 05 " + "19 00 " * 6 + "AF"),
+    (write_request(1, FORCE_SET, pack((500,) * 6, "<")), "EB 90 01 0F 12 DA 05 " + "F4 01 " * 6 + "BF"),
+    (write_request(1, SPEED_SET, pack((25,) * 6, "<")), "EB 90 01 0F 12 F2 05 " + "19 00 " * 6 + "AF"),
     (write_request(1, CLEAR_ERROR, b"\x01"), "EB 90 01 04 12 EC 03 01 07"),
     (write_request(1, 1009, b"\x01"), "EB 90 01 04 12 F1 03 01 0C"),
 ]  # fmt: skip
@@ -61,8 +61,8 @@ def test_the_makers_replies_are_understood() -> None:
     search = ReplySearch(read_request(1, ANGLE_ACT, 12))
     payload = search.feed(bytes.fromhex("90 EB 01 0F 11 0A 06 64 00 64 00 64 00 64 00 D0 07 00 00 98"))
     assert payload is not None
-    assert unpack_angles(payload) == (100, 100, 100, 100, 2000, 0)
-    written = ReplySearch(write_request(1, ANGLE_SET, pack((1000,) * 6)))
+    assert unpack_angles(payload, "<") == (100, 100, 100, 100, 2000, 0)
+    written = ReplySearch(write_request(1, ANGLE_SET, pack((1000,) * 6, "<")))
     assert written.feed(bytes.fromhex("90 EB 01 04 12 CE 05 01 EB")) == b"\x01"
 
 
@@ -136,9 +136,9 @@ def test_ten_thousand_mutated_replies_are_decoded_right_or_refused() -> None:
         request_ = read_request(draw.randint(1, 254), ANGLE_ACT, 12)
         angles = tuple(draw.randint(0, 1000) for _ in range(6))
         kind = MUTATIONS[i % len(MUTATIONS)]
-        found = ReplySearch(request_).feed(mutated(kind, reply(request_, pack(angles)), request_, draw))
+        found = ReplySearch(request_).feed(mutated(kind, reply(request_, pack(angles, "<")), request_, draw))
         if found is not None:
-            assert unpack_angles(found) == angles, f"case {i}: {kind}"
+            assert unpack_angles(found, "<") == angles, f"case {i}: {kind}"
         outcomes[kind, "refused" if found is None else "decoded"] += 1
     for kind in HARMLESS:
         assert outcomes[kind, "refused"] == 0
@@ -147,15 +147,15 @@ def test_ten_thousand_mutated_replies_are_decoded_right_or_refused() -> None:
 
 
 def test_what_no_hand_says_is_refused() -> None:
-    good = pack((0,) * 6) * 2 + bytes(6) + bytes([255] * 6) + bytes([30] * 6)
-    condition = unpack_condition(good)
+    good = pack((0,) * 6, "<") * 2 + bytes(6) + bytes([255] * 6) + bytes([30] * 6)
+    condition = unpack_condition(good, "<")
     assert condition.statuses == (Status.NEVER_COMMANDED,) * 6
     assert condition.worst is None
-    faulty = unpack_condition(good[:24] + bytes([0, 1, 0, 2, 0, 0]) + good[30:])
+    faulty = unpack_condition(good[:24] + bytes([0, 1, 0, 2, 0, 0]) + good[30:], "<")
     assert faulty.worst is Fault.OVER_TEMPERATURE
     assert faulty.described == "ring: stalled, index: too hot"
     for at, value in ((24, 0x20), (30, 4), (36, 200)):
         with raises(ProtocolError, "protocol.hand_values"):
-            unpack_condition(good[:at] + bytes([value]) + good[at + 1 :])
+            unpack_condition(good[:at] + bytes([value]) + good[at + 1 :], "<")
     with raises(ProtocolError, "protocol.hand_values"):
-        unpack_angles(pack((0, 0, 5000, 0, 0, 0)))
+        unpack_angles(pack((0, 0, 5000, 0, 0, 0), "<"), "<")

@@ -1,4 +1,4 @@
-"""The Inspire driver on the emulated hand, over a pseudo-terminal: grasps, and what goes wrong with them."""
+"""The Inspire driver on the emulated hand, on RS-485 and on Modbus-TCP: grasps, and what goes wrong with them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
+from tests.hardware.hands.inspire.conftest import Emulator
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.hal import HandState
 from toolee_robot.hardware.hands.inspire import InspireHand
@@ -41,7 +42,7 @@ def forces(hand: InspireHand) -> tuple[int, ...]:
     return hand.reading(max_age=1.0).condition.forces[:5]
 
 
-def test_it_closes_with_the_grip_force_and_not_much_more(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_it_closes_with_the_grip_force_and_not_much_more(emulator: Emulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: hand.hold(HANDLE))
     hand.close()
     state = told(hand)
@@ -53,7 +54,7 @@ def test_it_closes_with_the_grip_force_and_not_much_more(emulator: InspireEmulat
     assert not told(hand).holding
 
 
-def test_the_grip_is_kept_up_and_what_slips_is_told(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_the_grip_is_kept_up_and_what_slips_is_told(emulator: Emulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: hand.hold(HANDLE))
     hand.close()
     emulator.tell(lambda hand: hand.slip(20))
@@ -71,7 +72,7 @@ def test_the_grip_is_kept_up_and_what_slips_is_told(emulator: InspireEmulator, h
     assert told(hand).fault == ""
 
 
-def test_a_stop_freezes_the_fingers_and_ends_the_motion(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_a_stop_freezes_the_fingers_and_ends_the_motion(emulator: Emulator, hand: InspireHand) -> None:
     with ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)
         eventually(lambda: emulator.angles[0] < 700)
@@ -86,7 +87,7 @@ def test_a_stop_freezes_the_fingers_and_ends_the_motion(emulator: InspireEmulato
     hand.open()
 
 
-def test_a_stop_of_a_hand_that_holds_keeps_the_grip(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_a_stop_of_a_hand_that_holds_keeps_the_grip(emulator: Emulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: hand.hold(HANDLE))
     hand.close()
     hand.stop()
@@ -124,7 +125,7 @@ def free(hand: Hand) -> None:
     hand.motors[3].jammed = hand.motors[3].says_arrived = False
 
 
-def test_a_stall_is_an_error_that_a_person_clears(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_a_stall_is_an_error_that_a_person_clears(emulator: Emulator, hand: InspireHand) -> None:
     emulator.tell(jam)
     with raises(DeviceError, "device.hand_stall"):
         hand.close()
@@ -137,7 +138,7 @@ def test_a_stall_is_an_error_that_a_person_clears(emulator: InspireEmulator, han
     hand.close()
 
 
-def test_a_finger_that_is_stuck_does_not_pass_for_open(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_a_finger_that_is_stuck_does_not_pass_for_open(emulator: Emulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: setattr(hand.motors[3], "position", 300.0))
     emulator.tell(jam)
     emulator.tell(lambda hand: setattr(hand.motors[3], "says_arrived", True))
@@ -145,7 +146,7 @@ def test_a_finger_that_is_stuck_does_not_pass_for_open(emulator: InspireEmulator
         hand.open()
 
 
-def test_a_hot_hand_is_not_closed_but_says_how_hot_it_is(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_a_hot_hand_is_not_closed_but_says_how_hot_it_is(emulator: Emulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: setattr(hand.motors[1], "temperature", 72.0))
     eventually(lambda: "ring: too hot" in told(hand).fault)
     assert told(hand).temperature == 72.0
@@ -153,7 +154,7 @@ def test_a_hot_hand_is_not_closed_but_says_how_hot_it_is(emulator: InspireEmulat
         hand.close()
 
 
-def test_its_state_can_be_asked_at_100_hz_while_it_closes(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_its_state_can_be_asked_at_100_hz_while_it_closes(emulator: Emulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: hand.hold(HANDLE))
     with ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)
@@ -169,7 +170,7 @@ def test_its_state_can_be_asked_at_100_hz_while_it_closes(emulator: InspireEmula
     assert q[-1][0] - q[0][0] > 0.5
 
 
-def test_one_motion_at_a_time_and_none_outside_of_its_block(emulator: InspireEmulator, model: HandModel) -> None:
+def test_one_motion_at_a_time_and_none_outside_of_its_block(emulator: Emulator, model: HandModel) -> None:
     hand = InspireHand(model, emulator.port, HostClock())
     for use in (hand.state, hand.open, hand.close, hand.clear_faults):
         with raises(DeviceError, "device.closed"):
@@ -188,7 +189,7 @@ def test_one_motion_at_a_time_and_none_outside_of_its_block(emulator: InspireEmu
         assert hand.state().joints.stamp > 0
 
 
-def test_an_unplugged_cable_is_told_within_50_ms(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_an_unplugged_cable_is_told_within_50_ms(emulator: Emulator, hand: InspireHand) -> None:
     hand.state()
     emulator.unplug()
     began = time.monotonic()
@@ -200,7 +201,7 @@ def test_an_unplugged_cable_is_told_within_50_ms(emulator: InspireEmulator, hand
         hand.close()
 
 
-def test_an_unplugged_cable_ends_a_motion(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_an_unplugged_cable_ends_a_motion(emulator: Emulator, hand: InspireHand) -> None:
     with ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)
         eventually(lambda: emulator.angles[0] < 800)
@@ -209,7 +210,7 @@ def test_an_unplugged_cable_ends_a_motion(emulator: InspireEmulator, hand: Inspi
             closing.result(0.5)
 
 
-def test_a_silent_hand_has_no_state_until_it_answers_again(emulator: InspireEmulator, hand: InspireHand) -> None:
+def test_a_silent_hand_has_no_state_until_it_answers_again(emulator: Emulator, hand: InspireHand) -> None:
     emulator.faults.muted = True
     time.sleep(0.5)
     with raises(StaleDataError, "stale_data.hand"):
@@ -224,7 +225,7 @@ def test_a_silent_hand_has_no_state_until_it_answers_again(emulator: InspireEmul
     assert hand.state() is not None
 
 
-def test_ports_that_cannot_be_opened_and_hands_that_are_not_there(emulator: InspireEmulator, model: HandModel) -> None:
+def test_ports_that_cannot_be_opened_and_hands_that_are_not_there(emulator: Emulator, model: HandModel) -> None:
     with raises(NoAnswerError, "no_answer.hand_port"), InspireHand(model, "/dev/no_such_port", HostClock()):
         pass
     with raises(NoAnswerError, "no_answer.hand_silent"), InspireHand(model, emulator.port, HostClock(), hand_id=2):

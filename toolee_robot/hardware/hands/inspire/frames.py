@@ -113,6 +113,7 @@ class ReplySearch:
 
     request: Request
     corrupt: int = 0
+    refusal = ""
     _received: bytearray = field(default_factory=bytearray)
     _from: int = 0
 
@@ -141,6 +142,11 @@ class ReplySearch:
             del self._received[: self._from]
             self._from = 0
         return None
+
+    @property
+    def over(self) -> bool:
+        """Whether no other reply will come: the hand sends one, and it was damaged."""
+        return self.corrupt > 0
 
     @property
     def seen(self) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, HandState
 from toolee_robot.hardware.hands.inspire.forces import newtons
 from toolee_robot.hardware.hands.inspire.line import HandLine
+from toolee_robot.hardware.hands.inspire.modbus_line import ModbusLine
 from toolee_robot.hardware.hands.inspire.registers import (
     ANGLE_ACT,
     ANGLE_SET,
@@ -26,6 +28,8 @@ from toolee_robot.hardware.hands.inspire.registers import (
     unpack_angles,
     unpack_condition,
 )
+from toolee_robot.hardware.hands.inspire.serial_line import SerialLine
+from toolee_robot.hardware.hands.inspire.tcp_port import is_tcp
 from toolee_robot.hardware.hands.serial.driver import MOTION_TIME, SerialHand
 from toolee_robot.hardware.hands.serial.grip import GripRule
 from toolee_robot.robots.hands import HandModel
@@ -84,8 +88,8 @@ class Reading:
         return self.condition.error
 
 
-class InspireHand(SerialHand[HandLine, Reading]):
-    """An Inspire RH56 on a serial port; use it in its `with` block. Entering it moves nothing.
+class InspireHand(SerialHand[HandLine[Any], Reading]):
+    """An Inspire RH56 on a serial port or on Modbus-TCP; use it in its `with` block. Entering it moves nothing.
 
     Its two speeds: the fingers close until they touch, then press slowly up to the grip force. A grip is kept up: a
     finger whose force has fallen closes further, and one that has closed by more than a little says that the tool has
@@ -96,9 +100,9 @@ class InspireHand(SerialHand[HandLine, Reading]):
 
     Args:
         model: The hand: `hand_model(config.hand)`.
-        port: The serial port.
+        port: The serial port, or `tcp://HOST:PORT` for a hand with Ethernet.
         clock: Clock of the station, the host's.
-        hand_id: The hand's number on the line.
+        hand_id: The hand's number on the line, of Modbus its unit identifier.
     """
 
     def __init__(self, model: HandModel, port: str, clock: Clock, hand_id: int = 1) -> None:
@@ -190,32 +194,33 @@ class InspireHand(SerialHand[HandLine, Reading]):
         Raises:
             DeviceError: The hand does not take it.
         """
-        self._opened().run(lambda line: line.write(CLEAR_ERROR, b"\x01"))
+        self._opened().run(lambda line: line.write(CLEAR_ERROR, line.one))
 
     def _command(self, register: int, values: tuple[int, ...]) -> None:
-        data = pack(values)
-        self._opened().run(lambda line: line.write(register, data))
+        self._opened().run(lambda line: line.write(register, pack(values, line.order)))
 
     def _move(self, target: Counts) -> None:
         """Set the motors' targets; the hand is known to have them only once it has acknowledged them."""
 
-        def write(line: HandLine) -> None:
+        def write(line: HandLine[Any]) -> None:
             if self._stopped.is_set():
                 return
-            line.write(ANGLE_SET, pack(target))
+            line.write(ANGLE_SET, pack(target, line.order))
             self._target = target
 
         self._opened().run(write)
 
-    def _connect(self) -> HandLine:
-        return HandLine(self._port, self._hand_id)
+    def _connect(self) -> HandLine[Any]:
+        kind = ModbusLine if is_tcp(self._port) else SerialLine
+        return kind(self._port, self._hand_id)
 
-    def _read(self, line: HandLine, number: int) -> Reading:
+    def _read(self, line: HandLine[Any], number: int) -> Reading:
         stamp = self._clock.now()
-        angles = unpack_angles(line.read(ANGLE_ACT, ANGLES_LENGTH))
-        return Reading(stamp, number, angles, unpack_condition(line.read(FORCE_ACT, CONDITION_LENGTH)))
+        angles = unpack_angles(line.read(ANGLE_ACT, ANGLES_LENGTH), line.order)
+        condition = unpack_condition(line.read(FORCE_ACT, CONDITION_LENGTH), line.order)
+        return Reading(stamp, number, angles, condition)
 
-    def _freeze(self, line: HandLine) -> None:
+    def _freeze(self, line: HandLine[Any]) -> None:
         """Set new targets: a speed of zero is no stop, the hand was seen to move on.
 
         A motor that moves gets the angle as target that it will have reached when it hears of it, so that none turns
@@ -228,11 +233,11 @@ class InspireHand(SerialHand[HandLine, Reading]):
         reached = np.clip(angles - self._speeds() * REACTION, *np.sort([angles, target], axis=0))
         presses = (target < angles) & (np.array(now.condition.forces) > PRESSES)
         a, b, c, d, e, f = (int(count) for count in np.clip(np.where(presses, target, np.rint(reached)), 0, FULL))
-        line.write(ANGLE_SET, pack((a, b, c, d, e, f)))
+        line.write(ANGLE_SET, pack((a, b, c, d, e, f), line.order))
         self._target = (a, b, c, d, e, f)
 
-    def _watch(self, reading: Reading, line: HandLine) -> None:
+    def _watch(self, reading: Reading, line: HandLine[Any]) -> None:
         """With every reading, in the poller's thread: judge the grip, and keep it up."""
         self._note(reading)
         if self._grip.follow(reading) and self._target is not None:
-            line.write(ANGLE_SET, pack(self._target))
+            line.write(ANGLE_SET, pack(self._target, line.order))

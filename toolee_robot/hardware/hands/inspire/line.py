@@ -1,46 +1,79 @@
-"""The serial line to one hand: a request, its reply, a bounded number of attempts, and typed errors."""
+"""The line to one hand, whatever the wire: a request, its reply, a bounded number of attempts, and typed errors."""
 
 from __future__ import annotations
 
 import time
-from itertools import cycle
-from typing import Self
+from abc import ABC, abstractmethod
+from typing import Generic, Protocol, Self, TypeVar
 
 from toolee_robot.errors import DeviceError, NoAnswerError
-from toolee_robot.hardware.hands.inspire.frames import WRITTEN, ReplySearch, Request, read_request, write_request
-from toolee_robot.hardware.hands.inspire.registers import ANGLE_ACT
-from toolee_robot.hardware.hands.serial.port import LineCounts, SerialPort
+from toolee_robot.hardware.hands.inspire.frames import WRITTEN
+from toolee_robot.hardware.hands.serial.port import LineCounts
 
-BAUD_RATE = 115200
 ANSWER_TIME = 0.04
-"""Time for a reply [s]: 6.6 ms were measured for a read of 12 bytes, and a USB adapter may keep it back for 16 ms."""
+"""Time for a reply [s]: 6.6 ms were measured for a read of 12 bytes on RS-485, and a USB adapter may keep it back for
+16 ms."""
 ATTEMPTS = 3
-_BARRIERS = range(1, 12)
 
 
-class HandLine:
-    """The hand on a serial port; one thread may use it.
+class Port(Protocol):
+    """What the bytes go through; see `SerialPort`."""
 
-    A reply that comes too late could be taken for that to the next request of the same register. So after a request
-    without a reply, a short read goes out whose length was not used lately: once that is answered, whatever is older
-    has come, and is dropped.
+    path: str
+
+    def close(self) -> None:
+        """Release it."""
+
+    def send(self, data: bytes) -> bool:
+        """Send bytes; whether they went out in time."""
+
+    def receive(self) -> bytes:
+        """Return what has come, after a short wait for the first byte."""
+
+    def drop_received(self) -> None:
+        """Forget what has come."""
+
+
+class Search(Protocol):
+    """Looks for the reply to one request in the bytes that arrive."""
+
+    corrupt: int
+    """Number of replies to it that were found damaged."""
+
+    def feed(self, data: bytes) -> bytes | None:
+        """Take further bytes; return what was read or WRITTEN, None while there is no whole, undamaged reply."""
+
+    @property
+    def over(self) -> bool:
+        """Whether no other reply will come."""
+
+    @property
+    def refusal(self) -> str:
+        """What the hand refuses for good, for people; empty if nothing."""
+
+
+RequestT = TypeVar("RequestT")
+
+
+class HandLine(ABC, Generic[RequestT]):
+    """The hand at the other end of a wire; one thread may use it.
 
     Args:
-        port: The serial port.
-        hand_id: The hand's number on the line.
+        port: What the bytes go through, open.
+        hand_id: The hand's number.
 
     Attributes:
         counts: What happened on the line.
-
-    Raises:
-        NoAnswerError: The port cannot be opened.
     """
 
-    def __init__(self, port: str, hand_id: int) -> None:
+    order: str
+    """Order of the bytes of a 16-bit number in what is read and written, as of `struct`."""
+    one: bytes
+    """What writes 1 to a register of a single byte."""
+
+    def __init__(self, port: Port, hand_id: int) -> None:
         self.counts = LineCounts()
-        self._hand_id = hand_id
-        self._barrier_lengths = cycle(_BARRIERS)
-        self._port = SerialPort(port, BAUD_RATE, ANSWER_TIME)
+        self._port, self._hand_id = port, hand_id
 
     def __enter__(self) -> Self:
         return self
@@ -60,78 +93,91 @@ class HandLine:
             count: Number of bytes.
 
         Returns:
-            The bytes.
+            The bytes; those of a number in `order`.
 
         Raises:
             NoAnswerError: The hand does not answer, or the port is gone.
+            DeviceError: It refuses.
         """
-        request = read_request(self._hand_id, register, count)
         for attempt in range(ATTEMPTS):
-            if attempt and not self._drop_older():
+            if attempt and not self._recover():
                 continue
-            payload = self._ask(request)
+            payload = self._ask(self._reading(register, count))
             if payload is not None:
                 return payload
-        raise self._silent(request)
+        raise self._silent(register)
 
     def write(self, register: int, data: bytes) -> None:
         """Write bytes, and see them acknowledged, or else read them back, with some attempts.
 
         Args:
             register: Address of the first.
-            data: The bytes.
+            data: The bytes; those of a number in `order`.
 
         Raises:
             NoAnswerError: The hand does not answer, or the port is gone: whether it has taken the bytes is not known.
             DeviceError: It refuses them.
         """
-        request = write_request(self._hand_id, register, data)
-        read_back = read_request(self._hand_id, register, len(data))
         for attempt in range(ATTEMPTS):
             if attempt:
-                if not self._drop_older():
+                if not self._recover():
                     continue
-                if self._ask(read_back) == data:
+                if self._ask(self._reading(register, len(data))) == data:
                     return
-            result = self._ask(request)
+            result = self._ask(self._writing(register, data))
             if result == WRITTEN:
                 return
             if result is not None:
-                message = f"the hand refuses to take {data.hex(' ')} for register {register}: is it another model?"
-                raise DeviceError(message, code="device.hand_refuses")
-        raise self._silent(request)
+                raise self._refused(f"to take {data.hex(' ')} for register {register}")
+        raise self._silent(register)
 
-    def _ask(self, request: Request) -> bytes | None:
+    @abstractmethod
+    def _reading(self, register: int, count: int) -> RequestT:
+        """A request that reads bytes."""
+
+    @abstractmethod
+    def _writing(self, register: int, data: bytes) -> RequestT:
+        """A request that writes bytes."""
+
+    @abstractmethod
+    def _sent(self, request: RequestT) -> tuple[bytes, Search]:
+        """The bytes of a request, and the search for its reply."""
+
+    @abstractmethod
+    def _recover(self) -> bool:
+        """After a request without a reply: make sure that a late one cannot be taken for another; whether it is."""
+
+    def _ask(self, request: RequestT) -> bytes | None:
         """One attempt; None without a usable reply in time."""
         self.counts.requests += 1
-        payload = self._exchange(request)
+        payload = self._exchange(*self._sent(request))
         self.counts.unanswered += payload is None
         return payload
 
-    def _exchange(self, request: Request) -> bytes | None:
-        search = ReplySearch(request)
+    def _exchange(self, data: bytes, search: Search) -> bytes | None:
         try:
             self._port.drop_received()
-            if not self._port.send(request.encoded):
+            if not self._port.send(data):
                 return None
             end = time.monotonic() + ANSWER_TIME
             while time.monotonic() < end:
                 payload = search.feed(self._port.receive())
                 if payload is not None:
                     return payload
-                if search.corrupt:  # there will be no other
+                if search.over:
                     break
+            if search.refusal:
+                raise self._refused(search.refusal)
             return None
         finally:
             self.counts.corrupt += search.corrupt
 
-    def _drop_older(self) -> bool:
-        """Wait until every reply to an older request has come, or must have; whether the hand answered."""
-        return self._ask(read_request(self._hand_id, ANGLE_ACT, next(self._barrier_lengths))) is not None
+    def _refused(self, what: str) -> DeviceError:
+        return DeviceError(f"the hand refuses {what}: is it another model?", code="device.hand_refuses")
 
-    def _silent(self, request: Request) -> NoAnswerError:
-        message = (
-            f"no hand {self._hand_id} answers on {self._port.path} (register {request.register}, {ATTEMPTS} attempts): "
-            "check its power, the two wires of RS-485, and its number"
-        )
-        return NoAnswerError(message, code="no_answer.hand_silent")
+    def _silent(self, register: int, attempts: int = ATTEMPTS) -> NoAnswerError:
+        message = f"no hand {self._hand_id} answers on {self._port.path} (register {register}, {attempts} attempts)"
+        return NoAnswerError(f"{message}: {self._look_at}, and its number", code="no_answer.hand_silent")
+
+    _look_at: str
+    """What a person is to check when it is silent."""

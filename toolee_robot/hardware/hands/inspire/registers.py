@@ -23,7 +23,7 @@ ANGLES_LENGTH, CONDITION_LENGTH = 12, 42
 FULL = COUNTS
 """Counts of the whole range of an angle, a speed, and a force threshold."""
 _WORST_TEMPERATURE = 150
-_CONDITION = struct.Struct("<6h6H6B6B6B")
+_CONDITION = "6h6H6B6B6B"
 
 
 class Fault(IntFlag):
@@ -105,16 +105,25 @@ class Condition:
         return DeviceError(message, code=code)
 
 
-def pack(values: tuple[int, ...]) -> bytes:
-    """Encode one 16-bit number for each motor."""
-    return struct.pack("<6h", *values)
+def pack(values: tuple[int, ...], order: str) -> bytes:
+    """Encode one 16-bit number for each motor.
+
+    Args:
+        values: The six numbers.
+        order: Order of the bytes of a number, `HandLine.order`.
+
+    Returns:
+        12 bytes.
+    """
+    return struct.pack(f"{order}6h", *values)
 
 
-def unpack_angles(payload: bytes) -> tuple[int, ...]:
+def unpack_angles(payload: bytes, order: str) -> tuple[int, ...]:
     """Decode ANGLE_ACT.
 
     Args:
         payload: ANGLES_LENGTH bytes.
+        order: Order of the bytes of a number, `HandLine.order`.
 
     Returns:
         The six angles [counts].
@@ -122,17 +131,18 @@ def unpack_angles(payload: bytes) -> tuple[int, ...]:
     Raises:
         ProtocolError: An angle is one that no RH56 has.
     """
-    angles = struct.unpack("<6h", payload)
+    angles = struct.unpack(f"{order}6h", payload)
     if not all(-FULL <= angle <= 2 * FULL for angle in angles):
         raise ProtocolError(f"the hand says that its angles are {angles}, of {FULL}: is it an RH56?", code=_NOT_OURS)
     return angles
 
 
-def unpack_condition(payload: bytes) -> Condition:
+def unpack_condition(payload: bytes, order: str) -> Condition:
     """Decode FORCE_ACT, CURRENT, ERROR, STATUS and TEMPERATURE.
 
     Args:
         payload: CONDITION_LENGTH bytes.
+        order: Order of the bytes of a number, `HandLine.order`.
 
     Returns:
         What they say.
@@ -140,7 +150,7 @@ def unpack_condition(payload: bytes) -> Condition:
     Raises:
         ProtocolError: A value is one that no RH56 has.
     """
-    numbers = _CONDITION.unpack(payload)
+    numbers = struct.unpack(order + _CONDITION, payload)
     forces, currents, errors, statuses, temperatures = (numbers[i : i + 6] for i in range(0, 30, 6))
     known = {*Status}
     if max(errors) > sum(Fault) or not known.issuperset(statuses) or max(temperatures) > _WORST_TEMPERATURE:

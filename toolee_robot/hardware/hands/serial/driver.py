@@ -1,4 +1,4 @@
-"""What every driver of a hand on a serial line is: its block, its thread, its motions, its stop."""
+"""What every driver of a hand on a serial line, or one like it, is: its block, its thread, its motions, its stop."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ LineT = TypeVar("LineT", bound=HandLine)
 
 
 class SerialHand(ABC, Generic[LineT, ReadingT]):
-    """A `hal.Hand` on a serial line; use it in its `with` block. Entering it moves nothing.
+    """A `hal.Hand` on a serial line, or one like it; use it in its `with` block. Entering it moves nothing.
 
     Args:
         model: The hand: `hand_model(config.hand)`.
