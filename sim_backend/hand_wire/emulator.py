@@ -1,16 +1,10 @@
-"""An emulated hand on a pseudo-terminal."""
+"""An emulated hand at the other end of a driver's wire."""
 
 from __future__ import annotations
 
-import heapq
-import os
-import select
 import threading
-import time
-import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFaults
@@ -52,29 +46,16 @@ class EmulatedHand(Protocol):
 HandT = TypeVar("HandT", bound=EmulatedHand)
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A frame that the hand sends."""
-
-    data: bytes
-    """Its bytes."""
-    delay: float = 0.0
-    """Time that passes before it is sent, beyond that of every reply [s]."""
-
-
 class HandEmulator(ABC, Generic[HandT]):
-    """A hand that a driver finds at `port`; its line is as slow as a real one.
+    """A hand that a driver finds at `port`; use it in its `with` block.
 
     Args:
         hand: The hand.
-        faults: Faults of its line.
-        turnaround: Time that the hand takes for a reply [s].
-        byte_time: Time of a byte on the line [s].
-        pace: Rate of the hand's time relative to the host's; the line keeps to the host's.
+        faults: Faults of its wire.
 
     Attributes:
-        port: Path of the pseudo-terminal.
-        faults: Faults of the line.
+        port: Where a driver finds it.
+        faults: Faults of the wire.
     """
 
     label: str
@@ -86,31 +67,28 @@ class HandEmulator(ABC, Generic[HandT]):
     events: str
     """What can happen to it and to nothing else, for people."""
 
-    def __init__(self, hand: HandT, faults: LineFaults, turnaround: float, byte_time: float, pace: float = 1.0) -> None:
-        self._ours, self._theirs = os.openpty()
-        tty.setraw(self._theirs)
-        self.port = os.ttyname(self._theirs)
-        self.faults = faults
-        self._hand, self._pace = hand, pace
-        self._turnaround, self._byte_time = turnaround, byte_time
-        self._lock = threading.Lock()
-        self._wake, self._woken = os.pipe()[::-1]
-        self._over = False
-        self._thread = threading.Thread(target=self._run, name="hand emulator", daemon=True)
+    port: str
 
+    def __init__(self, hand: HandT, faults: LineFaults) -> None:
+        self.faults = faults
+        self._hand = hand
+        self._lock = threading.Lock()
+
+    @abstractmethod
     def __enter__(self) -> Self:
-        self._thread.start()
-        return self
+        """Begin to answer."""
 
     def __exit__(self, *_: object) -> None:
         self.unplug()
-        os.close(self._wake)
-        os.close(self._woken)
 
     @property
+    @abstractmethod
     def plugged(self) -> bool:
         """Whether the cable is plugged in."""
-        return not self._over
+
+    @abstractmethod
+    def unplug(self) -> None:
+        """Pull the cable out for good: whoever has the port open gets an error."""
 
     @property
     def angles(self) -> tuple[float, ...]:
@@ -126,13 +104,6 @@ class HandEmulator(ABC, Generic[HandT]):
         """
         with self._lock:
             what(self._hand)
-
-    def unplug(self) -> None:
-        """Pull the cable out for good: whoever has the port open gets an error."""
-        if not self._over:
-            self._over = True
-            os.write(self._wake, b"x")
-            self._thread.join()
 
     def hold(self, at: float | None) -> None:
         """Put something into the hand that fingers and thumb meet at this angle, in the hand's own unit.
@@ -181,36 +152,3 @@ class HandEmulator(ABC, Generic[HandT]):
             ValueError: There is no such event, or a word is wrong.
             TypeError: There are too many words, or too few.
         """
-
-    @abstractmethod
-    def _answer(self, data: bytes) -> list[Frame]:
-        """The frames that answer bytes from the line."""
-
-    def _run(self) -> None:
-        try:
-            self._serve()
-        finally:
-            os.close(self._ours)
-            os.close(self._theirs)
-
-    def _serve(self) -> None:
-        due: list[tuple[float, int, bytes]] = []
-        count = 0
-        while not self._over:
-            wait = max(0.0, due[0][0] - time.monotonic()) if due else None
-            ready, _, _ = select.select([self._ours, self._woken], [], [], wait)
-            while due and due[0][0] <= time.monotonic():
-                os.write(self._ours, heapq.heappop(due)[2])
-            if self._ours not in ready:
-                continue
-            data = os.read(self._ours, 4096)
-            begin = time.monotonic() + self._turnaround + self._byte_time * len(data)
-            if self.faults.echo:
-                os.write(self._ours, data)
-            with self._lock:
-                frames = self._answer(data)
-            for frame in frames:
-                for piece in self.faults.on_the_way(frame.data):
-                    count += 1
-                    at = begin + frame.delay / self._pace + piece.delay + self._byte_time * len(piece.data)
-                    heapq.heappush(due, (at, count, piece.data))

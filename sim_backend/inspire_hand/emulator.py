@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from toolee_robot.sim_backend.hand_wire import Frame, HandEmulator, LineFaults
+from toolee_robot.sim_backend.hand_wire import Frame, LineFaults, SerialEmulator
 from toolee_robot.sim_backend.inspire_hand.hand import NAMES, Hand
 from toolee_robot.sim_backend.inspire_hand.requests import RequestParser, foreign
 
@@ -14,7 +14,7 @@ BYTE_TIME = 10.0 / 115200.0
 """Time of a byte on the line [s]."""
 
 
-class InspireEmulator(HandEmulator[Hand]):
+class InspireEmulator(SerialEmulator[Hand]):
     """An Inspire RH56 that a driver finds at `port`.
 
     Args:

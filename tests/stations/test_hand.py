@@ -12,7 +12,7 @@ from toolee_robot.config import HandConfig
 from toolee_robot.errors import ConfigError
 from toolee_robot.robots import HANDS
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.stations.hand import SERIAL_HANDS, emulated_hand, hand_drivers, open_hand
+from toolee_robot.stations.hand import WIRED_HANDS, emulated_hand, hand_drivers, open_hand
 
 
 def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,7 +36,7 @@ def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypat
 
 
 def test_every_hand_on_a_line_has_an_emulator_with_its_number() -> None:
-    for name in SERIAL_HANDS:
+    for name in WIRED_HANDS:
         with emulated_hand(HandConfig(name)) as emulator:
             assert emulator.port.startswith("/dev/")
     with raises(ConfigError, "config.hand_driver"):

@@ -27,8 +27,8 @@ from toolee_robot.stations.devices import installed, load
 
 
 @dataclass(frozen=True)
-class SerialHandKind:
-    """A kind of hand on a serial line: its driver, and what stands in for the hand at the other end.
+class WiredHandKind:
+    """A kind of hand on a wire: its driver, and what stands in for the hand at the other end.
 
     Attributes:
         driver: Builds the driver from model, port, clock, and number of the hand.
@@ -43,11 +43,11 @@ class SerialHandKind:
     hand_id: int
 
 
-SERIAL_HANDS: dict[str, SerialHandKind] = {
-    INSPIRE: SerialHandKind(InspireHand, InspireEmulator, joints_of_counts, 1),
-    ABILITY: SerialHandKind(AbilityHand, AbilityEmulator, joints_of_closures, 0x50),
+WIRED_HANDS: dict[str, WiredHandKind] = {
+    INSPIRE: WiredHandKind(InspireHand, InspireEmulator, joints_of_counts, 1),
+    ABILITY: WiredHandKind(AbilityHand, AbilityEmulator, joints_of_closures, 0x50),
 }
-"""Name in the station file -> hand on a serial line."""
+"""Name in the station file -> hand on a wire."""
 
 
 def open_hand(config: HandConfig, clock: Clock) -> Hand:
@@ -69,18 +69,18 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     model = hand_model(config)
     if config.model == MOUNT:
         return MountedTool(model, clock)
-    if config.model not in SERIAL_HANDS:
+    if config.model not in WIRED_HANDS:
         plugins = installed("hand")
         if config.model in plugins:
             hand: Hand = load(plugins[config.model])(model, config, clock)
             return hand
-        known = ", ".join((*SERIAL_HANDS, *plugins, MOUNT))
+        known = ", ".join((*WIRED_HANDS, *plugins, MOUNT))
         message = f"the {model.label} has no driver here: those with one are {known}; docs/how-to/add_a_hand.md"
         raise ConfigError(message, code="config.hand_driver")
     if config.port is None:
         message = f"hand.port is missing: the serial port of the {model.label}, such as /dev/ttyUSB0"
         raise ConfigError(message, code="config.hand_port")
-    kind = SERIAL_HANDS[config.model]
+    kind = WIRED_HANDS[config.model]
     return kind.driver(model, config.port, clock, config.hand_id or kind.hand_id)
 
 
@@ -98,14 +98,14 @@ def emulated_hand(config: HandConfig, seed: int = 0, pace: float = 1.0) -> HandE
     Raises:
         ConfigError: The hand has no emulator.
     """
-    if config.model not in SERIAL_HANDS:
-        known = ", ".join(SERIAL_HANDS)
+    if config.model not in WIRED_HANDS:
+        known = ", ".join(WIRED_HANDS)
         raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.hand_driver")
-    kind = SERIAL_HANDS[config.model]
+    kind = WIRED_HANDS[config.model]
     return kind.emulator(config.hand_id or kind.hand_id, seed, pace)
 
 
 def hand_drivers() -> dict[str, str]:
     """The hands that a station file may name and that have a driver, and where each is from."""
     others = {name: entry.value for name, entry in installed("hand").items()}
-    return others | dict.fromkeys((*SERIAL_HANDS, MOUNT), "toolee_robot")
+    return others | dict.fromkeys((*WIRED_HANDS, MOUNT), "toolee_robot")

@@ -1,4 +1,4 @@
-"""Faults of each hand on a serial line, through its own driver and its emulator, under the job.
+"""Faults of each hand on a wire, through its own driver and its emulator, under the job.
 
 The fault happens to the emulated hand or to its line; the job must answer it with the arm at rest and the grip kept.
 """

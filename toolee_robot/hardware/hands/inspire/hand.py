@@ -26,8 +26,8 @@ from toolee_robot.hardware.hands.inspire.registers import (
     unpack_angles,
     unpack_condition,
 )
-from toolee_robot.hardware.hands.serial.driver import MOTION_TIME, SerialHand
-from toolee_robot.hardware.hands.serial.grip import GripRule
+from toolee_robot.hardware.hands.wire.driver import MOTION_TIME, WiredHand
+from toolee_robot.hardware.hands.wire.grip import GripRule
 from toolee_robot.robots.hands import HandModel
 from toolee_robot.robots.hands.inspire import CLOSED, MOTORS, OPEN, joints_of_counts
 
@@ -84,7 +84,7 @@ class Reading:
         return self.condition.error
 
 
-class InspireHand(SerialHand[HandLine, Reading]):
+class InspireHand(WiredHand[HandLine, Reading]):
     """An Inspire RH56 on a serial port; use it in its `with` block. Entering it moves nothing.
 
     Its two speeds: the fingers close until they touch, then press slowly up to the grip force. A grip is kept up: a

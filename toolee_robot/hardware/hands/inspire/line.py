@@ -9,7 +9,8 @@ from typing import Self
 from toolee_robot.errors import DeviceError, NoAnswerError
 from toolee_robot.hardware.hands.inspire.frames import WRITTEN, ReplySearch, Request, read_request, write_request
 from toolee_robot.hardware.hands.inspire.registers import ANGLE_ACT
-from toolee_robot.hardware.hands.serial.port import LineCounts, SerialPort
+from toolee_robot.hardware.hands.wire.counts import LineCounts
+from toolee_robot.hardware.hands.wire.port import SerialPort
 
 BAUD_RATE = 115200
 ANSWER_TIME = 0.04

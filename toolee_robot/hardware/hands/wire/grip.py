@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.hardware.hands.serial.poller import Reading
+from toolee_robot.hardware.hands.wire.poller import Reading
 
 WINDOW = 0.1
 """Time over which forces are averaged [s]."""

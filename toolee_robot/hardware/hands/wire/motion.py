@@ -10,7 +10,7 @@ import numpy as np
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.hands.serial.poller import LineT, Poller, ReadingT
+from toolee_robot.hardware.hands.wire.poller import LineT, Poller, ReadingT
 
 STANDS_FOR = 0.1
 """Time without motion after which a motor stands [s]."""
