@@ -15,7 +15,7 @@ class LineFault(StrEnum):
     GARBAGE = "garbage"
     """Noise comes before it."""
     CORRUPT = "corrupt"
-    """One of its bytes is another."""
+    """One of its bytes is another, or a burst of them are."""
     SHORT = "short"
     """Its end is missing."""
     LATE = "late"
@@ -44,6 +44,7 @@ class LineFaults:
     Args:
         foreign: Makes a reply of another hand on the line out of one of this hand.
         seed: Seed of the noise, and of faults at random.
+        burst: Bytes of a damaged reply that are others.
 
     Attributes:
         muted: Whether no reply comes at all.
@@ -52,8 +53,8 @@ class LineFaults:
         late_by: By how much late replies are late [s].
     """
 
-    def __init__(self, foreign: Callable[[bytes], bytes], seed: int = 0) -> None:
-        self._foreign = foreign
+    def __init__(self, foreign: Callable[[bytes], bytes], seed: int = 0, burst: int = 1) -> None:
+        self._foreign, self._burst = foreign, burst
         self.muted = self.echo = False
         self.rates: Mapping[LineFault, float] = {}
         self.late_by = 0.12
@@ -90,8 +91,10 @@ class LineFaults:
         if fault is LineFault.GARBAGE:
             return [Piece(draw.randbytes(draw.randint(1, 30)) + frame, 0.0)]
         if fault is LineFault.CORRUPT:
-            at = draw.randrange(len(frame))
-            return [Piece(frame[:at] + bytes([frame[at] ^ draw.randint(1, 255)]) + frame[at + 1 :], 0.0)]
+            at = draw.randrange(max(1, len(frame) - self._burst + 1))
+            end = min(at + self._burst, len(frame))
+            others = bytes(byte ^ draw.randint(1, 255) for byte in frame[at:end])
+            return [Piece(frame[:at] + others + frame[end:], 0.0)]
         if fault is LineFault.SHORT:
             return [Piece(frame[: draw.randrange(len(frame))], 0.0)]
         if fault is LineFault.LATE:

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from toolee_robot.config.values import STRICT, Positive
-from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandMounting, HandWeight, ToolMount
+from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandEfforts, HandMounting, HandWeight, ToolMount
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,7 @@ class HandConfig:
 
     __pydantic_config__ = STRICT
     model: str = "shadow_right"
-    """Name of the hand, one of those that `toolee devices list` prints or `shadow_right`, which is simulated only;
-    `mount` for a tool mount without a hand."""
+    """Name of the hand, one of those that `toolee devices list` prints; `mount` for a tool mount without a hand."""
     yield_torque: Positive | None = None
     """Torque at which the wrist or the mount gives way in a strike [Nm]; null for the hand's own. A mount needs it."""
     weighed: HandWeight | None = None
@@ -64,14 +63,17 @@ class HandConfig:
     """How the hand sits on the flange, for a hand that every lab screws on in its own way (`inspire_rh56`); every one
     of its fields must be measured. Null for the others."""
     port: str | None = None
-    """Serial port of the hand's driver, such as `/dev/serial/by-id/...`; null for a simulated hand, and for one without
-    a port."""
+    """Where the hand's driver finds it: a serial port such as `/dev/serial/by-id/...`, or `ws://HOST:9090` of the
+    rosbridge of `shadow_right`; null for a simulated hand, and for one without a port."""
+    efforts: HandEfforts | None = None
+    """What the hand's efforts mean, for the driver of `shadow_right`, whose maker does not say so; every one of its
+    fields must be measured. Null for the others, and for the simulated hand."""
     strap_force: Positive | None = None
     """Force with which a strap presses the handle into the hand [N], for a hand whose fingers do not hold a hammer that
     strikes; null without a strap. The simulated grip counts it with the fingers' forces."""
     hand_id: Annotated[int, Field(ge=1, le=254)] | None = None
-    """Number of the hand on its line; null for the one with which its maker delivers it: 1 for `inspire_rh56`, 80 for
-    `ability_hand`."""
+    """Number of the hand on a serial line; null for the one with which its maker delivers it: 1 for `inspire_rh56`, 80
+    for `ability_hand`."""
 
     def __post_init__(self) -> None:
         if self.model != MOUNT:
@@ -80,8 +82,8 @@ class HandConfig:
             return
         if self.weighed is not None:
             raise ValueError("weighed is for a hand: of a mount give mount.mass and mount.center_of_mass")
-        if self.mounting is not None or self.port is not None or self.strap_force is not None:
-            raise ValueError(f"mounting, port and strap_force are for hands, not for the model {MOUNT!r}")
+        if not (self.mounting is self.port is self.strap_force is self.efforts is None):
+            raise ValueError(f"mounting, port, efforts and strap_force are for hands, not for the model {MOUNT!r}")
         missing = []
         if self.yield_torque is None:
             missing.append("hand.yield_torque")
