@@ -18,9 +18,9 @@ from toolee_robot.robots.hands import HandModel
 from toolee_robot.robots.hands.shadow import MAKER_SIGNS, MOTORS, joints_of_motors
 from toolee_robot.types import HandEfforts, JointState
 
-APPROACH_SPEED, FINISH_SPEED, OPENING_SPEED = 70.0, 15.0, 90.0
-"""Speeds of the motors until they touch, of their pressing, and of opening [deg/s]; the maker's description allows the
-fingers 115 and the thumb 230."""
+APPROACH_SPEED, FINISH_SPEED, OPENING_SPEED = 70.0, 15.0, 100.0
+"""Speeds of the motors until they touch, of their pressing, and of opening [deg/s]; those of two joints, and the
+thumb's, are twice as fast. The maker's description allows a finger's joint 115 and the thumb's 230."""
 LEAD = 15.0
 """Largest way by which a setpoint is ahead of a motor [deg]."""
 OPENED = 5.0
@@ -38,6 +38,7 @@ _THUMB = [motor for motor, name in enumerate(MOTORS) if name.startswith("TH")]
 _OTHERS = [motor for motor, name in enumerate(MOTORS) if not name.startswith("TH")]
 _ALL = [*range(len(MOTORS))]
 _WRIST = [motor for motor, name in enumerate(MOTORS) if name.startswith("WR")]
+_TWICE = 1.0 + np.array([name.endswith("J0") or name.startswith("TH") for name in MOTORS])
 _PRESSING = np.isin(_ALL, np.concatenate(FLEXORS))
 _BENDING = np.isin(_ALL, np.concatenate(FLEXORS[:4]))
 
@@ -152,7 +153,7 @@ class ShadowHand(WiredHand[HandLine, Reading]):
                 return
             if self._setpoints is None:
                 self._setpoints = Setpoints(self._recent[-1].closures, LEAD)
-            self._setpoints.go([*motors], targets, speed)
+            self._setpoints.go([*motors], targets, speed * _TWICE[[*motors]])
             self._touched[[*motors]] = False
 
         self._opened().run(go)
@@ -187,7 +188,7 @@ class ShadowHand(WiredHand[HandLine, Reading]):
             return
         if relaxed:
             motors = [motor for finger in relaxed for motor in FLEXORS[finger]]
-            setpoints.go(motors, AT_CLOSED, FINISH_SPEED)
+            setpoints.go(motors, AT_CLOSED, FINISH_SPEED * _TWICE[motors])
         self._regulate(setpoints, reading)
         at = setpoints.at.copy()
         setpoints.advance(self._clock.now(), reading.closures)
@@ -204,9 +205,10 @@ class ShadowHand(WiredHand[HandLine, Reading]):
         if first.any():
             targets = setpoints.at + setpoints.way
             setpoints.hold(first, reading.closures)
-            setpoints.go([int(motor) for motor in np.flatnonzero(first)], targets, FINISH_SPEED)
+            motors = [int(motor) for motor in np.flatnonzero(first)]
+            setpoints.go(motors, targets, FINISH_SPEED * _TWICE[motors])
             self._touched |= first
-        setpoints.slow(touching, FINISH_SPEED)
+        setpoints.slow(touching, FINISH_SPEED * _TWICE)
         setpoints.hold(touching & (reading.forces >= self._efforts.grip), setpoints.at)
 
     def _freeze(self, line: HandLine) -> None:

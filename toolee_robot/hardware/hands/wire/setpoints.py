@@ -44,24 +44,24 @@ class Setpoints:
         """Way to each motor's target, positive closing, (m,) [deg]."""
         return self._target - self._setpoint
 
-    def go(self, motors: list[int], targets: Array, speed: float) -> None:
+    def go(self, motors: list[int], targets: Array, speed: Array | float) -> None:
         """Send motors to targets.
 
         Args:
             motors: The motors.
             targets: Closures of all, (m,) [deg].
-            speed: Their speed [deg/s].
+            speed: Their speed, or that of each [deg/s].
         """
         self._target[motors], self._speed[motors] = targets[motors], speed
 
-    def slow(self, motors: NDArray[np.bool_], speed: float) -> None:
+    def slow(self, motors: NDArray[np.bool_], speed: Array | float) -> None:
         """Let motors that are on their way go on at a speed.
 
         Args:
             motors: Which of them, (m,).
-            speed: Their speed [deg/s].
+            speed: Their speed, or that of each, (m,) [deg/s].
         """
-        self._speed[motors] = np.minimum(self._speed[motors], speed)
+        self._speed = np.where(motors, np.minimum(self._speed, speed), self._speed)
 
     def hold(self, motors: NDArray[np.bool_], at: Array) -> None:
         """Keep motors at places.
