@@ -5,23 +5,20 @@ from __future__ import annotations
 import heapq
 import itertools
 import json
+import os
+import select
 import socket
 import threading
 import time
-from contextlib import suppress
 from typing import Any, Self
-
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import ServerConnection, serve
 
 from toolee_robot.errors import UserError
 from toolee_robot.sim_backend.hand_wire import HandEmulator, LineFaults
 from toolee_robot.sim_backend.shadow_hand import ros
 from toolee_robot.sim_backend.shadow_hand.bridge import Client
 from toolee_robot.sim_backend.shadow_hand.hand import NAMES, Hand
+from toolee_robot.sim_backend.shadow_hand.websocket import WebSocket
 
-TICK = 0.004
-"""Time between two looks at what is due [s]."""
 BURST = 24
 """Bytes that a damaged message has others of: where TCP fails, it fails for a stretch."""
 
@@ -47,45 +44,38 @@ class ShadowEmulator(HandEmulator[Hand]):
 
     def __init__(self, seed: int = 0, pace: float = 1.0, tcp_port: int = 0) -> None:
         super().__init__(Hand(lambda: pace * time.monotonic(), seed), LineFaults(_of_the_left_hand, seed, BURST))
-        self._clients: dict[ServerConnection, Client] = {}
-        self._pace, self._over = pace, threading.Event()
-        self._diagnoses = True
         try:
-            self._server = serve(self._converse, "127.0.0.1", tcp_port, compression=None, ping_interval=None)
+            self._listener = socket.create_server(("127.0.0.1", tcp_port))
         except (OSError, OverflowError) as error:
-            raise UserError(
-                f"no rosbridge at TCP port {tcp_port}: {error}; choose another", code="user.port"
-            ) from error
-        self.port = f"ws://127.0.0.1:{self._server.socket.getsockname()[1]}"
-        self._threads = [
-            threading.Thread(target=self._server.serve_forever, name="emulated rosbridge", daemon=True),
-            threading.Thread(target=self._publish, name="emulated hand", daemon=True),
-        ]
+            raise UserError(f"no rosbridge at TCP port {tcp_port}: {error}", code="user.port") from error
+        self.port = f"ws://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._clients: dict[WebSocket, Client] = {}
+        self._pace, self._over, self._diagnoses = pace, False, True
+        self._wake, self._woken = os.pipe()[::-1]
+        self._late: list[tuple[float, int, WebSocket, bytes]] = []
+        self._numbers = itertools.count()
+        self._thread = threading.Thread(target=self._run, name="emulated hand and rosbridge", daemon=True)
 
     def __enter__(self) -> Self:
-        for thread in self._threads:
-            thread.start()
+        self._thread.start()
         return self
+
+    def __exit__(self, *_: object) -> None:
+        self.unplug()
+        os.close(self._wake)
+        os.close(self._woken)
 
     @property
     def plugged(self) -> bool:
         """Whether the rosbridge is there."""
-        return not self._over.is_set()
+        return not self._over
 
     def unplug(self) -> None:
         """End the rosbridge for good: whoever is connected gets an error."""
-        if self._over.is_set():
-            return
-        self._over.set()
-        for connection in list(self._clients):
-            with suppress(OSError):
-                connection.socket.shutdown(socket.SHUT_RDWR)
-        if self._threads[0].ident is None:
-            self._server.socket.close()
-            return
-        self._server.shutdown()
-        for thread in self._threads:
-            thread.join()
+        if not self._over:
+            self._over = True
+            os.write(self._wake, b"x")
+            self._thread.join()
 
     def met(self, finger: str) -> None:
         """Let a finger meet something where it is now; one that the hand does not have, such as the palm, is ignored.
@@ -129,21 +119,6 @@ class ShadowEmulator(HandEmulator[Hand]):
 
         self.tell(change)
 
-    def _converse(self, connection: ServerConnection) -> None:
-        """One client, in a thread of its own."""
-        client = Client(self._command)
-        self._clients[connection] = client
-        try:
-            for data in connection:
-                for answer in client.take(data):
-                    connection.send(json.dumps(answer))
-                if self.faults.echo:
-                    connection.send(data)
-        except (ConnectionClosed, OSError):
-            pass
-        finally:
-            self._clients.pop(connection, None)
-
     def _command(self, topic: str, message: dict[str, Any]) -> None:
         def command(hand: Hand) -> None:
             hand.run()
@@ -153,31 +128,60 @@ class ShadowEmulator(HandEmulator[Hand]):
 
         self.tell(command)
 
-    def _publish(self) -> None:
-        """Publish what is due, in a thread of its own."""
+    def _run(self) -> None:
         due = dict.fromkeys(ros.PERIODS, time.monotonic())
-        late: list[tuple[float, int, ServerConnection, bytes]] = []
-        numbers = itertools.count()
-        while not self._over.wait(TICK):
-            now = time.monotonic()
-            for topic, period in ros.PERIODS.items():
-                if now < due[topic]:
-                    continue
-                due[topic] = max(due[topic] + period / self._pace, now - period)
-                if topic == ros.DIAGNOSTICS and not self._diagnoses:
-                    continue
-                with self._lock:
-                    self._hand.run()
-                    said = ros.message(self._hand, topic, next(numbers))
-                data = json.dumps({"op": "publish", "topic": topic, "msg": said}).encode()
-                for connection, client in list(self._clients.items()):
-                    if client.wants(topic, now):
-                        for piece in self.faults.on_the_way(data):
-                            heapq.heappush(late, (now + piece.delay, next(numbers), connection, piece.data))
-            while late and late[0][0] <= now:
-                _, _, connection, piece_data = heapq.heappop(late)
-                with suppress(ConnectionClosed, OSError):
-                    connection.send(piece_data, text=True)
+        try:
+            while not self._over:
+                next_at = min([*due.values(), *(at for at, *_ in self._late[:1])])
+                wait = max(0.0, next_at - time.monotonic())
+                ready, _, _ = select.select([self._listener, self._woken, *self._clients], [], [], wait)
+                if self._listener in ready:
+                    self._clients[WebSocket(self._listener.accept()[0])] = Client(self._command)
+                for socket_ in [one for one in ready if isinstance(one, WebSocket)]:
+                    self._converse(socket_)
+                self._publish(due)
+        finally:
+            self._listener.close()
+            for client in self._clients:
+                client.cut()
+
+    def _converse(self, websocket: WebSocket) -> None:
+        """Carry out what a client asks for."""
+        client = self._clients[websocket]
+        for data in websocket.receive():
+            for answer in client.take(data):
+                websocket.send(json.dumps(answer).encode())
+            if self.faults.echo:
+                websocket.send(data)
+        self._drop_if_gone(websocket)
+
+    def _publish(self, due: dict[str, float]) -> None:
+        """Publish what is due."""
+        now = time.monotonic()
+        for topic, period in ros.PERIODS.items():
+            if now < due[topic]:
+                continue
+            due[topic] = max(due[topic] + period / self._pace, now - period)
+            wanting = [websocket for websocket, client in self._clients.items() if client.wants(topic, now)]
+            if not wanting or (topic == ros.DIAGNOSTICS and not self._diagnoses):
+                continue
+            with self._lock:
+                self._hand.run()
+                said = ros.message(self._hand, topic, next(self._numbers))
+            data = json.dumps({"op": "publish", "topic": topic, "msg": said}).encode()
+            for websocket in wanting:
+                for piece in self.faults.on_the_way(data):
+                    heapq.heappush(self._late, (now + piece.delay, next(self._numbers), websocket, piece.data))
+        while self._late and self._late[0][0] <= now:
+            _, _, websocket, data = heapq.heappop(self._late)
+            if websocket in self._clients:
+                websocket.send(data)
+                self._drop_if_gone(websocket)
+
+    def _drop_if_gone(self, websocket: WebSocket) -> None:
+        if not websocket.open:
+            self._clients.pop(websocket, None)
+            websocket.cut()
 
 
 def _of_the_left_hand(data: bytes) -> bytes:

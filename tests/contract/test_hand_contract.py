@@ -1,5 +1,5 @@
-"""What `hal.Hand` promises, asked of every hand: the simulated hand, the tool mount, and the drivers of the Inspire, the
-Ability Hand and the Shadow Hand on their emulators."""
+"""What `hal.Hand` promises, asked of every hand: the simulated hand, the tool mount, and the drivers of the Inspire,
+the Ability Hand and the Shadow Hand on their emulators."""
 
 from __future__ import annotations
 

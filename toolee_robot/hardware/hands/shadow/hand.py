@@ -27,6 +27,8 @@ OPENED = 5.0
 """Largest distance from the open hand's position that counts as open [deg]."""
 REACTION = 0.04
 """Time from a command until a motor follows it [s]: assumed."""
+IMPACT_TIME = 0.08
+"""Time from a touch for which the effort is that of the approach's speed [s]: two reactions."""
 STILL = 0.5
 """Way of a motor that counts as none [deg]; at the slowest speed in use it is 1.5 within STANDS_FOR."""
 STUCK = 15.0
@@ -67,7 +69,7 @@ class ShadowHand(WiredHand[HandLine, Reading]):
         self._url, self._efforts = url, efforts
         self._setpoints: Setpoints | None = None
         self._sent: Array | None = None
-        self._touched = np.zeros(len(MOTORS), bool)
+        self._touched_at = np.full(len(MOTORS), np.inf)
 
     def state(self, max_age: float = 0.1) -> HandState:
         """Return the newest state; it may be asked from any thread at any time.
@@ -154,7 +156,7 @@ class ShadowHand(WiredHand[HandLine, Reading]):
             if self._setpoints is None:
                 self._setpoints = Setpoints(self._recent[-1].closures, LEAD)
             self._setpoints.go([*motors], targets, speed * _TWICE[[*motors]])
-            self._touched[[*motors]] = False
+            self._touched_at[[*motors]] = np.inf
 
         self._opened().run(go)
 
@@ -168,7 +170,7 @@ class ShadowHand(WiredHand[HandLine, Reading]):
 
     def _connect(self) -> HandLine:
         self._setpoints, self._sent, self._recent = None, None, ()
-        self._touched[:] = False
+        self._touched_at[:] = np.inf
         return HandLine(self._url, self._clock)
 
     def _read(self, line: HandLine, number: int) -> Reading:
@@ -201,15 +203,16 @@ class ShadowHand(WiredHand[HandLine, Reading]):
         """Slow what touches, end what presses enough; a motor that has just touched begins from where it is."""
         closing = _PRESSING & setpoints.moving & (setpoints.way > 0.0)
         touching = closing & (reading.forces > self._efforts.touch)
-        first = touching & ~self._touched
+        first = touching & np.isinf(self._touched_at)
         if first.any():
             targets = setpoints.at + setpoints.way
             setpoints.hold(first, reading.closures)
             motors = [int(motor) for motor in np.flatnonzero(first)]
             setpoints.go(motors, targets, FINISH_SPEED * _TWICE[motors])
-            self._touched |= first
+            self._touched_at[first] = reading.stamp
         setpoints.slow(touching, FINISH_SPEED * _TWICE)
-        setpoints.hold(touching & (reading.forces >= self._efforts.grip), setpoints.at)
+        at_rest = reading.stamp - self._touched_at > IMPACT_TIME
+        setpoints.hold(touching & at_rest & (reading.forces >= self._efforts.grip), setpoints.at)
 
     def _freeze(self, line: HandLine) -> None:
         """Let every motor stay where it will have stopped; what presses goes on pressing."""
