@@ -134,11 +134,12 @@ class ShadowEmulator(HandEmulator[Hand]):
             while not self._over:
                 next_at = min([*due.values(), *(at for at, *_ in self._late[:1])])
                 wait = max(0.0, next_at - time.monotonic())
-                ready, _, _ = select.select([self._listener, self._woken, *self._clients], [], [], wait)
+                watched: list[Any] = [self._listener, self._woken, *self._clients]
+                ready, _, _ = select.select(watched, [], [], wait)
                 if self._listener in ready:
                     self._clients[WebSocket(self._listener.accept()[0])] = Client(self._command)
-                for socket_ in [one for one in ready if isinstance(one, WebSocket)]:
-                    self._converse(socket_)
+                for websocket in [one for one in ready if isinstance(one, WebSocket)]:
+                    self._converse(websocket)
                 self._publish(due)
         finally:
             self._listener.close()

@@ -138,8 +138,8 @@ class Hand:
             for controller in (self.fingers, self.wrist):
                 if controller.running:
                     for joint, angle in zip(controller.joints, controller.desired(self._now), strict=True):
-                        motor = _motor_of(joint.removeprefix("rh_"))
-                        wanted[motor] = wanted.get(motor, 0.0) + math.degrees(angle)
+                        name = _motor_of(joint.removeprefix("rh_"))
+                        wanted[name] = wanted.get(name, 0.0) + math.degrees(angle)
             for name, angle in wanted.items():
                 self._motor[name].demand(angle, self._now)
             for motor in self.motors:

@@ -82,7 +82,7 @@ class HandConfig:
             return
         if self.weighed is not None:
             raise ValueError("weighed is for a hand: of a mount give mount.mass and mount.center_of_mass")
-        if not (self.mounting is self.port is self.strap_force is self.efforts is None):
+        if any(given is not None for given in (self.mounting, self.port, self.strap_force, self.efforts)):
             raise ValueError(f"mounting, port, efforts and strap_force are for hands, not for the model {MOUNT!r}")
         missing = []
         if self.yield_torque is None:

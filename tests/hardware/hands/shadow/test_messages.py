@@ -54,6 +54,12 @@ def read(data: bytes) -> Read:
     return messages.controller_state(said.message, FINGERS) if said.topic.startswith(messages.FINGERS) else None
 
 
+def motors_of(data: bytes) -> list[MotorStatus]:
+    found = read(data)
+    assert isinstance(found, dict)
+    return list(found.values())
+
+
 def test_the_makers_published_joint_states_are_understood() -> None:
     states = read(joint_states())
     assert isinstance(states, JointStates)
@@ -71,7 +77,7 @@ def test_the_makers_published_controller_state_is_understood() -> None:
 
 
 def test_the_motors_are_found_among_other_devices() -> None:
-    (motor,) = dict(read(diagnostics()) or {}).values()  # type: ignore[call-overload]
+    (motor,) = motors_of(diagnostics())
     assert motor == MotorStatus("FFJ0", Level.OK, "OK", temperature=34.5625, current=0.105)
     assert motor.fault == ""
     assert error_of([motor]) is None
@@ -87,7 +93,7 @@ def test_the_motors_are_found_among_other_devices() -> None:
     ],
 )
 def test_a_motor_that_is_halted_is_a_fault(flags: str, level: int, temperature: str, code: str, words: str) -> None:
-    motors = dict(read(diagnostics(flags, level, temperature)) or {}).values()  # type: ignore[call-overload]
+    motors = motors_of(diagnostics(flags, level, temperature))
     error = error_of(motors)
     assert error is not None
     assert error.code == code
@@ -95,7 +101,7 @@ def test_a_motor_that_is_halted_is_a_fault(flags: str, level: int, temperature: 
 
 
 def test_a_limited_current_is_told_and_no_fault() -> None:
-    (motor,) = dict(read(diagnostics("Current choke bit 6 | Current choke bit 9 | ", 1)) or {}).values()  # type: ignore[call-overload]
+    (motor,) = motors_of(diagnostics("Current choke bit 6 | Current choke bit 9 | ", 1))
     assert motor.choked
     assert motor.level is Level.WARN
     assert motor.flags == frozenset()
@@ -244,9 +250,10 @@ def agrees(found: Read, data: bytes) -> bool:
 @pytest.mark.parametrize("count", [1_000, pytest.param(10_000, marks=pytest.mark.nightly)])
 def test_mutated_messages_are_read_as_they_are_or_refused(count: int) -> None:
     draw = random.Random(31)
+    examples = [joint_states(), controller_state(), diagnostics()]
     outcomes: Counter[tuple[str, str]] = Counter()
     for i in range(count):
-        data = draw.choice([joint_states, controller_state, diagnostics])()
+        data = draw.choice(examples)
         kind = MUTATIONS[i % len(MUTATIONS)]
         text = mutated(kind, data, draw)
         try:
