@@ -27,7 +27,7 @@ _QUICK = {
 """What is measured in every run: nightly all of them."""
 _LATE = {
     ("tool slips in the hand", Phase.SWING, "Inspire RH56"): "an Inspire's slip is seen after the strike only",
-    ("hand too hot", Phase.SWING, "Shadow Hand"): "a Shadow Hand tells its temperatures twice a second",
+    ("hand too hot", Phase.SWING, "Shadow Hand"): "a Shadow Hand tells its temperatures twice a second: often too late",
 }
 """Not handled as the row wants it; the job then ends before the next strike. Fingers of the Inspire that press at 31
 counts a second show a slip of 40 counts after 1.3 s only."""

@@ -57,8 +57,7 @@ class HandLine:
         clock: The station's clock.
 
     Attributes:
-        counts: What happened on the line: a request is a command, an unanswered one was not shown within ANSWER_TIME of
-            a reading.
+        counts: What happened on the line: requests are commands, and unanswered are the readings that did not come.
 
     Raises:
         ConfigError: It is no such address.
@@ -134,6 +133,7 @@ class HandLine:
             if told is not None:
                 return told
             if time.monotonic() >= end:
+                self.counts.unanswered += 1
                 message = f"the hand behind {self._connection.url} says nothing new: check its power and the network"
                 raise NoAnswerError(message, code="no_answer.hand_silent")
 
