@@ -28,7 +28,7 @@ class ShadowEmulator(HandEmulator[Hand]):
 
     Args:
         seed: Seed of the noise.
-        pace: Rate of the hand's time relative to the host's, its clock included.
+        pace: Rate of the hand's time relative to the host's, its clock included; messages come at the host's.
         tcp_port: TCP port of the rosbridge; 0 for any that is free.
 
     Raises:
@@ -50,7 +50,7 @@ class ShadowEmulator(HandEmulator[Hand]):
             raise UserError(f"no rosbridge at TCP port {tcp_port}: {error}", code="user.port") from error
         self.port = f"ws://127.0.0.1:{self._listener.getsockname()[1]}"
         self._clients: dict[WebSocket, Client] = {}
-        self._pace, self._over, self._diagnoses = pace, False, True
+        self._over, self._diagnoses = False, True
         self._wake, self._woken = os.pipe()[::-1]
         self._late: list[tuple[float, int, WebSocket, bytes]] = []
         self._numbers = itertools.count()
@@ -162,7 +162,7 @@ class ShadowEmulator(HandEmulator[Hand]):
         for topic, period in ros.PERIODS.items():
             if now < due[topic]:
                 continue
-            due[topic] = max(due[topic] + period / self._pace, now - period)
+            due[topic] = max(due[topic] + period, now - period)
             wanting = [websocket for websocket, client in self._clients.items() if client.wants(topic, now)]
             if not wanting or (topic == ros.DIAGNOSTICS and not self._diagnoses):
                 continue
