@@ -16,7 +16,6 @@ from toolee_robot.errors import ConfigError, DeviceError, NotReadyError
 from toolee_robot.frames import angle_between, rotation_angle
 from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
-from toolee_robot.hardware.hands.shadow import ShadowHand
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.cell_errors import NOMINAL
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
@@ -128,13 +127,11 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize(
-    ("name", "driver"), [("inspire", InspireHand), ("ability", AbilityHand), ("shadow", ShadowHand)]
-)
+@pytest.mark.parametrize(("name", "driver"), [("inspire", InspireHand), ("ability", AbilityHand)])
 def test_the_emulated_fingers_hold_what_the_person_puts_between_them(
     config: StationConfig, name: str, driver: type[Any]
 ) -> None:
-    config = _with_hand(config, name, port="the lab's own")
+    config = _with_hand(config, name, port="/dev/ttyUSB0")
     cell = job_cell(config, LAB, 7401)
     with EmulatedLab(cell, print, FACTOR, "ideal") as lab:
         hand, person = lab.station.hand, lab.station.person
