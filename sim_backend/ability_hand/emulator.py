@@ -6,7 +6,7 @@ import time
 
 from toolee_robot.sim_backend.ability_hand.hand import NAMES, Hand
 from toolee_robot.sim_backend.ability_hand.messages import MessageParser, foreign
-from toolee_robot.sim_backend.hand_wire import Frame, HandEmulator, LineFaults, PseudoTerminal
+from toolee_robot.sim_backend.hand_wire import Frame, LineEmulator, LineFaults, PseudoTerminal
 
 TURNAROUND = 0.001
 """Time that the hand takes for a reply [s]: assumed; the maker's client asks 500 times a second."""
@@ -14,7 +14,7 @@ BYTE_TIME = 10.0 / 460800.0
 """Time of a byte on the line [s]."""
 
 
-class AbilityEmulator(HandEmulator[Hand]):
+class AbilityEmulator(LineEmulator[Hand]):
     """A PSYONIC Ability Hand that a driver finds at `port`.
 
     Args:

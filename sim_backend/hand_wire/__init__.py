@@ -1,4 +1,4 @@
-"""What emulators of hands have in common: pseudo-terminal or TCP connection, the line's times and faults, events.
+"""What emulators of hands have in common: events, faults of the wire, pseudo-terminal or TCP connection and its times.
 
     with InspireEmulator() as emulator:
         serial.Serial(emulator.port)   # a driver's side
@@ -6,9 +6,21 @@
 What a hand says and does is each emulator's own; none of it is the drivers'.
 """
 
-from toolee_robot.sim_backend.hand_wire.emulator import Frame, HandEmulator
+from toolee_robot.sim_backend.hand_wire.emulator import HandEmulator
 from toolee_robot.sim_backend.hand_wire.events import happen
+from toolee_robot.sim_backend.hand_wire.line import Frame, LineEmulator
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFault, LineFaults
-from toolee_robot.sim_backend.hand_wire.wires import PseudoTerminal, TcpServer, Wire
+from toolee_robot.sim_backend.hand_wire.wires import PseudoTerminal, TcpServer, Wire, listener
 
-__all__ = ["Frame", "HandEmulator", "LineFault", "LineFaults", "PseudoTerminal", "TcpServer", "Wire", "happen"]
+__all__ = [
+    "Frame",
+    "HandEmulator",
+    "LineEmulator",
+    "LineFault",
+    "LineFaults",
+    "PseudoTerminal",
+    "TcpServer",
+    "Wire",
+    "happen",
+    "listener",
+]

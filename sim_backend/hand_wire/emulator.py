@@ -1,19 +1,14 @@
-"""An emulated hand at one end of a wire."""
+"""An emulated hand at the other end of a driver's wire."""
 
 from __future__ import annotations
 
-import heapq
 import os
-import select
 import threading
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFaults
-from toolee_robot.sim_backend.hand_wire.wires import Wire
 
 
 class Motor(Protocol):
@@ -49,37 +44,19 @@ class EmulatedHand(Protocol):
         """See `HandEmulator.slip`."""
 
 
-RUN_PERIOD = 0.05
-"""Longest time for which the motors are left [s]: after minutes without a driver, catching up would keep the first one
-waiting for its answer."""
-
 HandT = TypeVar("HandT", bound=EmulatedHand)
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A frame that the hand sends."""
-
-    data: bytes
-    """Its bytes."""
-    delay: float = 0.0
-    """Time that passes before it is sent, beyond that of every reply [s]."""
-
-
 class HandEmulator(ABC, Generic[HandT]):
-    """A hand that a driver finds at `port`; its line is as slow as a real one.
+    """A hand that a driver finds at `port`; use it in its `with` block.
 
     Args:
         hand: The hand.
-        wire: Its end of the wire.
-        faults: Faults of its line.
-        turnaround: Time that the hand takes for a reply [s].
-        byte_time: Time of a byte on the line [s].
-        pace: Rate of the hand's time relative to the host's; the line keeps to the host's.
+        faults: Faults of its wire.
 
     Attributes:
-        port: What a driver opens.
-        faults: Faults of the line.
+        port: Where a driver finds it.
+        faults: Faults of the wire.
     """
 
     line_events: tuple[str, ...] = ("mute", "unmute", "echo", "unplug", "show")
@@ -92,14 +69,11 @@ class HandEmulator(ABC, Generic[HandT]):
     """Name of the motor that bends the thumb."""
     events: str
     """What can happen to it and to nothing else, for people."""
+    port: str
 
-    def __init__(
-        self, hand: HandT, wire: Wire, faults: LineFaults, turnaround: float, byte_time: float, pace: float = 1.0
-    ) -> None:
-        self._wire, self.port = wire, wire.port
+    def __init__(self, hand: HandT, faults: LineFaults) -> None:
         self.faults = faults
-        self._hand, self._pace = hand, pace
-        self._turnaround, self._byte_time = turnaround, byte_time
+        self._hand = hand
         self._lock = threading.Lock()
         self._wake, self._woken = os.pipe()[::-1]
         self._over = False
@@ -119,6 +93,13 @@ class HandEmulator(ABC, Generic[HandT]):
         """Whether the cable is plugged in."""
         return not self._over
 
+    def unplug(self) -> None:
+        """Pull the cable out for good: whoever has the port open gets an error."""
+        if not self._over:
+            self._over = True
+            os.write(self._wake, b"x")
+            self._thread.join()
+
     @property
     def angles(self) -> tuple[float, ...]:
         """Where the motors are now, in the order of `motors` and the hand's own unit."""
@@ -133,13 +114,6 @@ class HandEmulator(ABC, Generic[HandT]):
         """
         with self._lock:
             what(self._hand)
-
-    def unplug(self) -> None:
-        """Pull the cable out for good: whoever has the port open gets an error."""
-        if not self._over:
-            self._over = True
-            os.write(self._wake, b"x")
-            self._thread.join()
 
     def hold(self, at: float | None) -> None:
         """Put something into the hand that fingers and thumb meet at this angle, in the hand's own unit.
@@ -190,41 +164,5 @@ class HandEmulator(ABC, Generic[HandT]):
         """
 
     @abstractmethod
-    def _answer(self, data: bytes) -> list[Frame]:
-        """The frames that answer bytes from the line."""
-
-    def _connected(self) -> None:
-        """Another driver has come, or the last one has gone: forget what it had begun to say."""
-
     def _run(self) -> None:
-        try:
-            self._serve()
-        finally:
-            self._wire.close()
-
-    def _serve(self) -> None:
-        due: list[tuple[float, int, bytes]] = []
-        count = 0
-        while not self._over:
-            wait = min(RUN_PERIOD, max(0.0, due[0][0] - time.monotonic())) if due else RUN_PERIOD
-            ready, _, _ = select.select([*self._wire.sources(), self._woken], [], [], wait)
-            while due and due[0][0] <= time.monotonic():
-                self._wire.send(heapq.heappop(due)[2])
-            data = self._wire.receive(ready)
-            if data is None:
-                self._connected()
-                due.clear()
-            if not data:
-                with self._lock:
-                    self._hand.run()
-                continue
-            begin = time.monotonic() + self._turnaround + self._byte_time * len(data)
-            if self.faults.echo:
-                self._wire.send(data)
-            with self._lock:
-                frames = self._answer(data)
-            for frame in frames:
-                for piece in self.faults.on_the_way(frame.data):
-                    count += 1
-                    at = begin + frame.delay / self._pace + piece.delay + self._byte_time * len(piece.data)
-                    heapq.heappush(due, (at, count, piece.data))
+        """Speak on the wire until `_over`, of which `_woken` tells who waits; then release the wire."""

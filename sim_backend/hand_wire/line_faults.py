@@ -15,7 +15,7 @@ class LineFault(StrEnum):
     GARBAGE = "garbage"
     """Noise comes before it."""
     CORRUPT = "corrupt"
-    """One of its bytes is another."""
+    """One of its bytes is another, or a burst of them are."""
     SHORT = "short"
     """Its end is missing."""
     LATE = "late"
@@ -46,6 +46,7 @@ class LineFaults:
         seed: Seed of the noise, and of faults at random.
         framing: Number of a reply's first bytes in which noise can hit; None for all of them. On TCP, whose checksum
             covers the data, what a hand could send wrong is its framing.
+        burst: Bytes of a damaged reply that are others.
 
     Attributes:
         muted: Whether no reply comes at all.
@@ -54,8 +55,10 @@ class LineFaults:
         late_by: By how much late replies are late [s].
     """
 
-    def __init__(self, foreign: Callable[[bytes], bytes], seed: int = 0, framing: int | None = None) -> None:
-        self._foreign, self._framing = foreign, framing
+    def __init__(
+        self, foreign: Callable[[bytes], bytes], seed: int = 0, framing: int | None = None, burst: int = 1
+    ) -> None:
+        self._foreign, self._framing, self._burst = foreign, framing, burst
         self.muted = self.echo = False
         self.rates: Mapping[LineFault, float] = {}
         self.late_by = 0.12
@@ -92,8 +95,11 @@ class LineFaults:
         if fault is LineFault.GARBAGE:
             return [Piece(draw.randbytes(draw.randint(1, 30)) + frame, 0.0)]
         if fault is LineFault.CORRUPT:
-            at = draw.randrange(len(frame[: self._framing]))
-            return [Piece(frame[:at] + bytes([frame[at] ^ draw.randint(1, 255)]) + frame[at + 1 :], 0.0)]
+            end = len(frame[: self._framing])
+            at = draw.randrange(max(1, end - self._burst + 1))
+            damaged = slice(at, min(at + self._burst, end))
+            others = bytes(byte ^ draw.randint(1, 255) for byte in frame[damaged])
+            return [Piece(frame[:at] + others + frame[damaged.stop :], 0.0)]
         if fault is LineFault.SHORT:
             return [Piece(frame[: draw.randrange(len(frame))], 0.0)]
         if fault is LineFault.LATE:

@@ -15,6 +15,25 @@ _SEND_TIME = 1.0
 """Time after which a driver that reads nothing is let go [s]."""
 
 
+def listener(address: tuple[str, int]) -> socket.socket:
+    """Listen for drivers.
+
+    Args:
+        address: Host and port to listen at; port 0 for a free one.
+
+    Returns:
+        The socket.
+
+    Raises:
+        UserError: It cannot listen there.
+    """
+    try:
+        return socket.create_server(address, backlog=1)
+    except (OSError, OverflowError) as error:
+        host, port = address
+        raise UserError(f"cannot listen at {host}:{port}: {error}", code="user.address") from error
+
+
 class Wire(ABC):
     """The hand's end of a wire.
 
@@ -82,11 +101,7 @@ class TcpServer(Wire):
     """
 
     def __init__(self, address: tuple[str, int], grace: float) -> None:
-        try:
-            self._listener = socket.create_server(address, backlog=1)
-        except (OSError, OverflowError) as error:
-            host, port = address
-            raise UserError(f"cannot listen at {host}:{port}: {error}", code="user.address") from error
+        self._listener = listener(address)
         host, port = self._listener.getsockname()[:2]
         self.port = f"tcp://{host}:{port}"
         self._grace, self._free_from = grace, 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from toolee_robot.sim_backend.hand_wire import Frame, HandEmulator, LineFaults, PseudoTerminal, TcpServer, Wire
+from toolee_robot.sim_backend.hand_wire import Frame, LineEmulator, LineFaults, PseudoTerminal, TcpServer, Wire
 from toolee_robot.sim_backend.inspire_hand import modbus, requests
 from toolee_robot.sim_backend.inspire_hand.hand import NAMES, Hand
 
@@ -20,7 +20,7 @@ GRACE = 0.3
 """Time after the end of a connection for which a hand was seen to end the next one at once [s]."""
 
 
-class _Emulator(HandEmulator[Hand]):
+class _Emulator(LineEmulator[Hand]):
     label = "Inspire RH56"
     motors, thumb = NAMES, "thumb_bend"
     events = "heat MOTOR DEGREES, jam MOTOR, free MOTOR"

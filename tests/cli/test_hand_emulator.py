@@ -162,3 +162,26 @@ def test_events() -> None:
 def test_a_handle_where_no_finger_gets(handle: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
     assert run(["hand-emulator", "ability", "--handle", handle]) == EXIT_USER
+
+
+def test_the_shadow_hand_is_behind_the_address_that_it_prints(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("show\nheat FFJ0 41\njam nose\nunplug\n"))
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    assert run(["hand-emulator", "shadow", "--handle", "55", "--tcp", address]) == 0
+    said = capsys.readouterr()
+    assert said.out == f"ws://{address}\n"
+    assert "FFJ3 0" in said.err
+    assert "controllers off" in said.err
+
+
+@pytest.mark.parametrize(
+    ("hand", "options"),
+    [("shadow", ["--link", "x"]), ("shadow", ["--hand-id", "3"]), ("shadow", ["--tcp", "127.0.0.1:70000"]),
+     ("shadow", ["--tcp", "9090"]), ("shadow", ["--handle", "91"])],
+)  # fmt: skip
+def test_options_of_another_hand(hand: str, options: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
+    assert run(["hand-emulator", hand, *options]) == EXIT_USER

@@ -1,5 +1,5 @@
 """What `hal.Hand` promises, asked of every hand: the simulated hand, the tool mount, and the drivers of the Inspire, on
-both of its wires, and the Ability Hand on their emulators."""
+both of its wires, the Ability Hand and the Shadow Hand on their emulators."""
 
 from __future__ import annotations
 
@@ -22,13 +22,15 @@ from toolee_robot.hal import Clock, Hand, HandState
 from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.mount import MountedTool
+from toolee_robot.hardware.hands.shadow import ShadowHand
 from toolee_robot.robots import PALM, SHADOW_HAND, HandModel, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
-from toolee_robot.types import HandMounting, ToolMount
+from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
+from toolee_robot.types import HandEfforts, HandMounting, ToolMount
 
 MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
 MOUNT = ToolMount(
@@ -138,6 +140,27 @@ class AbilityRig(Rig):
         self._emulator.faults.muted = False
 
 
+class ShadowRig(Rig):
+    """The Shadow Hand's driver on the emulated hand, over a websocket."""
+
+    rest = 0.4
+
+    def __init__(self, emulator: ShadowEmulator) -> None:
+        self._emulator = emulator
+        self.model = SHADOW_HAND
+        self.clock = HostClock()
+        self.hand = ShadowHand(self.model, emulator.port, HandEfforts(60.0, 300.0, 0.03), self.clock)
+
+    def give(self) -> None:
+        self._emulator.hold(55.0)
+
+    def cut(self) -> None:
+        self._emulator.faults.muted = True
+
+    def restore(self) -> None:
+        self._emulator.faults.muted = False
+
+
 @cache
 def at_handover() -> Array:
     config, robot = StationConfig(), RobotModel.of_station(StationConfig())
@@ -152,6 +175,7 @@ TIERS = {
     "inspire": pytest.mark.realtime,
     "inspire_tcp": pytest.mark.realtime,
     "ability": pytest.mark.realtime,
+    "shadow": pytest.mark.realtime,
 }
 
 
@@ -175,6 +199,9 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     elif request.param == "ability":
         with AbilityEmulator() as ability:
             yield AbilityRig(ability)
+    elif request.param == "shadow":
+        with ShadowEmulator() as shadow:
+            yield ShadowRig(shadow)
     else:
         with SimStation.build(StationConfig(), 100, SimOptions(q_start=at_handover())) as simulation:
             yield SimRig(simulation)
@@ -184,7 +211,7 @@ def state(rig: Rig) -> HandState:
     return rig.hand.state(max_age=1.0)
 
 
-@on("simulated", "mount", "inspire", "inspire_tcp", "ability")
+@on("simulated", "mount", "inspire", "inspire_tcp", "ability", "shadow")
 def test_its_state_is_that_of_its_model(rig: Rig) -> None:
     assert isinstance(rig.hand, Hand)
     assert rig.hand.joint_names == rig.model.joints
@@ -204,7 +231,7 @@ def test_its_state_is_that_of_its_model(rig: Rig) -> None:
         hand.state()
 
 
-@on("simulated", "mount", "inspire", "inspire_tcp", "ability")
+@on("simulated", "mount", "inspire", "inspire_tcp", "ability", "shadow")
 def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
     with rig.hand as hand:
         hand.open()
@@ -227,7 +254,7 @@ def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
         assert opened[len(rig.model.wrist) :].max(initial=0.0) < 0.1
 
 
-@on("inspire", "inspire_tcp", "ability", nightly=("simulated",))
+@on("inspire", "inspire_tcp", "ability", "shadow", nightly=("simulated",))
 def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
     with rig.hand as hand:
         hand.close()
@@ -236,7 +263,7 @@ def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
         assert np.abs(bent).max() > 0.8
 
 
-@on(nightly=("simulated", "inspire", "inspire_tcp", "ability"))
+@on(nightly=("simulated", "inspire", "inspire_tcp", "ability", "shadow"))
 def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
     with rig.hand as hand:
         with raises(DeviceError, "device.timeout"):
@@ -250,7 +277,7 @@ def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
         assert state(rig).holding
 
 
-@on(nightly=("simulated", "inspire", "inspire_tcp", "ability"))
+@on(nightly=("simulated", "inspire", "inspire_tcp", "ability", "shadow"))
 def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None:
     with rig.hand as hand:
         rig.give()
@@ -264,7 +291,7 @@ def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None
         assert state(rig).holding
 
 
-@on("inspire", "inspire_tcp", "ability")
+@on("inspire", "inspire_tcp", "ability", "shadow")
 def test_it_is_watched_and_stopped_by_other_threads_while_it_closes(rig: Rig) -> None:
     with rig.hand as hand, ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from toolee_robot.config.values import STRICT, Positive
-from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandMounting, HandWeight, ToolMount
+from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandEfforts, HandMounting, HandWeight, ToolMount
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,7 @@ class HandConfig:
 
     __pydantic_config__ = STRICT
     model: str = "shadow_right"
-    """Name of the hand, one of those that `toolee devices list` prints or `shadow_right`, which is simulated only;
-    `mount` for a tool mount without a hand."""
+    """Name of the hand, one of those that `toolee devices list` prints; `mount` for a tool mount without a hand."""
     yield_torque: Positive | None = None
     """Torque at which the wrist or the mount gives way in a strike [Nm]; null for the hand's own. A mount needs it."""
     weighed: HandWeight | None = None
@@ -64,8 +63,12 @@ class HandConfig:
     """How the hand sits on the flange, for a hand that every lab screws on in its own way (`inspire_rh56`); every one
     of its fields must be measured. Null for the others."""
     port: str | None = None
-    """Port of the hand's driver: a serial one, such as `/dev/serial/by-id/...`, or `tcp://HOST:PORT` of an Inspire hand
-    with Ethernet; null for a simulated hand, and for one without a port."""
+    """Where the hand's driver finds it: a serial port, such as `/dev/serial/by-id/...`, `tcp://HOST:PORT` of an Inspire
+    hand with Ethernet, or `ws://HOST:9090` of the rosbridge of `shadow_right`; null for a simulated hand, and for one
+    without a port."""
+    efforts: HandEfforts | None = None
+    """What the hand's efforts mean, for the driver of `shadow_right`, whose maker does not say so; every one of its
+    fields must be measured. Null for the others, and for the simulated hand."""
     strap_force: Positive | None = None
     """Force with which a strap presses the handle into the hand [N], for a hand whose fingers do not hold a hammer that
     strikes; null without a strap. The simulated grip counts it with the fingers' forces."""
@@ -80,8 +83,8 @@ class HandConfig:
             return
         if self.weighed is not None:
             raise ValueError("weighed is for a hand: of a mount give mount.mass and mount.center_of_mass")
-        if self.mounting is not None or self.port is not None or self.strap_force is not None:
-            raise ValueError(f"mounting, port and strap_force are for hands, not for the model {MOUNT!r}")
+        if any(given is not None for given in (self.mounting, self.port, self.strap_force, self.efforts)):
+            raise ValueError(f"mounting, port, efforts and strap_force are for hands, not for the model {MOUNT!r}")
         missing = []
         if self.yield_torque is None:
             missing.append("hand.yield_torque")

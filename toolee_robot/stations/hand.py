@@ -18,41 +18,92 @@ from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.inspire.tcp_port import is_tcp, tcp_address
 from toolee_robot.hardware.hands.mount import MountedTool
+from toolee_robot.hardware.hands.shadow import ShadowHand
 from toolee_robot.robots import MOUNT, HandModel, hand_model
 from toolee_robot.robots.hands.ability import ABILITY, joints_of_closures
 from toolee_robot.robots.hands.inspire import INSPIRE, joints_of_counts
+from toolee_robot.robots.hands.shadow import SHADOW, joints_of_motors
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
+from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
 from toolee_robot.stations.devices import installed, load
+from toolee_robot.types import HandEfforts
+
+Address = tuple[str, int]
+"""Host and port."""
 
 
 @dataclass(frozen=True)
-class SerialHandKind:
-    """A kind of hand on a serial line, or on TCP: its driver, and what stands in for the hand at the other end.
+class WiredHandKind:
+    """A kind of hand on a wire: its driver, and what stands in for the hand at the other end.
 
     Attributes:
-        driver: Builds the driver from model, port, clock, and number of the hand.
-        emulator: Builds the emulated hand with that number, a seed of its noise, and the rate of its motors' time.
+        driver: Builds the driver from model, port, the station file's `hand`, and clock.
+        emulator: Builds the emulated hand from the station file's `hand`, host and port at which it listens if it is on
+            TCP, a seed of its noise, and the rate of its motors' time.
         joints: Converts the emulated motors' angles to the positions of the model's joints [rad].
-        hand_id: Number with which its maker delivers it.
-        tcp_emulator: Builds the emulated hand on TCP from the address to listen at and what `emulator` takes; None for
-            a hand that has no such port.
+        ports: What its port may be, for people.
+        scheme: Scheme of its port if that is an address, such as tcp; None for a serial port only.
+        hand_id: Number with which its maker delivers it; None for a hand without one.
     """
 
-    driver: Callable[[HandModel, str, Clock, int], Hand]
-    emulator: Callable[[int, int, float], HandEmulator[Any]]
+    driver: Callable[[HandModel, str, HandConfig, Clock], Hand]
+    emulator: Callable[[HandConfig, Address, int, float], HandEmulator[Any]]
     joints: Callable[[Array], Array]
-    hand_id: int
-    tcp_emulator: Callable[[tuple[str, int], int, int, float], HandEmulator[Any]] | None = None
+    ports: str
+    scheme: str | None = None
+    hand_id: int | None = None
 
 
-SERIAL_HANDS: dict[str, SerialHandKind] = {
-    INSPIRE: SerialHandKind(InspireHand, InspireEmulator, joints_of_counts, 1, ModbusEmulator),
-    ABILITY: SerialHandKind(AbilityHand, AbilityEmulator, joints_of_closures, 0x50),
+def _number(config: HandConfig) -> int:
+    number = config.hand_id or WIRED_HANDS[config.model].hand_id
+    assert number is not None
+    return number
+
+
+def _inspire(model: HandModel, port: str, config: HandConfig, clock: Clock) -> Hand:
+    return InspireHand(model, port, clock, _number(config))
+
+
+def _emulated_inspire(config: HandConfig, listen: Address, seed: int, pace: float) -> HandEmulator[Any]:
+    if config.port is not None and is_tcp(config.port):
+        return ModbusEmulator(listen, _number(config), seed, pace)
+    return InspireEmulator(_number(config), seed, pace)
+
+
+def _ability(model: HandModel, port: str, config: HandConfig, clock: Clock) -> Hand:
+    return AbilityHand(model, port, clock, _number(config))
+
+
+def _emulated_ability(config: HandConfig, _: Address, seed: int, pace: float) -> HandEmulator[Any]:
+    return AbilityEmulator(_number(config), seed, pace)
+
+
+def _shadow(model: HandModel, port: str, config: HandConfig, clock: Clock) -> Hand:
+    if config.efforts is None:
+        lacking = ", ".join(f"hand.efforts.{name}" for name in HandEfforts.__dataclass_fields__)
+        message = f"nobody but the lab knows what the efforts of its {model.label} mean: measure and give {lacking}"
+        raise ConfigError(f"{message}; docs/how-to/shadow_hand.md", code="config.hand_efforts")
+    return ShadowHand(model, port, config.efforts, clock)
+
+
+def _emulated_shadow(_: HandConfig, listen: Address, seed: int, pace: float) -> HandEmulator[Any]:
+    return ShadowEmulator(seed, pace, listen)
+
+
+_SERIAL = "the serial port, such as /dev/ttyUSB0"
+WIRED_HANDS: dict[str, WiredHandKind] = {
+    INSPIRE: WiredHandKind(
+        _inspire, _emulated_inspire, joints_of_counts, f"{_SERIAL}, or tcp://HOST:PORT of one with Ethernet", "tcp", 1
+    ),
+    ABILITY: WiredHandKind(_ability, _emulated_ability, joints_of_closures, _SERIAL, hand_id=0x50),
+    SHADOW: WiredHandKind(
+        _shadow, _emulated_shadow, joints_of_motors, "the address of its rosbridge, such as ws://HOST:9090", "ws"
+    ),
 }
-"""Name in the station file -> hand on a serial line, or on TCP."""
-LOOPBACK = ("127.0.0.1", 0)
+"""Name in the station file -> hand on a wire."""
+LOOPBACK: Address = ("127.0.0.1", 0)
 """Where an emulated hand on TCP listens if nobody says otherwise."""
 
 
@@ -70,30 +121,27 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
         The driver, not yet entered; entering it opens its port, and moves nothing.
 
     Raises:
-        ConfigError: The hand is unknown or has no driver, or the station file lacks its port or its mounting.
+        ConfigError: The hand is unknown or has no driver, or the station file lacks its port, mounting or efforts.
     """
     model = hand_model(config)
     if config.model == MOUNT:
         return MountedTool(model, clock)
-    if config.model not in SERIAL_HANDS:
+    if config.model not in WIRED_HANDS:
         plugins = installed("hand")
         if config.model in plugins:
             hand: Hand = load(plugins[config.model])(model, config, clock)
             return hand
-        known = ", ".join((*SERIAL_HANDS, *plugins, MOUNT))
+        known = ", ".join((*WIRED_HANDS, *plugins, MOUNT))
         message = f"the {model.label} has no driver here: those with one are {known}; docs/how-to/add_a_hand.md"
         raise ConfigError(message, code="config.hand_driver")
     if config.port is None:
-        message = f"hand.port is missing: the serial port of the {model.label}, such as /dev/ttyUSB0"
-        if SERIAL_HANDS[config.model].tcp_emulator is not None:
-            message += ", or tcp://HOST:PORT of one with Ethernet"
+        message = f"hand.port of the {model.label} is missing: {WIRED_HANDS[config.model].ports}"
         raise ConfigError(message, code="config.hand_port")
-    kind = _kind(config)
-    return kind.driver(model, config.port, clock, config.hand_id or kind.hand_id)
+    return _kind(config).driver(model, config.port, config, clock)
 
 
 def emulated_hand(
-    config: HandConfig, seed: int = 0, pace: float = 1.0, listen: tuple[str, int] = LOOPBACK
+    config: HandConfig, seed: int = 0, pace: float = 1.0, listen: Address = LOOPBACK
 ) -> HandEmulator[Any]:
     """Build the emulated hand that stands in for a station's.
 
@@ -110,28 +158,28 @@ def emulated_hand(
         ConfigError: The hand has no emulator.
         UserError: It cannot listen there.
     """
-    if config.model not in SERIAL_HANDS:
-        known = ", ".join(SERIAL_HANDS)
+    if config.model not in WIRED_HANDS:
+        known = ", ".join(WIRED_HANDS)
         raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.hand_driver")
-    kind = _kind(config)
-    hand_id = config.hand_id or kind.hand_id
-    if kind.tcp_emulator is not None and config.port is not None and is_tcp(config.port):
-        return kind.tcp_emulator(listen, hand_id, seed, pace)
-    return kind.emulator(hand_id, seed, pace)
+    return _kind(config).emulator(config, listen, seed, pace)
 
 
-def _kind(config: HandConfig) -> SerialHandKind:
-    """The kind of a hand with a driver here; refuses a port that it cannot have."""
-    kind = SERIAL_HANDS[config.model]
-    if config.port is not None and is_tcp(config.port):
-        if kind.tcp_emulator is None:
-            message = f"hand.port {config.port!r}: {config.model} has a serial port only, such as /dev/ttyUSB0"
+def _kind(config: HandConfig) -> WiredHandKind:
+    """The kind of a hand with a driver here; refuses a port or a number that it cannot have."""
+    kind = WIRED_HANDS[config.model]
+    if config.hand_id is not None and kind.hand_id is None:
+        message = f"hand.hand_id: {config.model} has no number, its port is an address; remove the field"
+        raise ConfigError(message, code="config.hand_id")
+    if config.port is not None and "://" in config.port:
+        if config.port.partition("://")[0] != kind.scheme:
+            message = f"hand.port {config.port!r} is not for {config.model}: give {kind.ports}"
             raise ConfigError(message, code="config.hand_port")
-        tcp_address(config.port)
+        if is_tcp(config.port):
+            tcp_address(config.port)
     return kind
 
 
 def hand_drivers() -> dict[str, str]:
     """The hands that a station file may name and that have a driver, and where each is from."""
     others = {name: entry.value for name, entry in installed("hand").items()}
-    return others | dict.fromkeys((*SERIAL_HANDS, MOUNT), "toolee_robot")
+    return others | dict.fromkeys((*WIRED_HANDS, MOUNT), "toolee_robot")

@@ -20,7 +20,7 @@ from toolee_robot.hardware.operator.digital_inputs import open_person
 from toolee_robot.robots import MOUNT
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.stations.camera import RECORDED, open_camera
-from toolee_robot.stations.hand import SERIAL_HANDS, open_hand
+from toolee_robot.stations.hand import WIRED_HANDS, open_hand
 from toolee_robot.stations.ur import ur_driver
 
 
@@ -123,7 +123,7 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
             "calibration": config.calibration,
             "tool": config.tool,
         }
-        if config.hand.model in SERIAL_HANDS:
+        if config.hand.model in WIRED_HANDS:
             wanted["hand.port"] = config.hand.port
     if missing := [name for name, value in wanted.items() if value is None]:
         raise ConfigError(

@@ -61,8 +61,9 @@ def test_it_holds_by_contact_what_the_person_lays_into_it_and_tells_a_loss(
 
 
 @pytest.mark.realtime
-def test_the_ability_hand_holds_by_contact_too() -> None:
-    config = load_station(EXAMPLES / "ability.yaml")
+@pytest.mark.parametrize(("name", "knuckles"), [("ability", [0, 2, 4, 6]), ("shadow", [3, 7, 11, 16])])
+def test_the_others_hold_by_contact_too(name: str, knuckles: list[int]) -> None:
+    config = load_station(EXAMPLES / f"{name}.yaml")
     robot = RobotModel.of_station(config)
     q_open = robot.description.hand_open
     way = plan_handover(robot, config, CollisionWorld(robot, config, q_open), np.array(config.scene.home), q_open)
@@ -75,9 +76,8 @@ def test_the_ability_hand_holds_by_contact_too() -> None:
         assert state.holding
         assert state.assisted
         truth = driven.simulation.world.robot.hand_state()[0]
-        assert np.median(np.abs(truth - state.joints.q)[:8:2]) < 0.1, (
-            "the simulated knuckles are where the driver's are"
-        )
+        distance = np.abs(truth - state.joints.q)[knuckles]
+        assert np.median(distance) < 0.1, "the simulated knuckles are where the driver's are"
 
 
 @pytest.mark.nightly

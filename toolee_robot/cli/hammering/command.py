@@ -27,7 +27,7 @@ WORLD_REAL_TIME_FACTOR = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
 """Default real-time factors. A cycle then takes 32 and 20 ms, at least twice what the world needs for it in a strike,
 so that two busy cores keep the servo's schedule within a real robot's bounds."""
 
-HANDS = {"inspire": "inspire_rh56", "ability": "ability_hand"}
+HANDS = {"inspire": "inspire_rh56", "ability": "ability_hand", "shadow": "shadow_right"}
 """What --hand names -> what a station file calls it."""
 
 
@@ -98,10 +98,11 @@ class Hammer:
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Model of the arm, instead of the configured one."""
     hand: Annotated[
-        Literal["inspire", "ability"] | None, tyro.conf.arg(metavar="inspire|ability", help_behavior_hint="")
+        Literal["inspire", "ability", "shadow"] | None,
+        tyro.conf.arg(metavar="inspire|ability|shadow", help_behavior_hint=""),
     ] = None
-    """The hand of the station file by its own driver, over a pseudo-terminal, or over TCP if hand.port is such; an
-    emulated hand, which feels what the simulated one touches, is at its other end. Needs a --config with that hand."""
+    """The hand of the station file by its own driver, over its wire; an emulated hand, which feels what the
+    simulated one touches, is at its other end. Needs a --config with that hand."""
     hand_port: Annotated[str | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
     """With --hand: the port of a hand that `toolee hand-emulator` emulates, which feels its own --handle instead."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
@@ -263,7 +264,7 @@ class Hammer:
         if config.hand.model != HANDS[self.hand]:
             raise UserError(
                 f"--hand {self.hand} needs a station with that hand (hand.model: {HANDS[self.hand]}), such as --config "
-                f"examples/{self.hand}.yaml: nobody but the lab knows how it sits on the flange",
+                f"examples/{self.hand}.yaml: only the lab knows what it measures of it",
                 code="user.hand",
             )
 

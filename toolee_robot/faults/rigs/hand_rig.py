@@ -1,7 +1,7 @@
 """A hand's own driver, on an emulated hand, in the place of the simulated hand's judgement.
 
 The hammer is held in the simulation by the simulated hand; whether it is held, and what is wrong with the hand, is what
-the driver says, which speaks to an emulated hand over a pseudo-terminal, or over TCP.
+the driver says, which speaks to an emulated hand over its wire.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from toolee_robot.sim_backend.devices.hand import TICK, SimHand
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.stations.driven_hand import SWITCH_INTERVAL, HandPace
 from toolee_robot.stations.hand import emulated_hand, open_hand
-from toolee_robot.types import HandMounting
+from toolee_robot.types import HandEfforts, HandMounting
 
 MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
 """Any: the arm of these rows carries the simulated hand."""
+EFFORTS = HandEfforts(touch=60.0, grip=300.0, newtons_per_unit=0.03)
+"""Of the emulated Shadow Hand."""
 
 
 @dataclass(frozen=True)
@@ -32,26 +34,31 @@ class HandKind:
     """A kind of hand.
 
     Attributes:
-        model: Its name in a station file.
+        config: What a station file says of it.
         label: Name of the rows' column.
         handle: Angle at which its fingers meet a handle, in the hand's own unit.
         slip: Way by which a slipping handle gives way, in that unit.
         margin: Largest distance of a finger that still holds from `handle`, in that unit.
-        port: Its port in a station file, as far as that tells its wire; None for a serial line.
+        jams: Event by which its middle finger jams.
+        heats: Event by which it gets too hot.
     """
 
-    model: str
+    config: HandConfig
     label: str
     handle: float
     slip: float
     margin: float
-    port: str | None = None
+    jams: str = "jam middle"
+    heats: str = "heat index 75"
 
 
+_MODBUS = HandConfig("inspire_rh56", mounting=MOUNTING, port="tcp://127.0.0.1:6000")
+"""The port tells its wire only: an emulated hand listens at any that is free."""
 HANDS = (
-    HandKind("inspire_rh56", "Inspire RH56", 400.0, 60.0, 110.0),
-    HandKind("ability_hand", "Ability Hand", 55.0, 6.0, 15.0),
-    HandKind("inspire_rh56", "Inspire Modbus-TCP", 400.0, 60.0, 110.0, "tcp://127.0.0.1:6000"),
+    HandKind(HandConfig("inspire_rh56", mounting=MOUNTING), "Inspire RH56", 400.0, 60.0, 110.0),
+    HandKind(HandConfig("ability_hand", mounting=MOUNTING), "Ability Hand", 55.0, 6.0, 15.0, heats="heat 75"),
+    HandKind(_MODBUS, "Inspire Modbus-TCP", 400.0, 60.0, 110.0),
+    HandKind(HandConfig("shadow_right", efforts=EFFORTS), "Shadow Hand", 55.0, 6.0, 15.0, "jam MFJ3", "heat FFJ3 75"),
 )
 """The hands that have a driver here and an emulator, on each of their wires."""
 
@@ -72,10 +79,9 @@ class DriverHand(ClosedHand):
     def __init__(self, simulation: SimStation, simulated: SimHand, kind: HandKind) -> None:
         super().__init__(simulated)
         self.kind, self._simulation = kind, simulation
-        config = HandConfig(kind.model, mounting=MOUNTING, port=kind.port)
-        self.emulator: HandEmulator[Any] = emulated_hand(config)
+        self.emulator: HandEmulator[Any] = emulated_hand(kind.config)
         clock = simulation.station.clock
-        self._driver = open_hand(replace(config, port=self.emulator.port), clock)
+        self._driver = open_hand(replace(kind.config, port=self.emulator.port), clock)
         self._pace = HandPace(clock)
         self._stack = ExitStack()
 

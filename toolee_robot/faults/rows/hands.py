@@ -82,12 +82,12 @@ def _tell(line: str) -> Event:
     return lambda e, _: happen(e, line)
 
 
-def _jam(e: HandEmulator[Any], _: HandKind) -> None:
-    happen(e, "jam middle")
+def _jam(e: HandEmulator[Any], kind: HandKind) -> None:
+    happen(e, kind.jams)
 
 
 def _heat(e: HandEmulator[Any], kind: HandKind) -> None:
-    happen(e, "heat 75" if kind.model == "ability_hand" else "heat index 75")
+    happen(e, kind.heats)
 
 
 def _slip(e: HandEmulator[Any], kind: HandKind) -> None:

@@ -1,10 +1,16 @@
-"""The right Shadow Hand with its electric forearm and its two wrist joints, the paper's hand."""
+"""The right Shadow Hand with its electric forearm and its two wrist joints, the paper's hand.
+
+The maker's own description (`sr_description`, `hand/xacro`) counts four joints the other way round than the model does:
+`MAKER_SIGNS`.
+"""
 
 from __future__ import annotations
 
 from functools import partial
 
-from toolee_robot.frames import transform
+import numpy as np
+
+from toolee_robot.frames import Array, transform
 from toolee_robot.robots.assets import SHADOW_HAND_URDF
 from toolee_robot.robots.hands.model import Finger, HandModel, NominalGrasp, Phalanx, WristJoint
 from toolee_robot.robots.urdf import read_urdf
@@ -40,8 +46,11 @@ def _finger(name: str, prefix: str, segments: tuple[str, ...], radii: tuple[floa
 _SEGMENTS = ("proximal", "middle", "distal")
 _RADII, _LENGTHS = (0.010, 0.00805, 0.00705), (0.045, 0.025, 0.024)  # [m] as in the model's collision capsules
 
+SHADOW = "shadow_right"
+"""Name of the hand in a station file."""
+
 SHADOW_HAND = HandModel(
-    name="shadow_right",
+    name=SHADOW,
     label="Shadow Hand (right)",
     source=SHADOW_HAND_URDF,
     read=partial(read_urdf, substitute_shapes=False),
@@ -87,3 +96,50 @@ SHADOW_HAND = HandModel(
     grip_width=0.075,
     root_mesh_cell=0.018,
 )
+
+MOTORS = (
+    *(f"{finger}{joint}" for finger in ("FF", "MF", "RF", "LF") for joint in ("J3", "J0", "J4")),
+    *("LFJ5", "THJ5", "THJ4", "THJ3", "THJ2", "THJ1", "WRJ2", "WRJ1"),
+)
+"""The motors by the maker's names of their joints. "J0" is joints 1 and 2 of a finger together: they have one motor."""
+MAKER_SIGNS = np.array([-1.0 if joint[3:] in ("FFJ4", "MFJ4", "THJ2", "THJ1") else 1.0 for joint in SHADOW_HAND.joints])
+"""Direction in which the maker counts each joint, in the order of the model's joints, (24,)."""
+_OF_MOTOR = np.array([MOTORS.index(f"{j[3:5]}J0" if j[5:] in ("J1", "J2") and j[3:5] not in ("TH", "WR") else j[3:])
+                      for j in SHADOW_HAND.joints])  # fmt: skip
+_COUPLED = np.array([MOTORS[motor].endswith("J0") for motor in _OF_MOTOR])
+
+
+def motors_of_joints(q: Array) -> Array:
+    """Convert joint positions to the motors'.
+
+    Args:
+        q: Positions in the order of the model's joints, (24,) [rad].
+
+    Returns:
+        Of the motors in the order of `MOTORS`, as the maker counts them, (20,) [deg]; of two coupled joints the sum.
+    """
+    motors = np.zeros(len(MOTORS))
+    np.add.at(motors, _OF_MOTOR, np.rad2deg(MAKER_SIGNS * q))
+    return motors
+
+
+def joints_of_motors(motors: Array) -> Array:
+    """Convert the motors' positions to those of the joints.
+
+    Args:
+        motors: Of the motors in the order of `MOTORS`, (20,) [deg].
+
+    Returns:
+        Positions in the order of the model's joints, (24,) [rad]; of two coupled joints each has half, which is what
+        they do while nothing is in the way of either.
+    """
+    maker = np.deg2rad(np.asarray(motors, float))[_OF_MOTOR]
+    return MAKER_SIGNS * np.where(_COUPLED, 0.5 * maker, maker)
+
+
+def _motors(posture: str) -> tuple[float, ...]:
+    return tuple(float(angle) for angle in motors_of_joints(SHADOW_HAND.posture(posture)))
+
+
+OPEN, CLOSED = _motors("open"), _motors("closed")
+"""Positions of the motors of the open hand, and at which the closing hand aims [deg]; the wrist at rest in both."""

@@ -21,7 +21,7 @@ from toolee_robot.sim_backend.remote.station import RemoteJudge
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.stations.driven_hand import SWITCH_INTERVAL
-from toolee_robot.stations.hand import SERIAL_HANDS, emulated_hand
+from toolee_robot.stations.hand import WIRED_HANDS, emulated_hand
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal.camera import emulated_stream
 from toolee_robot.stations.rehearsal.hand import FingerCoupling
@@ -82,10 +82,10 @@ class EmulatedLab:
     ) -> None:
         LabStation(cell.measured, tell, purpose=purpose)  # refuses what is missing
         hand = cell.measured.hand.model
-        if hand not in (*SERIAL_HANDS, MOUNT):
+        if hand not in (*WIRED_HANDS, MOUNT):
             raise ConfigError(
                 f"the hand {hand!r} has no emulator, so that it cannot be rehearsed: those with one are "
-                f"{', '.join(SERIAL_HANDS)}, and a {MOUNT} needs none",
+                f"{', '.join(WIRED_HANDS)}, and a {MOUNT} needs none",
                 code="config.no_emulator",
             )
         self._cell, self._tell, self._purpose, self._doing = cell, tell, purpose, doing
@@ -174,7 +174,7 @@ class EmulatedLab:
             return hand
         model = RobotModel.of_station(self._cell.measured).description
         emulator = stack.enter_context(emulated_hand(hand, self._cell.seed, self._clock.real_time_factor))
-        joints = SERIAL_HANDS[hand.model].joints
+        joints = WIRED_HANDS[hand.model].joints
         stack.enter_context(FingerCoupling(self._world, emulator, joints, model.hand_open))
         return replace(hand, port=emulator.port)
 

@@ -14,16 +14,18 @@ from toolee_robot.hal import Clock, HandState
 from toolee_robot.hardware.hands.ability.faults import HEAT, LAPSE, NO_PADS, Heat, heat_error
 from toolee_robot.hardware.hands.ability.line import HandLine
 from toolee_robot.hardware.hands.ability.replies import Limited
-from toolee_robot.hardware.hands.ability.setpoints import Setpoints
 from toolee_robot.hardware.hands.ability.touch import Touch
-from toolee_robot.hardware.hands.serial.driver import MOTION_TIME, SerialHand
-from toolee_robot.hardware.hands.serial.grip import GripRule
-from toolee_robot.hardware.hands.serial.motion import Motion
+from toolee_robot.hardware.hands.wire.driver import MOTION_TIME, WiredHand
+from toolee_robot.hardware.hands.wire.grip import GripRule
+from toolee_robot.hardware.hands.wire.motion import Motion
+from toolee_robot.hardware.hands.wire.setpoints import Setpoints
 from toolee_robot.robots.hands import HandModel
 from toolee_robot.robots.hands.ability import CLOSED, MOTORS, OPEN, RANGE, joints_of_closures
 
 APPROACH_SPEED, FINISH_SPEED, OPENING_SPEED = 120.0, 20.0, 240.0
 """Speeds of the fingers until they touch, of their pressing, and of opening [deg/s]."""
+LEAD = 12.0
+"""Largest way by which a setpoint is ahead of a motor [deg]."""
 SILENT_MOST = 0.25
 """Longest time between two commands for which the hand has certainly not left its API mode, which takes 0.3 s [s]."""
 OPENED = 5.0
@@ -72,7 +74,7 @@ class Reading:
         return np.array([bool(self.limited >> motor & 1) for motor in range(len(MOTORS))])
 
 
-class AbilityHand(SerialHand[HandLine, Reading]):
+class AbilityHand(WiredHand[HandLine, Reading]):
     """A PSYONIC Ability Hand on a serial port; use it in its `with` block. Entering it moves nothing.
 
     Its first motion takes the hand into its API mode; from then on a command goes out every 10 ms, and the block keeps
@@ -184,7 +186,7 @@ class AbilityHand(SerialHand[HandLine, Reading]):
             if self._stopped.is_set() or self._closures is None:
                 return
             if self._setpoints is None:
-                self._setpoints = Setpoints(self._closures)
+                self._setpoints = Setpoints(self._closures, LEAD)
             self._setpoints.go(motors, targets, speed)
 
         self._opened().run(go)
@@ -230,7 +232,7 @@ class AbilityHand(SerialHand[HandLine, Reading]):
         hot = self._heat.judge(answer.stamp, reply.limited)
         self._closures = closures
         if self._setpoints is None and self._lapsed:
-            self._setpoints = Setpoints(closures)
+            self._setpoints = Setpoints(closures, LEAD)
         return Reading(answer.stamp, number, closures, forces, reply.limited, heat_error() if hot else None)
 
     def _watch(self, reading: Reading, line: HandLine) -> None:  # noqa: ARG002

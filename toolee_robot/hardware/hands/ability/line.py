@@ -17,7 +17,8 @@ from toolee_robot.hardware.hands.ability.frames import (
     read_command,
 )
 from toolee_robot.hardware.hands.ability.replies import Reply, decode
-from toolee_robot.hardware.hands.serial.port import LineCounts, SerialPort
+from toolee_robot.hardware.hands.wire.counts import LineCounts
+from toolee_robot.hardware.hands.wire.port import SerialPort
 
 BAUD_RATE = 460800
 """As delivered (ICD 3.1.2.1)."""

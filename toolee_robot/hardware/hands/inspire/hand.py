@@ -30,8 +30,8 @@ from toolee_robot.hardware.hands.inspire.registers import (
 )
 from toolee_robot.hardware.hands.inspire.serial_line import SerialLine
 from toolee_robot.hardware.hands.inspire.tcp_port import is_tcp
-from toolee_robot.hardware.hands.serial.driver import MOTION_TIME, SerialHand
-from toolee_robot.hardware.hands.serial.grip import GripRule
+from toolee_robot.hardware.hands.wire.driver import MOTION_TIME, WiredHand
+from toolee_robot.hardware.hands.wire.grip import GripRule
 from toolee_robot.robots.hands import HandModel
 from toolee_robot.robots.hands.inspire import CLOSED, MOTORS, OPEN, joints_of_counts
 
@@ -88,7 +88,7 @@ class Reading:
         return self.condition.error
 
 
-class InspireHand(SerialHand[HandLine[Any], Reading]):
+class InspireHand(WiredHand[HandLine[Any], Reading]):
     """An Inspire RH56 on a serial port or on Modbus-TCP; use it in its `with` block. Entering it moves nothing.
 
     Its two speeds: the fingers close until they touch, then press slowly up to the grip force. A grip is kept up: a

@@ -8,7 +8,7 @@ from typing import Generic, Protocol, Self, TypeVar
 
 from toolee_robot.errors import DeviceError, NoAnswerError
 from toolee_robot.hardware.hands.inspire.frames import WRITTEN
-from toolee_robot.hardware.hands.serial.port import LineCounts
+from toolee_robot.hardware.hands.wire.counts import LineCounts
 
 ANSWER_TIME = 0.04
 """Time for a reply [s]: 6.6 ms were measured for a read of 12 bytes on RS-485, and a USB adapter may keep it back for

@@ -7,7 +7,7 @@ from itertools import cycle
 from toolee_robot.hardware.hands.inspire.frames import ReplySearch, Request, read_request, write_request
 from toolee_robot.hardware.hands.inspire.line import ANSWER_TIME, HandLine
 from toolee_robot.hardware.hands.inspire.registers import ANGLE_ACT
-from toolee_robot.hardware.hands.serial.port import SerialPort
+from toolee_robot.hardware.hands.wire.port import SerialPort
 
 BAUD_RATE = 115200
 _BARRIERS = range(1, 12)

@@ -1,4 +1,4 @@
-"""What every driver of a hand on a serial line, or one like it, is: its block, its thread, its motions, its stop."""
+"""What every driver of a hand on a wire is: its block, its thread, its motions, its stop."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import numpy as np
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, HandState
-from toolee_robot.hardware.hands.serial.grip import Grip, GripRule
-from toolee_robot.hardware.hands.serial.motion import Motion
-from toolee_robot.hardware.hands.serial.poller import Poller, ReadingT
-from toolee_robot.hardware.hands.serial.port import LineCounts
+from toolee_robot.hardware.hands.wire.counts import LineCounts
+from toolee_robot.hardware.hands.wire.grip import Grip, GripRule
+from toolee_robot.hardware.hands.wire.motion import Motion
+from toolee_robot.hardware.hands.wire.poller import Poller, ReadingT
 from toolee_robot.robots.hands import HandModel
 from toolee_robot.types import JointState
 
@@ -38,8 +38,8 @@ class HandLine(Protocol):
 LineT = TypeVar("LineT", bound=HandLine)
 
 
-class SerialHand(ABC, Generic[LineT, ReadingT]):
-    """A `hal.Hand` on a serial line, or one like it; use it in its `with` block. Entering it moves nothing.
+class WiredHand(ABC, Generic[LineT, ReadingT]):
+    """A `hal.Hand` on a wire; use it in its `with` block. Entering it moves nothing.
 
     Args:
         model: The hand: `hand_model(config.hand)`.

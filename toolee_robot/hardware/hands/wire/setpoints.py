@@ -7,22 +7,22 @@ from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
 
-LEAD = 12.0
-"""Largest way by which a setpoint is ahead of a motor [deg]."""
 BACK, BACK_TIME = 1.0, 0.06
 """Way and time for which a finger that has collided is told to open before it can close further [deg], [s]."""
 
 
 class Setpoints:
-    """Setpoints of the six motors, which move towards targets at speeds of their own.
+    """Setpoints of the m motors, which move towards targets at speeds of their own.
 
     The hand has no speeds: it goes to a position as fast as it can. A slow finger is one whose setpoint moves slowly.
 
     Args:
-        closures: Where the motors are, (6,) [deg].
+        closures: Where the motors are, (m,) [deg].
+        lead: Largest way by which a setpoint is ahead of a motor [deg].
     """
 
-    def __init__(self, closures: Array) -> None:
+    def __init__(self, closures: Array, lead: float) -> None:
+        self._lead = lead
         self._setpoint, self._target = closures.copy(), closures.copy()
         self._speed = np.zeros(len(closures))
         self._back_until = np.full(len(closures), -np.inf)
@@ -31,39 +31,44 @@ class Setpoints:
 
     @property
     def moving(self) -> NDArray[np.bool_]:
-        """Whether each motor is told to move, (6,)."""
+        """Whether each motor is told to move, (m,)."""
         return np.asarray(np.abs(self._setpoint - self._target) > 1e-9)
 
     @property
+    def at(self) -> Array:
+        """Where the motors are told to be, (m,) [deg]."""
+        return self._setpoint
+
+    @property
     def way(self) -> Array:
-        """Way to each motor's target, positive closing, (6,) [deg]."""
+        """Way to each motor's target, positive closing, (m,) [deg]."""
         return self._target - self._setpoint
 
-    def go(self, motors: list[int], targets: Array, speed: float) -> None:
+    def go(self, motors: list[int], targets: Array, speed: Array | float) -> None:
         """Send motors to targets.
 
         Args:
             motors: The motors.
-            targets: Closures of all six, (6,) [deg].
-            speed: Their speed [deg/s].
+            targets: Closures of all, (m,) [deg].
+            speed: Their speed, or that of each [deg/s].
         """
         self._target[motors], self._speed[motors] = targets[motors], speed
 
-    def slow(self, motors: NDArray[np.bool_], speed: float) -> None:
+    def slow(self, motors: NDArray[np.bool_], speed: Array | float) -> None:
         """Let motors that are on their way go on at a speed.
 
         Args:
-            motors: Which of the six, (6,).
-            speed: Their speed [deg/s].
+            motors: Which of them, (m,).
+            speed: Their speed, or that of each, (m,) [deg/s].
         """
-        self._speed[motors] = np.minimum(self._speed[motors], speed)
+        self._speed = np.where(motors, np.minimum(self._speed, speed), self._speed)
 
     def hold(self, motors: NDArray[np.bool_], at: Array) -> None:
         """Keep motors at places.
 
         Args:
-            motors: Which of the six, (6,).
-            at: The places, (6,) [deg].
+            motors: Which of them, (m,).
+            at: The places, (m,) [deg].
         """
         self._setpoint[motors] = self._target[motors] = at[motors]
 
@@ -72,7 +77,7 @@ class Setpoints:
 
         Args:
             motors: The fingers.
-            closures: Where all six motors are, (6,) [deg].
+            closures: Where all motors are, (m,) [deg].
             towards: 1 for fingers that shall close further, -1 for those that shall open.
         """
         now = self._stamp or 0.0
@@ -85,7 +90,7 @@ class Setpoints:
 
         Args:
             now: Time [s].
-            closures: Where the motors are, (6,) [deg].
+            closures: Where the motors are, (m,) [deg].
 
         Returns:
             What to command [deg].
@@ -94,7 +99,7 @@ class Setpoints:
         self._stamp = now
         back = now < self._back_until
         way = np.clip(self._target - self._setpoint, -self._speed * step, self._speed * step)
-        moved = np.clip(self._setpoint + way, closures - LEAD, closures + LEAD)
+        moved = np.clip(self._setpoint + way, closures - self._lead, closures + self._lead)
         self._setpoint = np.where(self.moving & ~back, moved, self._setpoint)
         command = np.where(back, self._back_to, self._setpoint)
         return tuple(float(angle) for angle in command)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.hardware.hands.serial.poller import Reading
+from toolee_robot.hardware.hands.wire.poller import Reading
 
 WINDOW = 0.1
 """Time over which forces are averaged [s]."""
@@ -94,7 +94,8 @@ class Grip:
         closures_then, forces_then = self._grasp
         pressing = [*rule.fingers, rule.thumb]
         held_by = (forces_then > rule.touches) & np.isin(np.arange(len(forces)), pressing)
-        closed = np.where(held_by, closures - closures_then, 0.0)
+        # One that presses on nothing any more has not slipped: the tool is lost, which `holding` says.
+        closed = np.where(held_by & (reading.forces > rule.touches), closures - closures_then, 0.0)
         if not self.slipped and closed.max() > rule.slipped:
             self.slipped = f"the grip has slipped: a finger has closed by {closed.max():.0f} {rule.unit}"
         relaxed = held_by & (closures < rule.shut) & (forces < RELAXED * forces_then)

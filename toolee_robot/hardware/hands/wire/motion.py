@@ -10,7 +10,7 @@ import numpy as np
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.hands.serial.poller import LineT, Poller, ReadingT
+from toolee_robot.hardware.hands.wire.poller import LineT, Poller, ReadingT
 
 STANDS_FOR = 0.1
 """Time without motion after which a motor stands [s]."""
@@ -74,11 +74,12 @@ class Motion(Generic[LineT, ReadingT]):
         if self.reading.fault is not None:
             raise self.reading.fault
 
-    def until_still(self, motor: int | None = None) -> None:
+    def until_still(self, motor: int | None = None, settled: Callable[[ReadingT], bool] = lambda _: True) -> None:
         """Wait until the motors stand, whatever state they report: one that was stuck said that it had arrived.
 
         Args:
             motor: The only one to wait for; None for all.
+            settled: Whether motors that stand have done what they shall, by a reading.
 
         Raises:
             DeviceError: The motion timed out, or was stopped, or a motor has got a fault.
@@ -96,7 +97,7 @@ class Motion(Generic[LineT, ReadingT]):
             closures = self.reading.closures
             if np.max(np.abs(closures - reference)[index]) > self._still:
                 reference, since = closures, max(since, self.reading.stamp)
-            elif self.reading.stamp - since >= STANDS_FOR:
+            elif self.reading.stamp - since >= STANDS_FOR and settled(self.reading):
                 return
             if self._clock.now() > self._end:
                 self._poller.run(self._freeze)

@@ -5,25 +5,12 @@ from __future__ import annotations
 import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import serial
 
 from toolee_robot.errors import NoAnswerError
 
 _READ_TIME = 0.01
-
-
-@dataclass
-class LineCounts:
-    """What happened on the line."""
-
-    requests: int = 0
-    """Requests sent, repeated ones included."""
-    unanswered: int = 0
-    """Requests that nothing usable came back for."""
-    corrupt: int = 0
-    """Replies that were found damaged."""
 
 
 class SerialPort:
