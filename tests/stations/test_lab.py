@@ -11,11 +11,13 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.config import StationConfig, load_lab_station, load_station
+from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError, DeviceError, NotReadyError
 from toolee_robot.frames import angle_between, rotation_angle
 from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
+from toolee_robot.hardware.hands.shadow import ShadowHand
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.cell_errors import NOMINAL
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
@@ -133,12 +135,13 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
         ("inspire", InspireHand, "/dev/ttyUSB0"),
         ("inspire", InspireHand, "tcp://192.168.11.210:6000"),
         ("ability", AbilityHand, "/dev/ttyUSB0"),
+        ("shadow", ShadowHand, "ws://192.168.1.20:9090"),
     ],
 )
 def test_the_emulated_fingers_hold_what_the_person_puts_between_them(
     config: StationConfig, name: str, driver: type[Any], port: str
 ) -> None:
-    config = _with_hand(config, name, port)
+    config = _at_the_handover(_with_hand(config, name, port))
     cell = job_cell(config, LAB, 7401)
     with EmulatedLab(cell, print, FACTOR, "ideal") as lab:
         hand, person = lab.station.hand, lab.station.person
@@ -176,3 +179,12 @@ def _driver(config: StationConfig, name: str) -> StationConfig:
 def _with_hand(config: StationConfig, name: str, port: str | None) -> StationConfig:
     hand = load_station(EXAMPLES / f"{name}.yaml").hand
     return replace(config, hand=replace(hand, port=port, weighed=HandWeight(0.9, (0.0, 0.0, 0.06))))
+
+
+def _at_the_handover(config: StationConfig) -> StationConfig:
+    """The station whose arm begins where tools are handed over: nothing there is in the tool's way into the hand."""
+    robot = RobotModel.of_station(config)
+    q_open = robot.description.hand_open
+    world = CollisionWorld(robot, config, q_open)
+    home = plan_handover(robot, config, world, np.array(config.scene.home), q_open).q[-1]
+    return replace(config, scene=replace(config.scene, home=tuple(home.tolist())))

@@ -84,8 +84,6 @@ def test_the_station_file_names_the_driver(config: StationConfig) -> None:
     assert isinstance(open_hand(load_station(EXAMPLES / "mount.yaml").hand, clock), MountedTool)
     with raises(ConfigError, "config.hand_port"):
         open_hand(replace(config.hand, port=None), clock)
-    with raises(ConfigError, "config.hand_driver"):
-        open_hand(HandConfig(), clock)
 
 
 @pytest.mark.realtime

@@ -87,15 +87,16 @@ class Grip:
         while reading.stamp - self._recent[0].stamp > WINDOW:
             self._recent.popleft()
         forces, closures = self._forces(), reading.closures
-        touching = (forces > rule.touches) & (closures < rule.shut)
-        self.holding = bool(touching[rule.thumb] and touching[list(rule.fingers)].sum() >= HOLDING_FINGERS)
+        self.holding = self._holds(forces, closures)
         if self._grasp is None:
             return []
         closures_then, forces_then = self._grasp
         pressing = [*rule.fingers, rule.thumb]
         held_by = (forces_then > rule.touches) & np.isin(np.arange(len(forces)), pressing)
-        # One that presses on nothing any more has not slipped: the tool is lost, which `holding` says.
-        closed = np.where(held_by & (reading.forces > rule.touches), closures - closures_then, 0.0)
+        # Fingers that press on nothing any more have not slipped when all of them let go at once: the tool is lost,
+        # which `holding` says. While the others still hold it, it has turned or slid out of them.
+        presses = (reading.forces > rule.touches) | self._holds(reading.forces, closures)
+        closed = np.where(held_by & presses, closures - closures_then, 0.0)
         if not self.slipped and closed.max() > rule.slipped:
             self.slipped = f"the grip has slipped: a finger has closed by {closed.max():.0f} {rule.unit}"
         relaxed = held_by & (closures < rule.shut) & (forces < RELAXED * forces_then)
@@ -103,6 +104,12 @@ class Grip:
             return []
         self._pressed = reading.stamp
         return [int(i) for i in np.flatnonzero(relaxed)]
+
+    def _holds(self, forces: Array, closures: Array) -> bool:
+        """Whether thumb and fingers press on something that is not the palm."""
+        rule = self._rule
+        touching = (forces > rule.touches) & (closures < rule.shut)
+        return bool(touching[rule.thumb] and touching[list(rule.fingers)].sum() >= HOLDING_FINGERS)
 
     def _forces(self) -> Array:
         return np.asarray(np.mean([reading.forces for reading in self._recent], axis=0))
