@@ -130,20 +130,20 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
 
 @pytest.mark.realtime
 @pytest.mark.parametrize(
-    ("name", "driver", "port"),
+    ("name", "driver", "port", "factor"),
     [
-        ("inspire", InspireHand, "/dev/ttyUSB0"),
-        ("inspire", InspireHand, "tcp://192.168.11.210:6000"),
-        ("ability", AbilityHand, "/dev/ttyUSB0"),
-        ("shadow", ShadowHand, "ws://192.168.1.20:9090"),
+        ("inspire", InspireHand, "/dev/ttyUSB0", FACTOR),
+        ("inspire", InspireHand, "tcp://192.168.11.210:6000", FACTOR),
+        ("ability", AbilityHand, "/dev/ttyUSB0", FACTOR),
+        ("shadow", ShadowHand, "ws://192.168.1.20:9090", 0.25),  # its fingers wait for the thumb, slowly
     ],
 )
 def test_the_emulated_fingers_hold_what_the_person_puts_between_them(
-    config: StationConfig, name: str, driver: type[Any], port: str
+    config: StationConfig, name: str, driver: type[Any], port: str, factor: float
 ) -> None:
     config = _at_the_handover(_with_hand(config, name, port))
     cell = job_cell(config, LAB, 7401)
-    with EmulatedLab(cell, print, FACTOR, "ideal") as lab:
+    with EmulatedLab(cell, print, factor, "ideal") as lab:
         hand, person = lab.station.hand, lab.station.person
         assert isinstance(hand, driver)
         hand.open()

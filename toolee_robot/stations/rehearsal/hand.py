@@ -12,6 +12,7 @@ import numpy as np
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
+from toolee_robot.robots import PALM
 from toolee_robot.sim_backend.devices.coupled_fingers import Touched
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.remote.station import Caller
@@ -23,6 +24,8 @@ STANDS = 0.005
 STANDS_FOR = 8
 OPENS = 0.08
 """Mean way of the joints towards the open hand, from where they gripped, after which the hand has let go [rad]."""
+THUMB = "thumb"
+"""The finger without which there is no grip."""
 GRIP_TIME = 1.0
 """Time for the assisted grip to begin [s]."""
 
@@ -81,12 +84,17 @@ class FingerCoupling:
             self._met.add(finger)
         if not self._stands:
             self._refused = False
-        elif not self._refused and len(self._met) > 1:
+        elif not self._refused and self._opposed:
             if self._world.call("fingers.grip", lasting=GRIP_TIME):
                 self._gripped_at = self._closed(q)
             else:
                 self._refused = True
                 self._lose()
+
+    @property
+    def _opposed(self) -> bool:
+        """Whether thumb and fingers have met something: fingers that wait for the thumb stand as well."""
+        return THUMB in self._met and bool(self._met - {THUMB, PALM})
 
     @property
     def _stands(self) -> bool:
