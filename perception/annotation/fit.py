@@ -127,14 +127,14 @@ def fit(model: Model) -> Fit:
 
 
 def _solve(model: Model, kept: NDArray[np.bool_], start: Array | None = None) -> tuple[Array, float]:
-    """Parameters with the least sum of squares over the kept rows, and that sum."""
+    """Parameters with the least sum of squares over the kept rows, and that sum; from a robust fit, or a start."""
+    begin = model.start() if start is None else start
+    if kept.sum() < len(begin):
+        raise UserError("the clicks do not determine the pose: make more of them", code="user.clicks_missing")
 
     def weighted(parameters: Array) -> Array:
         return (model.residuals(parameters) / model.rows.sigma)[kept]
 
-    begin = model.start() if start is None else start
-    if kept.sum() < len(begin):
-        raise UserError("the clicks do not determine the pose: make more of them", code="user.clicks_missing")
     if start is None:
         begin = least_squares(weighted, begin, x_scale="jac", loss="soft_l1", max_nfev=60).x
     found = least_squares(weighted, begin, x_scale="jac", max_nfev=60)
@@ -149,7 +149,8 @@ def _without_wrong(model: Model, parameters: Array, cost: float) -> tuple[int | 
         redundancy = int(kept.sum()) - len(parameters)
         if redundancy < 1:
             continue
-        without, rest = _solve(model, kept)
+        # Without the wrong click, the start is good enough to need no robust loss first.
+        without, rest = _solve(model, kept, model.start())
         gain = (cost - rest) / max(1.0, rest / redundancy)
         tried.append((gain, int(owner), int((~kept).sum()), without, rest))
     tried.sort(key=lambda t: t[0], reverse=True)

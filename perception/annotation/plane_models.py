@@ -21,6 +21,8 @@ STEEPEST = np.deg2rad(80.0)
 """Angle between ray and normal beyond which a plane's tilt and edge are not told from a photograph [rad]."""
 HANDLE = 0.005
 """Standard deviation of a click on the handle about the handle's axis [m]."""
+_PROBE = 0.01
+"""Distance at which the circle's slope in the image is measured [px]."""
 _A, _B, _Z, _BIAS, _SIZE = range(5)
 _PLANE = 5
 """Number of the parameters that all models have."""
@@ -47,6 +49,9 @@ class PlaneModel:
         self._points = [r for r in (Role.THROAT, Role.END_A, Role.END_B) if measured.of(r)]
         self._deep = shape is Shape.CLAW
         self._handle = measured.of(Role.HANDLE)
+        if self._rim:
+            pixels = np.stack([m.pixel for m in self._rim])
+            self._probes = np.stack([pixels, *(pixels + s * _PROBE * e for s in (1, -1) for e in np.eye(2))])
         self.free_spin = not self._handle
         self._normal, through = _first_plane(np.stack([measured.point(m) for m in self._surface]))
         self._across = np.linalg.svd(self._normal[None])[2][1:]
@@ -211,14 +216,9 @@ class PlaneModel:
     def _rim_residuals(self, p: Array) -> Array:
         """Distances of the rim's clicks from the projected circle [px], to the first order (Sampson)."""
         centre = self._on_plane(p, p[_PLANE : _PLANE + 2])
-        pixels = np.stack([m.pixel for m in self._rim])
-
-        def beyond(at: Array) -> Array:
-            return np.linalg.norm(self._on_plane(p, at) - centre, axis=-1) - self._radius(p)
-
-        h = 0.01
-        slopes = [(beyond(pixels + h * e) - beyond(pixels - h * e)) / (2 * h) for e in np.eye(2)]
-        return beyond(pixels) / np.maximum(np.hypot(*slopes), 1e-9)
+        distances = np.linalg.norm(self._on_plane(p, self._probes) - centre, axis=-1)
+        slopes = (distances[1:3] - distances[3:]) / (2 * _PROBE)
+        return (distances[0] - self._radius(p)) / np.maximum(np.hypot(*slopes), 1e-9)
 
     def _point_at(self, k: int) -> int:
         return _PLANE + k * (3 if self._deep else 2)

@@ -208,6 +208,18 @@ def test_the_report_tells_shares_pairs_failures_and_distinct_tools(tmp_path: Pat
     assert "http" not in page.replace("http://www.w3.org", ""), "one file, nothing is loaded"
 
 
+def test_a_nail_that_is_flush_for_the_robot_alone_is_a_failure_with_a_name(tmp_path: Path) -> None:
+    def deceived(options: Sequence[str]) -> dict[str, Any]:
+        return {**job(options), "success": False, "outcome": "flush", "reason": "the robot takes the nail for flush"}
+
+    run_trials(replace(PLAN, trials=2), tmp_path, 1, quietly, deceived)
+    page = write_report(replace(PLAN, trials=2), tmp_path).read_text()
+    made = json.loads((tmp_path / "report.json").read_text())
+    assert made["arms"]["full"]["outcomes"] == {"flush_by_the_robot_alone": 2}
+    assert "flush by the robot alone" in page
+    assert "conditions" not in page, "no trial has any"
+
+
 def swept(options: Sequence[str]) -> dict[str, Any]:
     """A job that succeeds up to 4 mm of error of the camera, whatever the ruler's is."""
     given = dict(line.split(": ") for line in Path(options[options.index("--errors") + 1]).read_text().splitlines())

@@ -43,6 +43,10 @@ ERRORS = {
     "mass_percent": "tool's mass, %",
 }
 """Errors against which success is shown, and how the axis is called."""
+CONDITIONS = "conditions"
+"""Head of the column with a trial's nail, wood, tool or size of an error."""
+FALSE_FLUSH = "flush_by_the_robot_alone"
+"""Outcome of a trial whose nail is flush for the robot and not for the judge, or the person."""
 
 
 def write_report(plan: TrialPlan, folder: Path) -> Path:
@@ -86,7 +90,7 @@ def figures(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event] 
             "flush": asdict(_share(mine)),
             "against_first": None if arm is plan.arms[0] else asdict(compare(mine, first)),
             "medians": {name: median(mine, name) for name in MEDIANS},
-            "outcomes": dict(Counter(str(record.figures["outcome"]) for record in mine)),
+            "outcomes": dict(Counter(map(_outcome, mine))),
             "conditions": {words: asdict(_share(of)) for words, of in by_conditions(mine).items()},
         }
     tools = {str(record.figures.get("tool")) for record in records}
@@ -131,9 +135,8 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
     failed = [record for record in records if not record.success]
     if failed:
         page.table(["arm", "outcome", "trials"], _outcomes(made), left=2)
-        page.table(
-            ["arm", pair, "conditions", "tool", "outcome", "reason"], [_failure(r, folder) for r in failed], left=6
-        )
+        head = ["arm", pair, CONDITIONS, "tool", "outcome", "reason"]
+        _listed(page, head, [_failure(r, folder) for r in failed], 6)
     else:
         page.paragraph("None.")
     first = of_arm(records, plan.arms[0])
@@ -144,11 +147,8 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
     else:
         _drawn(page, plan, first)
     page.section("Every trial")
-    page.table(
-        ["arm", pair, "conditions", "tool", "outcome", "strikes", "robot's time, s", "tries"],
-        [_row(record, folder) for record in records],
-        left=5,
-    )
+    head = ["arm", pair, CONDITIONS, "tool", "outcome", "strikes", "robot's time, s", "tries"]
+    _listed(page, head, [_row(record, folder) for record in records], 5)
     page.section("The plan")
     simulated = ("errors", "sweep") if plan.on_robot else ()
     said = {name: _words(value) for name, value in asdict(plan).items() if name not in simulated}
@@ -229,23 +229,41 @@ def _outcomes(made: dict[str, Any]) -> list[list[str]]:
     ]
 
 
+def _listed(page: Page, head: list[str], rows: list[list[Any]], left: int) -> None:
+    """A table of trials, without the column of conditions where none has any."""
+    at = head.index(CONDITIONS)
+    if not any(row[at] for row in rows):
+        head, rows, left = head[:at] + head[at + 1 :], [row[:at] + row[at + 1 :] for row in rows], left - 1
+    page.table(head, rows, left=left)
+
+
+def _outcome(record: Record) -> str:
+    outcome = str(record.figures["outcome"])
+    return FALSE_FLUSH if outcome == "flush" and not record.success else outcome
+
+
 def _failure(record: Record, folder: Path) -> list[Any]:
     f = record.figures
-    outcome = str(f["outcome"]).replace("_", " ")
     arm = str(record.trial.arm).replace("_", " ")
-    return [arm, _link(record, folder), record.trial.conditions, f["tool"], outcome, f["reason"]]
+    return [
+        arm,
+        _link(record, folder),
+        record.trial.conditions,
+        f["tool"],
+        _outcome(record).replace("_", " "),
+        f["reason"],
+    ]
 
 
 def _row(record: Record, folder: Path) -> list[Any]:
     f, arm = record.figures, str(record.trial.arm).replace("_", " ")
-    outcome = "flush" if record.success else str(f["outcome"]).replace("_", " ")
     time = _figure(f.get("robot_seconds"))
     return [
         arm,
         _link(record, folder),
         record.trial.conditions,
         f["tool"],
-        outcome,
+        _outcome(record).replace("_", " "),
         str(f["strikes"]),
         time,
         str(f["tries"]),
