@@ -80,6 +80,7 @@ class Motions:
         self.payload: Payload | None = None
         self.noise: Array | None = None
         self._zeroed: Array | None = None
+        self._q_hand_seen: Array = np.zeros(len(robot.description.hand_joints))
         self.person = PersonProof(station.person)
         self.arm = Supervisor(station.arm, self.person, robot, config, self.world)
         self._station = station
@@ -99,7 +100,8 @@ class Motions:
     @property
     def q_hand(self) -> Array:
         """Measured joint positions of the hand, wrist first, (n,) [rad]."""
-        return self._station.hand.state().joints.q
+        self._q_hand_seen = self._station.hand.state().joints.q
+        return self._q_hand_seen
 
     @property
     def X_base_ee(self) -> Array:
@@ -310,8 +312,7 @@ class Motions:
         except MotionFaultError as fault:
             if fault.report is not None and len(fault.report.stamps):
                 self.q = fault.report.q_commanded[-1]
-                with suppress(DeviceError):
-                    self._report(name, fault.report)
+                self._report(name, fault.report)
             raise
 
     def _flange(self) -> Array:
@@ -345,5 +346,7 @@ class Motions:
             raise DeviceError(f"the arm was stopped during the motion {name!r}", code="device.stopped")
 
     def _report(self, name: str, report: MotionReport) -> None:
-        # Any age of the hand's state is accepted: a hand that no longer answers must not prevent the recording.
-        self._observer.motion(name, report, self._station.hand.state(max_age=np.inf).joints.q)
+        # A hand that no longer answers, or is gone, must not prevent the recording: any age of its state is accepted.
+        with suppress(DeviceError):
+            self._q_hand_seen = self._station.hand.state(max_age=np.inf).joints.q
+        self._observer.motion(name, report, self._q_hand_seen)
