@@ -54,7 +54,7 @@ def _frame_args(
 @pytest.mark.parametrize(
     ("args", "expected_text"),
     [
-        ([], "hammer, estimate, arm, bench"),
+        ([], "hammer, estimate, annotate, arm, bench"),
         (["hamer"], "hamer"),
         (["hammer", "--sed", "3"], "--seed"),
         (["hammer", "--seed", "three"], "--seed"),

@@ -20,6 +20,7 @@ from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.shadow import ShadowHand
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.cell_errors import NOMINAL
+from toolee_robot.stations.hand import WIRED_HANDS
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.types import HandWeight
@@ -74,8 +75,11 @@ def test_a_recording_is_no_camera_of_a_station(config: StationConfig, purpose: P
         LabStation(_driver(config, "recorded"), print, purpose=purpose)
 
 
-def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(config: StationConfig) -> None:
+def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(
+    config: StationConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cell = job_cell(replace(config, hand=replace(StationConfig().hand, port="/dev/ttyUSB0")), LAB, 1)
+    monkeypatch.delitem(WIRED_HANDS, cell.measured.hand.model)  # as a hand for which a lab brought the driver alone
     with raises(ConfigError, "config.no_emulator"):
         EmulatedLab(cell, print, FACTOR, "ideal")
 

@@ -122,14 +122,19 @@ class DoctorReport:
 
     def _without_world(self) -> Iterator[Finding]:
         """Check the station's own hand and camera; nothing moves."""
-        unchecked = "has no driver here: nothing was checked", "look after it yourself"
+        unchecked = {
+            "config.hand_driver": ("has no driver here: nothing was checked", "look after it yourself"),
+            "config.hand_port": ("the station file names no port: nothing was checked", "give hand.port"),
+        }
         try:
             hand = open_hand(self.config.hand, HostClock())
             with self.doing("asking the hand"), hand:
                 yield check_hand(hand, self.config)
         except (ConfigError, DeviceError) as error:
-            no_driver = error.code == "config.hand_driver"
-            yield warn("hand", *unchecked) if no_driver else Finding.of_error("hand", error, "mend it, then look again")
+            if error.code in unchecked and self.config.hand.port is None:
+                yield warn("hand", *unchecked[error.code])
+            else:
+                yield Finding.of_error("hand", error, "mend it, then look again")
         yield from self._own_camera()
 
     def _own_camera(self) -> Iterator[Finding]:

@@ -231,11 +231,7 @@ class NailDriving:
             last = len(self.strikes) + 1 >= self._config.task.max_strikes
             measure = self._forecast.struck(verdict, plan.speed) or last if met else True
             look_due = self._look_due(self.strikes_since_look + 1)
-            if measure or look_due:
-                above = CLEAR
-            else:  # to where the next strike begins: the nail is lower by then
-                above = min(plan.run_up, self._config.strike.run_up) - max(before - self._forecast.height, 0.0)
-            self._retract(plan, above)
+            self._retract(plan, CLEAR if measure or look_due else min(plan.run_up, self._config.strike.run_up))
         height = None
         try:
             if not met:
