@@ -11,7 +11,7 @@ from toolee_robot import __version__
 from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, CustomTools
 from toolee_robot.perception.dataset.custom_tools import CustomToolRecord
-from toolee_robot.render.sensors.depth_sensors import KINDS, SensorKind
+from toolee_robot.sensor_kinds import KINDS, SensorKind
 
 CONFIGS = ("paper", "hard", "paper-claws")
 """Scene configurations."""
@@ -62,7 +62,7 @@ class DatasetSpec:
         tools: Custom tools, which replace the generated ones; all of them are held out.
         device: Rendering device, "cpu" or "cuda"; the two differ by rounding.
         test_set: Whether it is a test set, whose every scoring is entered in the ledger (`evaluation.ledger`).
-        sensor: Kind of the depth camera, one of `depth_sensors.KINDS`; that of "paper" is free of noise.
+        sensor: Kind of the depth camera, one of `sensor_kinds.KINDS`; that of "paper" is free of noise.
 
     Raises:
         UserError: A value is out of range, or custom tools are combined with a training split.

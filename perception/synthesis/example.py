@@ -21,7 +21,8 @@ from toolee_robot.perception.synthesis.placement import Pool, SceneSample
 from toolee_robot.perception.synthesis.station import station_scene
 from toolee_robot.render.renderer import Shot
 from toolee_robot.render.sensors.color_camera import Photo, photograph
-from toolee_robot.render.sensors.depth_sensors import SensorKind, random_reading
+from toolee_robot.render.sensors.depth_sensors import random_reading
+from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.types import CameraIntrinsics
 
 EMPTY_SHARE, STATION_SHARE = 0.10, 0.30

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolee_robot.perception.synthesis.example import Series, make_example
-from toolee_robot.render.sensors.depth_sensors import KINDS, SensorKind
 from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors
 from toolee_robot.render.sensors.registration import Registration, hidden_from
 from toolee_robot.render.sensors.smooth_noise import in_patches, smooth_noise
 from toolee_robot.render.sensors.surface import Surface
 from toolee_robot.render.sensors.triangulation import TriangulatingCamera
+from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.types import CameraIntrinsics
 
 K = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)

@@ -20,6 +20,7 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.sensor_kinds import SensorKind
 
 if TYPE_CHECKING:
     from toolee_robot.perception.dataset.custom_tools import CustomMesh
@@ -60,9 +61,7 @@ class Generate:
     differ by a rounding."""
     test_set: Flag = False
     """Mark it as a test set: every scoring of it is entered in the ledger (docs/results/protocol.md)."""
-    sensor: Literal[
-        "time-of-flight", "time-of-flight-lab", "structured-light", "active-stereo", "filled-stereo", "mixed"
-    ] = "time-of-flight"
+    sensor: SensorKind = "time-of-flight"
     """Depth camera of `hard`: docs/dataset.md. mixed draws one for each image."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""

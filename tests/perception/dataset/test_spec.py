@@ -9,7 +9,7 @@ import pytest
 
 from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
-from toolee_robot.render.sensors.depth_sensors import KINDS, SensorKind
+from toolee_robot.sensor_kinds import KINDS, SensorKind
 
 
 @pytest.mark.parametrize("sensor", KINDS)

@@ -1,8 +1,6 @@
-"""The kinds of depth camera that a data set can be taken with."""
+"""Readings of each kind of depth camera that a data set can be taken with."""
 
 from __future__ import annotations
-
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -14,15 +12,9 @@ from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors
 from toolee_robot.render.sensors.registration import Registration
 from toolee_robot.render.sensors.surface import Surface
 from toolee_robot.render.sensors.triangulation import TriangulatingCamera
+from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.types import CameraIntrinsics
 
-SensorKind = Literal[
-    "time-of-flight", "time-of-flight-lab", "structured-light", "active-stereo", "filled-stereo", "mixed"
-]
-"""time-of-flight: noise and lost outlines alone. time-of-flight-lab: with systematic errors, holes and registration.
-structured-light, active-stereo: see `triangulation`. filled-stereo: holes filled by the driver. mixed: one of them,
-drawn for each image."""
-KINDS: tuple[SensorKind, ...] = get_args(SensorKind)
 _SINGLE = KINDS[:-1]
 _SHARES = (0.3, 0.2, 0.2, 0.2, 0.1)
 """Shares of the single kinds in `mixed`."""
