@@ -32,8 +32,8 @@ _LATE = {
     ("tool slips in the hand", Phase.SWING, "Inspire Modbus-TCP"): _SLIPS_LATE,
     ("hand too hot", Phase.SWING, "Shadow Hand"): "a Shadow Hand tells its temperatures twice a second: often too late",
 }
-"""Not handled as the row wants it; the job then ends before the next strike. Fingers of the Inspire that press at 31
-counts a second show a slip of 40 counts after 1.3 s only."""
+"""Not handled as the row wants it; the job then ends before the next strike. Fingers of the Inspire show a slip of 40
+counts 0.35 s after it, and the fault happens 0.3 s before the contact."""
 
 
 def _marks(kind: HandKind, fault: HandFault) -> tuple[pytest.MarkDecorator, ...]:

@@ -151,6 +151,23 @@ def test_a_job_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
     assert json.loads(summary.read_text())["outcome"] == "interrupted"
 
 
+@pytest.mark.sim
+@pytest.mark.nightly
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_trials_that_are_interrupted_stop_the_arm_of_the_job_that_runs(tmp_path: Path, number: signal.Signals) -> None:
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("name: A test\nfirst_seed: 101\ntrials: 2\narms: [full]\nerrors: exact\n")
+    main = "from toolee_robot.cli import main; main()"
+    command = [sys.executable, "-c", main, "trials", str(plan), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    run = subprocess.Popen(command, start_new_session=True)
+    jobs = tmp_path / "out" / "runs" / "full"
+    _until(lambda: list(jobs.glob(".*.partial/recording.mcap")), "the job has begun")
+    run.send_signal(number)
+    assert run.wait(timeout=30.0) == 130
+    (summary,) = jobs.glob("[0-9]*/summary.json")
+    assert json.loads(summary.read_text())["outcome"] == "interrupted"
+
+
 def _until(condition: Callable[[], object], what: str) -> None:
     end = time.monotonic() + 300.0
     while not condition():

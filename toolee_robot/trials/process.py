@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -28,6 +29,7 @@ PRELOADED = "toolee_robot.cli.hammering.job"
 _COMMAND = "from toolee_robot.cli import main; main()"
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload([PRELOADED])
+_running: set[BaseProcess] = set()
 
 
 def run_job(folder: Path, options: Sequence[str]) -> dict[str, Any]:
@@ -47,7 +49,11 @@ def run_job(folder: Path, options: Sequence[str]) -> dict[str, Any]:
         told, said = Path(scratch) / "stdout", Path(scratch) / "stderr"
         process = _CONTEXT.Process(target=_hammer, args=(folder, tuple(options), told, said))
         process.start()
-        process.join()
+        _running.add(process)
+        try:
+            process.join()
+        finally:
+            _running.discard(process)
         lines = told.read_text().splitlines() if told.is_file() else []
         if process.exitcode not in (0, 1) or not lines:
             reason = said.read_text().strip()[-500:] if said.is_file() else "it did not begin"
@@ -56,6 +62,12 @@ def run_job(folder: Path, options: Sequence[str]) -> dict[str, Any]:
                 code="trials.crashed",
             )
         return dict(json.loads(lines[-1]))
+
+
+def stop_jobs() -> None:
+    """Tell every job of `run_job` that still runs to stop its arm and end."""
+    for process in tuple(_running):
+        process.terminate()
 
 
 def run_at_terminal(options: Sequence[str]) -> dict[str, Any]:

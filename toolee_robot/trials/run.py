@@ -16,7 +16,7 @@ from typing import Protocol, TypeVar
 
 from toolee_robot.errors import UserError
 from toolee_robot.trials.plan import TrialPlan
-from toolee_robot.trials.process import run_job
+from toolee_robot.trials.process import run_job, stop_jobs
 from toolee_robot.trials.results import Record, Results
 from toolee_robot.trials.tasks import Job, run_task, task_of
 
@@ -102,6 +102,9 @@ def on_threads(call: Callable[[T], R], items: Sequence[T], count: int | None) ->
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in sorted(done, key=lambda future: future.exception() is not None):
                     yield future.result()
+        except (KeyboardInterrupt, GeneratorExit):  # else the pool would wait until the jobs have ended by themselves
+            stop_jobs()
+            raise
         finally:
             for future in waiting:
                 future.cancel()
