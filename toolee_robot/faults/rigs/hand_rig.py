@@ -38,7 +38,7 @@ class HandKind:
         label: Name of the rows' column.
         handle: Angle at which its fingers meet a handle, in the hand's own unit.
         slip: Way by which a slipping handle gives way, in that unit.
-        margin: Largest distance of a finger that still holds from `handle`, in that unit.
+        margin: Largest distance of a finger that still holds from where it meets the handle, in that unit.
         jams: Event by which its middle finger jams.
         heats: Event by which it gets too hot.
     """

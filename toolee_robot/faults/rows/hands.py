@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.hand_rig import HANDS, DriverHand, HandKind
@@ -151,10 +153,18 @@ def hand_row(fault: HandFault, kind: HandKind, bench: Bench) -> FaultRow:
 
 
 def _holds(hand: DriverHand) -> bool:
-    """Whether the emulated fingers are still where the handle stopped them; unplugged, they are out of reach."""
+    """Whether the emulated fingers are still where the handle is, slipped or not; unplugged, they are out of reach."""
     if not hand.emulator.plugged:
         return True
-    return abs(hand.emulator.angles[0] - hand.kind.handle) < hand.kind.margin
+    away: list[float] = []
+
+    def look(emulated: Any) -> None:
+        emulated.run()
+        motor = emulated.motors[0]
+        away.append(np.inf if motor.met_at is None else abs(motor.position - motor.met_at))
+
+    hand.emulator.tell(look)
+    return away[0] < hand.kind.margin
 
 
 def _job_fault(fault: HandFault, hand: DriverHand) -> JobFault:
