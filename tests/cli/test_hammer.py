@@ -100,12 +100,16 @@ def test_the_whole_job_ends_with_the_nail_flush(corrected: _Job) -> None:
 
 
 def test_the_corrected_job_is_as_accurate_as_measured(corrected: _Job) -> None:
-    """Bounds of twice what `toolee hammer --seed 101 --exact` gave: 0.81 mm, 0.22 deg, 0.54 mm, 0.41 deg."""
+    """Bounds of twice what `toolee hammer --seed 101 --exact` gave: 0.81 mm, 0.22 deg, 0.54 mm.
+
+    The tilt of a single hammer is chance (0.41, 0.76 and 1.12 deg with three versions, the last two of which tilt alike
+    over 59 hammers): its bound is what 95 of the hundred of docs/benchmark/hammer_100.json keep; their median is 1.0.
+    """
     record = corrected.record
     assert 0.0 < record["pose_error_mm"] <= 1.62
     assert 0.0 < record["pose_error_deg"] <= 0.44
     assert record["strike_offset_mm"] <= 1.07
-    assert record["strike_tilt_deg"] <= 0.82
+    assert record["strike_tilt_deg"] <= 1.71
 
 
 def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:

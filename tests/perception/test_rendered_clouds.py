@@ -156,7 +156,8 @@ def test_a_cloud_is_what_the_estimator_would_see(clouds: RenderedClouds) -> None
 
 def test_categories_are_drawn_by_their_shares_and_negatives_by_theirs(clouds: RenderedClouds) -> None:
     """However many there are of each."""
-    many = RenderedClouds.cat([clouds, *[_renamed(clouds, k, 3 * k + 1) for k in range(len(Category))]])
+    negatives = replace(_renamed(clouds, 0, 7), positive=np.zeros(7, bool))
+    many = RenderedClouds.cat([negatives, *[_renamed(clouds, k, 3 * k + 1) for k in range(len(Category))]])
     batch = RenderedSource(many, "cpu", 1, CloudConfig(negative_share=0.2)).collect(3000, 1000)
     assert float((~batch.positive).float().mean()) == pytest.approx(0.2, abs=0.04)
     of = batch.category[batch.positive]
