@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import time
-
 from toolee_robot.sim_backend.ability_hand.hand import NAMES, Hand
 from toolee_robot.sim_backend.ability_hand.messages import MessageParser, foreign
-from toolee_robot.sim_backend.hand_wire import Frame, LineEmulator, LineFaults, PseudoTerminal
+from toolee_robot.sim_backend.hand_wire import Frame, HandTime, LineEmulator, LineFaults, PseudoTerminal
 
 TURNAROUND = 0.001
 """Time that the hand takes for a reply [s]: assumed; the maker's client asks 500 times a second."""
@@ -28,7 +26,8 @@ class AbilityEmulator(LineEmulator[Hand]):
     events = "heat MOTOR DEGREES, heat DEGREES, jam MOTOR, free MOTOR, pads off, pads on"
 
     def __init__(self, address: int = 0x50, seed: int = 0, pace: float = 1.0) -> None:
-        hand = Hand(lambda: pace * time.monotonic(), seed, pace)
+        self.time = HandTime(pace)
+        hand = Hand(self.time, seed, pace)
         super().__init__(hand, PseudoTerminal(), LineFaults(foreign, seed), TURNAROUND, BYTE_TIME, pace)
         self._parser = MessageParser(address)
 

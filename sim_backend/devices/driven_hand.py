@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Protocol
 
@@ -25,6 +26,12 @@ class Touch(Protocol):
 
     def lost(self) -> None:
         """There is nothing in the hand any more."""
+
+    def following(self, clock: Callable[[], float]) -> AbstractContextManager[None]:
+        """Context in which the emulated hand's motors are no further than the simulation, by its clock [s].
+
+        Or they would have shut before slower simulated fingers meet the handle.
+        """
 
 
 class DrivenHand(SimHand):
@@ -112,7 +119,8 @@ class DrivenHand(SimHand):
 
     def _follow(self, motion: Callable[[], None]) -> None:
         """Let the simulated fingers follow the driver's hand while it moves."""
-        with ThreadPoolExecutor(1) as pool:
+        together = nullcontext() if self._touch is None else self._touch.following(lambda: self._world.time)
+        with together, ThreadPoolExecutor(1) as pool:
             moving = pool.submit(motion)
             while not moving.done():
                 goal = self._driver.state(READ).joints.q

@@ -8,6 +8,7 @@ What a hand says and does is each emulator's own; none of it is the drivers'.
 
 from toolee_robot.sim_backend.hand_wire.emulator import HandEmulator
 from toolee_robot.sim_backend.hand_wire.events import happen
+from toolee_robot.sim_backend.hand_wire.hand_time import HandTime
 from toolee_robot.sim_backend.hand_wire.line import Frame, LineEmulator
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFault, LineFaults
 from toolee_robot.sim_backend.hand_wire.wires import PseudoTerminal, TcpServer, Wire, listener
@@ -15,6 +16,7 @@ from toolee_robot.sim_backend.hand_wire.wires import PseudoTerminal, TcpServer, 
 __all__ = [
     "Frame",
     "HandEmulator",
+    "HandTime",
     "LineEmulator",
     "LineFault",
     "LineFaults",

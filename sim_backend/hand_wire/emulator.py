@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, Self, TypeVar
 
+from toolee_robot.sim_backend.hand_wire.hand_time import HandTime
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFaults
 
 
@@ -57,6 +58,7 @@ class HandEmulator(ABC, Generic[HandT]):
     Attributes:
         port: Where a driver finds it.
         faults: Faults of the wire.
+        time: The time in which its motors move.
     """
 
     line_events: tuple[str, ...] = ("mute", "unmute", "echo", "unplug", "show")
@@ -70,6 +72,7 @@ class HandEmulator(ABC, Generic[HandT]):
     events: str
     """What can happen to it and to nothing else, for people."""
     port: str
+    time: HandTime
 
     def __init__(self, hand: HandT, faults: LineFaults) -> None:
         self.faults = faults

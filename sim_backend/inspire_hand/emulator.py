@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-import time
-
-from toolee_robot.sim_backend.hand_wire import Frame, LineEmulator, LineFaults, PseudoTerminal, TcpServer, Wire
+from toolee_robot.sim_backend.hand_wire import (
+    Frame,
+    HandTime,
+    LineEmulator,
+    LineFaults,
+    PseudoTerminal,
+    TcpServer,
+    Wire,
+)
 from toolee_robot.sim_backend.inspire_hand import modbus, requests
 from toolee_robot.sim_backend.inspire_hand.hand import NAMES, Hand
 
@@ -28,7 +34,8 @@ class _Emulator(LineEmulator[Hand]):
     def __init__(
         self, number: int, wire: Wire, faults: LineFaults, turnaround: float, byte_time: float, pace: float
     ) -> None:
-        hand = Hand(lambda: pace * time.monotonic(), number)
+        self.time = HandTime(pace)
+        hand = Hand(self.time, number)
         super().__init__(hand, wire, faults, turnaround, byte_time, pace)
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:

@@ -9,7 +9,7 @@ import select
 import time
 from typing import Any
 
-from toolee_robot.sim_backend.hand_wire import HandEmulator, LineFaults, listener
+from toolee_robot.sim_backend.hand_wire import HandEmulator, HandTime, LineFaults, listener
 from toolee_robot.sim_backend.shadow_hand import ros
 from toolee_robot.sim_backend.shadow_hand.bridge import Client
 from toolee_robot.sim_backend.shadow_hand.hand import NAMES, Hand
@@ -40,7 +40,8 @@ class ShadowEmulator(HandEmulator[Hand]):
 
     def __init__(self, seed: int = 0, pace: float = 1.0, address: tuple[str, int] = ("127.0.0.1", 0)) -> None:
         faults = LineFaults(_of_the_left_hand, seed, burst=BURST)
-        super().__init__(Hand(lambda: pace * time.monotonic(), seed), faults)
+        self.time = HandTime(pace)
+        super().__init__(Hand(self.time, seed), faults)
         self._listener = listener(address)
         host, port = self._listener.getsockname()[:2]
         self.port = f"ws://{host}:{port}"

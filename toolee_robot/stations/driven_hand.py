@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
-from contextlib import ExitStack, suppress
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from typing import Any, Self
 
@@ -79,6 +80,9 @@ class _EmulatedTouch:
 
     def lost(self) -> None:
         self._emulator.hold(None)
+
+    def following(self, clock: Callable[[], float]) -> AbstractContextManager[None]:
+        return self._emulator.time.following(clock, AHEAD)
 
 
 class DrivenHandStation:
