@@ -33,11 +33,14 @@ class HandTime:
 
     @contextmanager
     def following(self, clock: Callable[[], float], ahead: float) -> Iterator[None]:
-        """Context in which it is ahead of another clock by so much at most.
+        """Keep it ahead of another clock by so much at most.
 
         Args:
             clock: Returns its time [s].
             ahead: By how much [s].
+
+        Returns:
+            The context in which it is so.
         """
         start = self() - clock()
         self._limit = lambda: clock() + start + ahead
