@@ -6,7 +6,7 @@
 What a hand says and does is each emulator's own; none of it is the drivers'.
 """
 
-from toolee_robot.sim_backend.hand_wire.emulator import HandEmulator
+from toolee_robot.sim_backend.hand_wire.emulator import EmulatedHand, HandEmulator
 from toolee_robot.sim_backend.hand_wire.events import happen
 from toolee_robot.sim_backend.hand_wire.hand_time import HandTime
 from toolee_robot.sim_backend.hand_wire.line import Frame, LineEmulator
@@ -14,6 +14,7 @@ from toolee_robot.sim_backend.hand_wire.line_faults import LineFault, LineFaults
 from toolee_robot.sim_backend.hand_wire.wires import PseudoTerminal, TcpServer, Wire, listener
 
 __all__ = [
+    "EmulatedHand",
     "Frame",
     "HandEmulator",
     "HandTime",

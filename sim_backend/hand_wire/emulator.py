@@ -46,6 +46,7 @@ class EmulatedHand(Protocol):
 
 
 HandT = TypeVar("HandT", bound=EmulatedHand)
+R = TypeVar("R")
 
 
 class HandEmulator(ABC, Generic[HandT]):
@@ -109,14 +110,17 @@ class HandEmulator(ABC, Generic[HandT]):
         with self._lock:
             return self._hand.angles
 
-    def tell(self, what: Callable[[HandT], object]) -> None:
+    def tell(self, what: Callable[[HandT], R]) -> R:
         """Do something to the hand while it works.
 
         Args:
             what: Gets the hand.
+
+        Returns:
+            What that returns.
         """
         with self._lock:
-            what(self._hand)
+            return what(self._hand)
 
     def hold(self, at: float | None) -> None:
         """Put something into the hand that fingers and thumb meet at this angle, in the hand's own unit.

@@ -10,15 +10,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.hand_rig import HANDS, DriverHand, HandKind
 from toolee_robot.faults.rigs.job_rig import Bench
 from toolee_robot.faults.rows.job import job_row
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, Braking, JobFault, Scene
-from toolee_robot.sim_backend.hand_wire import HandEmulator, LineFault, happen
+from toolee_robot.sim_backend.hand_wire import EmulatedHand, HandEmulator, LineFault, happen
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 
 REST, SWING = Phase.REST, Phase.SWING
@@ -156,15 +154,13 @@ def _holds(hand: DriverHand) -> bool:
     """Whether the emulated fingers are still where the handle is, slipped or not; unplugged, they are out of reach."""
     if not hand.emulator.plugged:
         return True
-    away: list[float] = []
 
-    def look(emulated: Any) -> None:
+    def is_near(emulated: EmulatedHand) -> bool:
         emulated.run()
         motor = emulated.motors[0]
-        away.append(np.inf if motor.met_at is None else abs(motor.position - motor.met_at))
+        return motor.met_at is not None and abs(motor.position - motor.met_at) < hand.kind.margin
 
-    hand.emulator.tell(look)
-    return away[0] < hand.kind.margin
+    return hand.emulator.tell(is_near)
 
 
 def _job_fault(fault: HandFault, hand: DriverHand) -> JobFault:
