@@ -1,4 +1,4 @@
-"""Precision of inference on a CPU: bfloat16 where it has matrix units for it, float32 elsewhere.
+"""Where networks compute, and in which precision: on a CPU bfloat16 where it has matrix units for it, else float32.
 
 Matrix units (Intel AMX, servers since 2023) halve the time per image. Both networks are trained in bfloat16.
 """
@@ -15,6 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
+from toolee_robot.errors import UserError
+
 _PACKS: Final = (
     hasattr(torch.ops.mkldnn, "_linear_pointwise")
     and hasattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported")
@@ -22,6 +24,27 @@ _PACKS: Final = (
 )
 """Whether this release of torch has the operator for products with packed weights that its own compiler uses, and this
 CPU the instructions for it (AVX-512 or AVX-NE-CONVERT)."""
+
+
+def torch_device(name: torch.device | str) -> torch.device:
+    """A device by its name.
+
+    Args:
+        name: Name, such as "cpu" or "cuda:1".
+
+    Returns:
+        The device.
+
+    Raises:
+        UserError: There is none of this name here.
+    """
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        words = str(error).splitlines()[0]
+        raise UserError(f"nothing computes on {name} here ({words}): give cpu", code="user.device") from error
+    return device
 
 
 def prefers_bfloat16(device: torch.device) -> bool:

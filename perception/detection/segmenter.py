@@ -21,7 +21,7 @@ from toolee_robot.perception.detection.instances import Instances, associate, sc
 from toolee_robot.perception.detection.mask_head import paste_one
 from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
 from toolee_robot.perception.detection.zoom_pass import MIN_PROBABILITY, Crop, crops, cut, merge, placed
-from toolee_robot.perception.precision import in_bfloat16, prefers_bfloat16
+from toolee_robot.perception.precision import in_bfloat16, prefers_bfloat16, torch_device
 from toolee_robot.types import Detection, RgbdFrame
 
 EVERYTHING = 0.02
@@ -68,7 +68,7 @@ class Segmenter:
         bfloat16: bool | None = None,
         refinement: MaskRefinement | None = None,
     ) -> None:
-        self._device = torch.device(device)
+        self._device = torch_device(device)
         self._bfloat16 = prefers_bfloat16(self._device) if bfloat16 is None else bfloat16
         self._refinement = refinement
         self._detector = detector.fuse().to(self._device).to(memory_format=torch.channels_last)
@@ -93,7 +93,7 @@ class Segmenter:
         Raises:
             AssetError: A weight file is missing or unreadable; the message names it.
         """
-        device = torch.device(device)
+        device = torch_device(device)
         bfloat16 = prefers_bfloat16(device) if bfloat16 is None else bfloat16
         return cls(trained_detector(weights_dir), device, bfloat16, MaskRefinement.load(weights_dir, device, bfloat16))
 

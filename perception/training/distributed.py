@@ -11,6 +11,8 @@ import torch
 import torch.distributed as dist
 from torch import nn
 
+from toolee_robot.perception.precision import torch_device
+
 
 @dataclass(frozen=True)
 class Distributed:
@@ -66,7 +68,7 @@ def init_distributed(device: str = "auto") -> Iterator[Distributed]:
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if device == "auto":
         device = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
-    chosen = torch.device(device)
+    chosen = torch_device(device)
     if chosen.type == "cuda":
         torch.cuda.set_device(chosen)
     if world > 1:

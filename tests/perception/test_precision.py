@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from tests.errors import raises
+from toolee_robot.errors import UserError
 from toolee_robot.perception import precision
 from toolee_robot.perception.dataset.scene_reader import load_scenes
 from toolee_robot.perception.dataset.scene_writer import write_scene
@@ -19,7 +21,7 @@ from toolee_robot.perception.evaluation.examples import collect
 from toolee_robot.perception.evaluation.segmentation import frame_of
 from toolee_robot.perception.pose import PoseEstimator, weights
 from toolee_robot.perception.pose.network import PoseNet
-from toolee_robot.perception.precision import prefers_bfloat16, single_thread
+from toolee_robot.perception.precision import prefers_bfloat16, single_thread, torch_device
 from toolee_robot.perception.synthesis.example import examples_of
 
 swift = pytest.mark.skipif(
@@ -96,6 +98,14 @@ def test_the_network_that_an_estimator_is_given_stays_as_it_is() -> None:
 
 def test_a_gpu_is_left_to_its_own_arithmetic() -> None:
     assert not prefers_bfloat16(torch.device("cuda"))
+
+
+def test_a_device_that_is_not_there_is_refused_by_its_name() -> None:
+    assert torch_device("cpu") == torch.device("cpu")
+    for name in ("cuda:77", "gpu"):
+        with raises(UserError, code="user.device") as raised:
+            torch_device(name)
+        assert name in str(raised.value)
 
 
 def test_the_other_threads_come_back_after_an_error() -> None:

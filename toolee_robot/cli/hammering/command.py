@@ -112,6 +112,8 @@ class Hammer:
     wood's specific gravity."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Parent of the run's folder, which holds summary.json, recording.mcap and picture.png."""
+    device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
+    """Where the networks run: cpu or cuda."""
     gui: Flag = False
     """Show pybullet's window (needs a screen)."""
     perfect_perception: Flag = False
@@ -157,7 +159,8 @@ class Hammer:
             ask = (lambda question: console.input(question, markup=False)) if interactive else None
             job = HammerJob(
                 source, correction=not self.no_correction, perfect_perception=self.perfect_perception, ask=ask,
-                view=self.view, nails=nails, ablation=None if self.ablation is None else Ablation(self.ablation),
+                view=self.view, nails=nails, device=self.device,
+                ablation=None if self.ablation is None else Ablation(self.ablation),
             )  # fmt: skip
             report = job.run(folder.path, console)
             folder.keep()

@@ -63,6 +63,7 @@ class HammerJob:
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
         view: Whether a page in the browser shows the job, too.
         nails: Names of the nails to drive; empty for all.
+        device: torch device of the networks.
     """
 
     source: Source
@@ -72,6 +73,7 @@ class HammerJob:
     ask: Callable[[str], str] | None = None
     view: bool = False
     nails: tuple[str, ...] = ()
+    device: str = "cpu"
 
     def run(self, folder: Path, console: Console) -> HammerReport:
         """Do the job and write summary.json, recording.mcap and picture.png, whatever its outcome.
@@ -89,7 +91,7 @@ class HammerJob:
             TooleeError: The job could not begin.
         """
         began = time.perf_counter()
-        perception = None if self.perfect_perception else ToolPerception.load()
+        perception = None if self.perfect_perception else ToolPerception.load(device=self.device)
         names, flush = self.nails or self.source.config.work.names, self.source.config.task.flush_protrusion
         screen, collector = ConsoleObserver(console, flush, len(names)), PictureCollector(flush)
         with (
