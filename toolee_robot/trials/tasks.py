@@ -58,7 +58,8 @@ def task_of(plan: TrialPlan, trial: Trial, folder: Path) -> Task:
     """
     command = (
         *(() if plan.on_robot else ("--seed", str(trial.seed))),
-        *trial.arm.options, *_paper_weights(plan, trial), *_errors(plan, trial, folder), *_setup(plan, trial, folder), *plan.options,
+        *trial.arm.options, *_paper_weights(plan, trial),
+        *_errors(plan, trial, folder), *_setup(plan, trial, folder), *plan.options,
     )  # fmt: skip
     # Jobs of one seed that begin in the same second need folders of their own.
     return Task(trial, command, folder / RUNS / trial.arm / trial.variation)
