@@ -183,7 +183,7 @@ def test_the_papers_estimator_takes_the_pose_networks_place(tmp_path: Path) -> N
     record = job.record
     assert job.returncode == 1, job.err
     assert (record["success"], record["strikes"], record["ablation"]) == (False, 0, "paper")
-    assert record["outcome"] == "perception_failed"
+    assert record["outcome"] == "pose_unknown"
     assert record["paper_weights"] == weights_hash(weights)
     assert "perceive" in record["stage_seconds"]
 
