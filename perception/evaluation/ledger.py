@@ -85,7 +85,7 @@ class Ledger:
             "commit": _commit(self.path.parent),
             "data": self.data,
             "limit": limit,
-            "weights": {label: _weights_hash(folder or WEIGHTS_DIR) for label, folder in weights.items()},
+            "weights": {label: weights_hash(folder or WEIGHTS_DIR) for label, folder in weights.items()},
             "figures": figures,
         }
         try:
@@ -140,8 +140,15 @@ def _test_set(folder: Path) -> dict[str, Any] | None:
     return None
 
 
-def _weights_hash(folder: Path) -> str:
-    """SHA-256 of the names and contents of a folder's weights and their descriptions."""
+def weights_hash(folder: Path) -> str:
+    """What identifies the weights in a folder.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        SHA-256 of the names and contents of the weights and their descriptions.
+    """
     digest = hashlib.sha256()
     for path in sorted(p for p in folder.iterdir() if p.suffix in (".safetensors", ".json")):
         digest.update(f"{sha256(path)}  {path.name}\n".encode())

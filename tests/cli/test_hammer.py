@@ -15,6 +15,8 @@ import cv2
 import pytest
 from mcap.reader import make_reader
 
+from tests.paper_weights import untrained_paper_weights
+from toolee_robot.perception.evaluation.ledger import weights_hash
 from toolee_robot.recording.reading import read_history
 
 pytestmark = pytest.mark.sim(seconds=150)
@@ -172,6 +174,18 @@ def test_without_correction_the_same_hammer_misses_the_nail(tmp_path: Path) -> N
     assert set(record["stage_seconds"]).isdisjoint({"view", "perceive"})
     assert "park" in record["stage_seconds"]
     assert "Traceback" not in job.err
+
+
+def test_the_papers_estimator_takes_the_pose_networks_place(tmp_path: Path) -> None:
+    """Of a network that has learnt nothing the samples agree on no place, so that no nail is struck."""
+    weights = untrained_paper_weights(tmp_path / "weights")
+    job = _whole_job(tmp_path, "--exact", "--ablation", "paper", "--paper-weights", str(weights))
+    record = job.record
+    assert job.returncode == 1, job.err
+    assert (record["success"], record["strikes"], record["ablation"]) == (False, 0, "paper")
+    assert record["outcome"] == "pose_unknown"
+    assert record["paper_weights"] == weights_hash(weights)
+    assert "perceive" in record["stage_seconds"]
 
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])

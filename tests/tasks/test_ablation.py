@@ -42,6 +42,7 @@ class Sees:
         (Ablation.POSITION_ONLY, SEEN, NOMINAL),
         (Ablation.NORMAL_ONLY, NOMINAL, SEEN),
         (Ablation.ONE_VIEW, SEEN, SEEN),
+        (Ablation.PAPER, SEEN, SEEN),
     ],
 )
 def test_the_rest_of_the_pose_is_nominal(ablation: Ablation | None, place: Array, turn: Array) -> None:

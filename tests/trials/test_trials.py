@@ -14,8 +14,11 @@ import pytest
 import yaml
 
 from tests.errors import raises
-from toolee_robot.errors import ConfigError, TooleeError, UserError
+from tests.paper_weights import untrained_paper_weights
+from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
+from toolee_robot.perception.evaluation.ledger import weights_hash
 from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
+from toolee_robot.trials.attended_plan import option
 from toolee_robot.trials.results import RESULTS, Record, read_results
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -161,6 +164,53 @@ def test_every_seed_and_arm_gets_every_nail_in_every_wood(tmp_path: Path) -> Non
     assert made["2.2 x 30, white pine"]["hits"] == 2
 
 
+@pytest.fixture
+def paper(tmp_path: Path) -> TrialPlan:
+    """A plan whose second arm is the paper's estimator."""
+    weights = untrained_paper_weights(tmp_path / "weights")
+    return replace(PLAN, arms=(Arm.FULL, Arm.PAPER), paper_weights=str(weights))
+
+
+class PaperJobs(Asked):
+    """Jobs that tell which weights they had."""
+
+    def __call__(self, options: Sequence[str]) -> dict[str, Any]:
+        weights = option(options, "--paper-weights")
+        return {**super().__call__(options), "paper_weights": weights and weights_hash(Path(weights))}
+
+
+def test_the_papers_arm_gets_its_weights_and_no_other_arm_does(paper: TrialPlan, tmp_path: Path) -> None:
+    asked = PaperJobs()
+    run_trials(paper, tmp_path / "out", 1, quietly, asked)
+    given = [(option(options, "--ablation"), option(options, "--paper-weights")) for options in asked.options]
+    assert given == [(None, None), ("paper", paper.paper_weights)] * 3
+    assert replace(paper, paper_weights="other").hash != paper.hash
+    for arms, weights in (((Arm.FULL, Arm.PAPER), ""), ((Arm.FULL,), paper.paper_weights)):
+        with pytest.raises(ValueError, match="paper_weights"):
+            replace(paper, arms=arms, paper_weights=weights)
+
+
+def test_a_plan_does_not_go_on_with_other_weights_of_the_papers_estimator(paper: TrialPlan, tmp_path: Path) -> None:
+    run_trials(paper, tmp_path / "out", 1, quietly, PaperJobs())
+    asked = PaperJobs()
+    run_trials(paper, tmp_path / "out", 1, quietly, asked)
+    untrained_paper_weights(Path(paper.paper_weights), seed=1)
+    with raises(UserError, code="user.other_weights"):
+        run_trials(paper, tmp_path / "out", 1, quietly, asked)
+    assert not asked.options
+
+
+def test_weights_that_no_job_could_take_are_refused_before_the_first_one(paper: TrialPlan, tmp_path: Path) -> None:
+    asked = PaperJobs()
+    with raises(AssetError, code="asset.missing") as missing:
+        run_trials(replace(paper, paper_weights=str(tmp_path / "none")), tmp_path / "a", 1, quietly, asked)
+    assert "toolee train pose --estimator paper" in str(missing.value)
+    of_tools = untrained_paper_weights(tmp_path / "tools", "object-prior")
+    with raises(UserError, code="user.paper_column"):
+        run_trials(replace(paper, paper_weights=str(of_tools)), tmp_path / "b", 1, quietly, asked)
+    assert not asked.options
+
+
 def _work(setup: Path) -> dict[str, float]:
     return dict(yaml.safe_load(setup.read_text())["work"])
 
@@ -179,6 +229,8 @@ def _work(setup: Path) -> dict[str, float]:
         ("nails: [{name: a, diameter: 0.003}]", "nails.0"),
         ("woods: {oak: 680}", "woods"),
         ("options: [--setup, a.yaml]", "--setup"),
+        ("options: [--paper-weights, a]", "--paper-weights"),
+        ("arms: [paper]", "paper_weights"),
         ("instructions: look", "instructions"),
     ],
 )

@@ -39,6 +39,8 @@ class Arm(StrEnum):
     """They take the mask's centroid for the face's place, and its nominal direction."""
     ICP = "icp"
     """They register the tool's own shape, which they are told, to the cloud (iterative closest point)."""
+    PAPER = "paper"
+    """They estimate poses by the paper's estimator."""
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -50,9 +52,11 @@ class Arm(StrEnum):
         return ("--ablation", self.value)
 
 
-OWN = frozenset({"--seed", "--json", "--out", "--errors", "--exact", "--ablation", "--no-correction", "--setup"})
+OWN = frozenset(
+    {"--seed", "--json", "--out", "--errors", "--exact", "--ablation", "--no-correction", "--setup", "--paper-weights"}
+)
 """Options of `toolee hammer` that the plan's other fields say."""
-LATER = frozenset({"sweep", "attended", "instructions", "tools", "nails", "woods"})
+LATER = frozenset({"sweep", "attended", "instructions", "tools", "nails", "woods", "paper_weights"})
 """Fields that count in the hash only where they say something: plans that were begun before have none of them."""
 Name = Annotated[str, Field(min_length=1, max_length=60)]
 
@@ -148,12 +152,19 @@ class TrialPlan:
     """Nails, each of which every seed and arm gets: the name of one of the station's, or sizes. None: the station's."""
     woods: dict[Name, Annotated[float, Field(gt=0, lt=1.5)]] = field(default_factory=dict)
     """Woods, each of which every seed and arm gets: names, and their specific gravity. None: the station's."""
+    paper_weights: Annotated[str, Field(max_length=1000)] = ""
+    """Folder of a training of the paper's estimator, for the arm `paper`, from where the trials are run."""
 
     def __post_init__(self) -> None:
         if self.sweep and self.errors == "exact":
             raise ValueError("sweep: the errors that are not swept are nominal, or sizes; not exact")
         if len(set(self.arms)) < len(self.arms):
             raise ValueError("arms: each one once")
+        if (Arm.PAPER in self.arms) != bool(self.paper_weights):
+            raise ValueError(
+                "paper_weights: the arm `paper` needs the folder of a training of the paper's estimator, and no other "
+                "arm does; without them `toolee hammer --ablation paper` tells how it is trained"
+            )
         given = {option.split("=")[0].replace("_", "-") for option in self.options if option.startswith("--")}
         if wrong := sorted(given & (OWN | ({"--nail"} if self.nails else set()))):
             raise ValueError(f"options: {', '.join(wrong)} is said by the plan's other fields")

@@ -18,7 +18,7 @@ from toolee_robot.errors import UserError
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.process import run_job, stop_jobs
 from toolee_robot.trials.results import Record, Results
-from toolee_robot.trials.tasks import Job, run_task, task_of
+from toolee_robot.trials.tasks import Job, check_paper_weights, run_task, task_of
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -63,12 +63,14 @@ def run_trials(
 
     Raises:
         UserError: The folder holds another plan's trials (`user.other_plan`), or a person is led through this one's
-            (`user.attended`).
+            (`user.attended`); or as of `check_paper_weights`.
+        AssetError: As of `check_paper_weights`.
         TooleeError: A job did not come to an end of its own; code `trials.crashed`. Finished ones are kept.
     """
     if plan.led:
         raise UserError("a person is led through this plan's trials: `lead_trials`", code="user.attended")
     with Results(plan, folder) as results:
+        check_paper_weights(plan, results.records)
         todo = [task_of(plan, trial, folder) for trial in plan.order() if trial not in results.done]
         if results.done:
             tell(f"{len(results.done)} of {len(results.done) + len(todo)} trials are there already")

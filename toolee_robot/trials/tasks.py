@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from toolee_robot.errors import UserError
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.trials.plan import Trial, TrialPlan
+from toolee_robot.trials.plan import Arm, Trial, TrialPlan
 from toolee_robot.trials.results import Record
 
 RUNS = "runs"
@@ -57,7 +58,8 @@ def task_of(plan: TrialPlan, trial: Trial, folder: Path) -> Task:
     """
     command = (
         *(() if plan.on_robot else ("--seed", str(trial.seed))),
-        *trial.arm.options, *_errors(plan, trial, folder), *_setup(plan, trial, folder), *plan.options,
+        *trial.arm.options, *_paper_weights(plan, trial),
+        *_errors(plan, trial, folder), *_setup(plan, trial, folder), *plan.options,
     )  # fmt: skip
     # Jobs of one seed that begin in the same second need folders of their own.
     return Task(trial, command, folder / RUNS / trial.arm / trial.variation)
@@ -80,6 +82,41 @@ def run_task(job: Job, task: Task) -> Record:
     while figures.get("machine_stalled") and tries < TRIES:
         figures, tries = job(task.options), tries + 1
     return Record(task.trial, {**figures, "tries": tries}, task.command)
+
+
+def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
+    """Read the weights of the paper's estimator, where the plan has its arm: before the first job, not after hours.
+
+    Args:
+        plan: The plan.
+        done: The results that there are.
+
+    Raises:
+        AssetError: They are missing or unreadable.
+        UserError: They are for clouds of whole tools (`user.paper_column`), or others than those of the results
+            (`user.other_weights`).
+    """
+    if not plan.paper_weights:
+        return
+    # Networks take seconds to import, which no other plan needs here.
+    from toolee_robot.perception.evaluation.ledger import weights_hash
+    from toolee_robot.perception.research.tooleenet import PaperEstimator
+
+    folder = Path(plan.paper_weights)
+    PaperEstimator.load_for_job(folder)
+    now = weights_hash(folder)
+    before = {record.figures.get("paper_weights") for record in done if record.trial.arm is Arm.PAPER} - {now}
+    if before:
+        raise UserError(
+            f"{folder} holds other weights ({now[:12]}) than those of the trials that are done "
+            f"({', '.join(str(one)[:12] for one in before)}): put those back, or give another --out",
+            code="user.other_weights",
+        )
+
+
+def _paper_weights(plan: TrialPlan, trial: Trial) -> tuple[str, ...]:
+    """Options for the paper's estimator."""
+    return ("--paper-weights", plan.paper_weights) if trial.arm is Arm.PAPER else ()
 
 
 def _errors(plan: TrialPlan, trial: Trial, folder: Path) -> tuple[str, ...]:

@@ -16,13 +16,18 @@ from toolee_robot.frames import Array
 from toolee_robot.perception import weight_files
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
+from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align
 from toolee_robot.perception.pose.processes.flow import Sampler
 from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
+from toolee_robot.perception.pose.rotations import twist_angles
+from toolee_robot.perception.pose.spin import with_spin_variance
+from toolee_robot.perception.research.paper_training import HOW_TO_TRAIN
 from toolee_robot.perception.research.tooleenet.network import PaperNet
 from toolee_robot.perception.research.tooleenet.pointnet2 import ORDERED
 from toolee_robot.perception.research.tooleenet.pooling import mean_pose
 from toolee_robot.perception.research.tooleenet.representation import class_ambiguity, decode
 from toolee_robot.perception.research.tooleenet.rk45 import Rk45
+from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.types import PoseHypotheses
 
 NAME = "pose_paper"
@@ -88,6 +93,9 @@ def column_of(estimator: str, name: str | None) -> Column | None:
 class PaperEstimator(CloudEstimator):
     """The paper's estimator on one device. It has no confidence: every pose is usable.
 
+    A pose's covariance is the scatter of its samples about their mean. Where the symmetry label says that the axis is
+    one of symmetry, the spin about it counts as unobserved, whatever the samples' is, and the hand may fix it.
+
     Args:
         net: The trained network.
         column: The column of Table I.
@@ -123,6 +131,30 @@ class PaperEstimator(CloudEstimator):
         """
         return cls(*load(weights_dir), device)
 
+    @classmethod
+    def load_for_job(cls, weights_dir: Path, device: str = "cpu") -> PaperEstimator:
+        """Load an estimator that takes what a job has: the cloud of an end effector.
+
+        Args:
+            weights_dir: The folder of a training.
+            device: torch device that runs the network.
+
+        Returns:
+            The estimator.
+
+        Raises:
+            AssetError: The weights are missing or unreadable.
+            UserError: They are for clouds of whole tools; code `user.paper_column`.
+        """
+        estimator = cls.load(weights_dir, device)
+        if estimator.of_tool:
+            raise UserError(
+                f"{weights_dir} was trained with --column {estimator.column.name}, which takes a whole tool's cloud, "
+                "and a job has its end effector's: train with --column symmetry-aware",
+                code="user.paper_column",
+            )
+        return estimator
+
     def radius(self, category: Category) -> float:
         """See `CloudEstimator`."""
         return OBJECT_RADIUS if self.column.of_tool else super().radius(category)
@@ -154,14 +186,38 @@ class PaperEstimator(CloudEstimator):
         if self.column.of_tool or self.column.knows_symmetry:
             ambiguous = class_ambiguity()[index].double().numpy()
         X = mean_pose(Xs, group if self.column.knows_symmetry else None)
-        dp = Xs[:, :3, 3] - X[:3, 3]
-        w = Rotation.from_matrix(Xs[:, :3, :3] @ X[:3, :3].T).as_rotvec()
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3], covariance[3:, 3:] = dp.T @ dp / len(dp), w.T @ w / len(w)
-        spread = np.sqrt(np.trace(covariance[:3, :3])), np.sqrt(np.trace(covariance[3:, 3:]))
         spin_observable = 1 - float(np.clip(ambiguous[int(np.argmax(group.axis))], 0, 1))
+        covariance = scatter(Xs, X, group, spin_observable)
+        spread = np.sqrt(np.trace(covariance[:3, :3])), np.sqrt(np.trace(covariance[3:, 3:]))
         hypotheses = PoseHypotheses(Xs, points, float(spread[0]), float(spread[1]), spin_observable)
         return PoseResult(category, X, covariance, 1.0, True, "ok", hypotheses, (1.0,), np.zeros(0), ambiguous)
+
+
+def scatter(Xs: Array, X: Array, group: SymmetryGroup, spin_observable: float) -> Array:
+    """Covariance of one sample about the mean.
+
+    Args:
+        Xs: Samples, (K, 4, 4).
+        X: Their mean, (4, 4).
+        group: Symmetry group of the EE.
+        spin_observable: Predicted probability that the view shows the spin about the group's axis. Under one half the
+            rotations differ modulo the group.
+
+    Returns:
+        6x6, position [m] then rotation vector [rad], axes of the samples' frame. The variance about the axis of a
+        continuous group goes to pi^2/3 where the spin is unobserved.
+    """
+    R, dp = Xs[:, :3, :3], Xs[:, :3, 3] - X[:3, 3]
+    compared = R if spin_observable >= 0.5 else align(R, X[:3, :3], group)
+    w = Rotation.from_matrix(compared @ X[:3, :3].T).as_rotvec()
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3], covariance[3:, 3:] = dp.T @ dp / len(dp), w.T @ w / len(w)
+    if group.kind is not SymmetryKind.CINF:
+        return covariance
+    axis = np.asarray(group.axis)
+    seen = min(float(np.mean(twist_angles(X[:3, :3].T @ R, axis) ** 2)), FREE_SPIN_VARIANCE)
+    spin = spin_observable * seen + (1 - spin_observable) * FREE_SPIN_VARIANCE
+    return with_spin_variance(covariance, X[:3, :3] @ axis, spin)
 
 
 def in_camera(cloud: CanonicalCloud) -> torch.Tensor:
@@ -193,6 +249,11 @@ def load(folder: Path) -> tuple[PaperNet, Column]:
     Raises:
         AssetError: The weights are missing or unreadable.
     """
+    if not (folder / f"{NAME}.json").is_file():
+        raise AssetError(
+            f"{folder} holds no {NAME}.json: the paper's estimator is not shipped; train it:\n{HOW_TO_TRAIN}",
+            code="asset.missing",
+        )
     tensors, card = weight_files.load_weights(folder, NAME)
     try:
         column = COLUMNS[card["column"]]

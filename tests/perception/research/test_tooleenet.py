@@ -13,9 +13,12 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from tests.errors import raises
+from tests.paper_weights import untrained_paper_weights
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import TooleeError
+from toolee_robot.errors import AssetError, TooleeError, UserError
+from toolee_robot.frames import transform
 from toolee_robot.perception.pose.canonical import farthest_points_first
+from toolee_robot.perception.pose.cloud_estimator import PoseResult, with_hand
 from toolee_robot.perception.pose.processes.flow import Euler
 from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import (
@@ -28,12 +31,14 @@ from toolee_robot.perception.pose.training.config import TrainConfig
 from toolee_robot.perception.pose.training.trainer import Trainer
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.research.tooleenet import COLUMNS, PaperEstimator, PaperRecipe
+from toolee_robot.perception.research.tooleenet.estimator import scatter
 from toolee_robot.perception.research.tooleenet.object_clouds import category_priors, first_ends, with_ee_truth
 from toolee_robot.perception.research.tooleenet.pointnet2 import Level, PointNet2, SharedMlp
 from toolee_robot.perception.research.tooleenet.pooling import mean_pose
 from toolee_robot.perception.research.tooleenet.representation import class_ambiguity, decode, encode
 from toolee_robot.perception.research.tooleenet.rk45 import Rk45, solve
 from toolee_robot.perception.training.distributed import Distributed
+from toolee_robot.types import HoldingHand, PoseHypotheses
 
 pytestmark = pytest.mark.sim
 
@@ -174,6 +179,43 @@ def test_mean_pooling_keeps_the_axis_of_a_free_spin_and_fails_on_flips() -> None
     plain, knowing = (wrench.rotation_error(mean_pose(Xs, g)[:3, :3], R.as_matrix()) for g in (None, wrench))
     assert knowing < np.deg2rad(3)
     assert plain > np.deg2rad(10)
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_a_spin_that_the_samples_agree_on_is_the_hands_where_the_symmetry_label_says_so(labelled: bool) -> None:
+    """The scatter of the axis is the samples' either way, and of an axis of no group everything is."""
+    category, rng = Category.HAMMER_HEAD, np.random.default_rng(0)
+    true, tilt = Rotation.random(random_state=3), Rotation.from_rotvec(rng.normal(0, 0.05, (400, 3)) * [1, 1, 0])
+    spin = Rotation.from_rotvec([0.0, 0.0, 2.0]) * Rotation.from_rotvec(rng.normal(0, 0.02, (400, 3)) * [0, 0, 1])
+    Xs = np.tile(np.eye(4), (400, 1, 1))
+    Xs[:, :3, :3], Xs[:, :3, 3] = (true * tilt * spin).as_matrix(), rng.normal(0.5, 0.004, (400, 3))
+    X = mean_pose(Xs)
+    covariance = scatter(Xs, X, category.symmetry, 0.0 if labelled else 1.0)
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)[:3]), 0.004, rtol=0.15)
+    R = X[:3, :3]
+    np.testing.assert_allclose(np.sqrt(np.diag(R.T @ covariance[3:, 3:] @ R))[:2], 0.05, rtol=0.15)
+    hypotheses = PoseHypotheses(Xs, np.zeros((1, 3)), 0.0, 0.0, 0.0)
+    result = PoseResult(
+        category, X, covariance, 1.0, True, "ok", hypotheses, (1.0,), np.zeros(0), np.array([0.0, 0.0, labelled])
+    )
+    hand = HoldingHand(transform(true.as_matrix() @ category.spec.R_tool_ee.T, [0.0, 0.0, 0.0]), np.eye(3))
+    fixed = with_hand(result, hand)
+    off = Rotation.from_matrix(true.as_matrix().T @ fixed.X_camera_ee[:3, :3]).magnitude()
+    assert (off < 0.1) == labelled
+    assert (off > 1.5) == (not labelled)
+    spread = scatter(Xs, X, Category.HAMMER_GRIP.symmetry, 1.0)
+    assert np.sqrt(R[:, 2] @ spread[3:, 3:] @ R[:, 2]) == pytest.approx(0.02, rel=0.2)
+
+
+def test_a_job_takes_no_estimator_of_whole_tools(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
+    loaded = PaperEstimator.load_for_job(untrained_paper_weights(tmp_path / "ends"))
+    assert loaded.estimate(points, Category.HAMMER_HEAD).usable, "it has no confidence"
+    with raises(UserError, code="user.paper_column"):
+        PaperEstimator.load_for_job(untrained_paper_weights(tmp_path / "tools", "object-prior"))
+    with raises(AssetError, code="asset.missing") as missing:
+        PaperEstimator.load_for_job(tmp_path)
+    assert all(command in str(missing.value) for command in ("dataset generate", "train clouds", "train pose"))
 
 
 def test_whole_tool_clouds_and_the_prior(samples: SurfaceSamples, hands: Float32) -> None:

@@ -119,11 +119,13 @@ class Hammer:
     perfect_perception: Flag = False
     """For tests and ablations only: poses from the simulation's ground truth instead of the camera."""
     ablation: Annotated[
-        Literal["position_only", "normal_only", "one_view", "mask_centroid", "icp"] | None,
-        tyro.conf.arg(metavar="position_only|normal_only|one_view|mask_centroid|icp", help_behavior_hint=""),
+        Literal["position_only", "normal_only", "one_view", "mask_centroid", "icp", "paper"] | None,
+        tyro.conf.arg(metavar="position_only|normal_only|one_view|mask_centroid|icp|paper", help_behavior_hint=""),
     ] = None
     """For trials only: believe only the estimated position, or orientation, of the face; look once only; or take the
-    mask's centroid, or a registration of the tool's own shape (ICP), for the face's pose."""
+    mask's centroid, a registration of the tool's own shape (ICP), or the paper's estimator for the face's pose."""
+    paper_weights: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """With --ablation paper: the folder of its training, which docs/how-to/run_trials.md tells."""
 
     def run(self) -> int:
         if not 0 <= self.seed < 2**31:
@@ -138,6 +140,7 @@ class Hammer:
                 "--ablation with --perfect-perception or --no-correction: there is no perception to leave a part out",
                 code="user.option",
             )
+        self._check_paper()
         if self.perfect_perception and self.no_correction:
             raise UserError(
                 "--perfect-perception with --no-correction changes nothing: leave one out", code="user.option"
@@ -159,7 +162,7 @@ class Hammer:
             ask = (lambda question: console.input(question, markup=False)) if interactive else None
             job = HammerJob(
                 source, correction=not self.no_correction, perfect_perception=self.perfect_perception, ask=ask,
-                view=self.view, nails=nails, device=self.device,
+                view=self.view, nails=nails, device=self.device, paper_weights=self.paper_weights,
                 ablation=None if self.ablation is None else Ablation(self.ablation),
             )  # fmt: skip
             report = job.run(folder.path, console)
@@ -168,6 +171,19 @@ class Hammer:
         if self.json:
             print(json_line({**report.figures, "run_folder": str(folder.path)}), flush=True)
         return report.exit_code
+
+    def _check_paper(self) -> None:
+        if self.ablation != "paper":
+            if self.paper_weights is not None:
+                raise UserError("--paper-weights without --ablation paper: leave it out", code="user.option")
+        elif self.paper_weights is None:
+            from toolee_robot.perception.research.paper_training import HOW_TO_TRAIN
+
+            raise UserError(
+                "--ablation paper needs --paper-weights DIR, the folder of a training of the paper's estimator, which "
+                f"is not shipped:\n{HOW_TO_TRAIN}",
+                code="user.no_paper_weights",
+            )
 
     def _nails(self, config: StationConfig) -> tuple[str, ...]:
         """Names of the nails to drive."""

@@ -14,13 +14,13 @@ from rich.console import Console
 from rich.markup import escape
 
 from toolee_robot.cli.hammering.console import ConsoleObserver
-from toolee_robot.cli.hammering.perceivers import job_perceiver
+from toolee_robot.cli.hammering.perceivers import job_networks, job_perceiver
 from toolee_robot.cli.hammering.report import HammerReport
 from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.run_folder import RECORDING
-from toolee_robot.perception import ToolPerception
+from toolee_robot.perception.evaluation.ledger import weights_hash
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
@@ -60,6 +60,7 @@ class HammerJob:
         correction: Whether the estimated in-hand pose is used.
         perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
         ablation: What perception leaves out; None for nothing.
+        paper_weights: Folder of a training of the paper's estimator, for `Ablation.PAPER`.
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
         view: Whether a page in the browser shows the job, too.
         nails: Names of the nails to drive; empty for all.
@@ -70,6 +71,7 @@ class HammerJob:
     correction: bool = True
     perfect_perception: bool = False
     ablation: Ablation | None = None
+    paper_weights: Path | None = None
     ask: Callable[[str], str] | None = None
     view: bool = False
     nails: tuple[str, ...] = ()
@@ -91,7 +93,7 @@ class HammerJob:
             TooleeError: The job could not begin.
         """
         began = time.perf_counter()
-        perception = None if self.perfect_perception else ToolPerception.load(device=self.device)
+        perception = None if self.perfect_perception else job_networks(self.paper_weights, self.device)
         names, flush = self.nails or self.source.config.work.names, self.source.config.task.flush_protrusion
         screen, collector = ConsoleObserver(console, flush, len(names)), PictureCollector(flush)
         with (
@@ -234,6 +236,7 @@ class HammerJob:
             "correction": self.correction,
             "perfect_perception": self.perfect_perception,
             "ablation": self.ablation,
+            "paper_weights": None if self.paper_weights is None else weights_hash(self.paper_weights),
         }
 
     def _write(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 from toolee_robot.cli.hammering.sources import Opened
 from toolee_robot.config import StationConfig
@@ -10,13 +11,35 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.perception import ToolPerception
+from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.research import classical
+from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
 
 SURFACE = 20_000
 """Number of points on the tool's surface that a registration uses."""
+
+
+def job_networks(paper_weights: Path | None = None, device: str = "cpu") -> ToolPerception:
+    """Load the networks of a job.
+
+    Args:
+        paper_weights: Folder of a training of the paper's estimator, which takes the pose network's place; None: what
+            ships.
+        device: torch device that runs them.
+
+    Returns:
+        The networks. The paper's estimator gets no trust model: none was fitted for it, and it has no confidence.
+
+    Raises:
+        AssetError: Weights are missing or unreadable.
+        UserError: The weights are for clouds of whole tools; code `user.paper_column`.
+    """
+    if paper_weights is None:
+        return ToolPerception.load(device=device)
+    return ToolPerception(Segmenter.load(device=device), PaperEstimator.load_for_job(paper_weights, device))
 
 
 def job_perceiver(

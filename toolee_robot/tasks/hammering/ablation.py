@@ -28,6 +28,8 @@ class Ablation(StrEnum):
     """The pose network: the face is at the mask's centroid, with the nominal orientation."""
     ICP = "icp"
     """The pose network: the tool's own shape is registered to the cloud (iterative closest point)."""
+    PAPER = "paper"
+    """The pose network: the paper's estimator takes its place."""
 
 
 PoseOf = Callable[[RgbdFrame, Detection, Array], Array | None]
@@ -126,7 +128,7 @@ def ablated(
 
     Args:
         ablation: What; None for nothing.
-        perceiver: The whole perception.
+        perceiver: The whole perception; for `PAPER` with the paper's estimator.
         config: Configuration of the station.
         X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
         pose_of: What estimates poses instead of the network; for `MASK_CENTROID` and `ICP`.
