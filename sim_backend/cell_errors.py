@@ -154,7 +154,7 @@ class DrawnErrors:
         return DhCalibration(*(_six(d + self.sizes.kinematics * z) for d, z in zip(deltas, self.arm, strict=True)))
 
     def options(self, usual: SimOptions) -> SimOptions:
-        """What is in the cell that no station file says: leans of the nails, friction in the hand, errors of the wrench.
+        """What no station file says of the cell: leans of the nails, friction in the hand, errors of the wrench.
 
         Args:
             usual: The options without errors.
