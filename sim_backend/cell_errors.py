@@ -16,9 +16,10 @@ from toolee_robot.config import StationConfig, ToolData
 from toolee_robot.config.values import STRICT, NotNegative
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
+from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.tools import Tool
-from toolee_robot.types import DhCalibration
+from toolee_robot.types import DhCalibration, HandWeight
 from toolee_robot.types.arm import Six
 
 
@@ -54,6 +55,13 @@ class CellErrors:
     Laboratory, Wood Handbook, FPL-GTR-282, table 5-6). Its resistance varies by 2.5 times as much."""
     friction: NotNegative = 0.1
     """Of the coefficient of friction between hand and handle, as a share of it; assumed."""
+    payload: NotNegative = 0.1
+    """Of the mass of what hangs on the flange without a tool (hand, adapter, cables' share), as a share of it;
+    assumed."""
+    wrench: NotNegative = 1.0
+    """Of the wrench that the arm reports: noise, offset, drift and what its estimate misses in motion, as a share of
+    those of the arm's generation (sim_backend/ur_controller/profile.py: 3.6 N of noise and 7 N of offset for a CB3, 1.5
+    N and 4 N for an e-Series)."""
 
 
 MOST_NAILS = 64
@@ -75,6 +83,7 @@ class DrawnErrors:
         tool: Standard normal numbers of the tool's data: radius, face (3), normal (3), mass, balance, (9,).
         arm: Standard normal numbers of the arm's kinematics: theta, a, d, alpha of the six joints, (4, 6).
         material: Standard normal numbers of the wood and of the friction in the hand, (2,).
+        hand: Standard normal number of the hand's mass.
         sizes: Their sizes.
         known_camera: Whether the camera's error is that of the calibration that the job is told, and not drawn here.
     """
@@ -85,6 +94,7 @@ class DrawnErrors:
     tool: Array
     arm: Array
     material: Array
+    hand: float
     sizes: CellErrors
     known_camera: bool = False
 
@@ -117,6 +127,24 @@ class DrawnErrors:
         gravity = config.work.wood_specific_gravity * _share(self.sizes.wood * float(self.material[0]))
         return replace(config, work=replace(config.work, wood_specific_gravity=gravity))
 
+    def weighed(self, config: StationConfig) -> StationConfig:
+        """What the job is told of the mass of the hand, or of the mount.
+
+        Args:
+            config: The station, with the mass that the hand has.
+
+        Returns:
+            The station with the mass that was weighed; the centre of mass stays.
+        """
+        if not self.sizes.payload:
+            return config
+        share, hand = _share(self.sizes.payload * self.hand), config.hand
+        if hand.mount is not None:
+            return replace(config, hand=replace(hand, mount=replace(hand.mount, mass=share * hand.mount.mass)))
+        robot = load_robot(config.arm.model, config.arm.calibration, hand)
+        true = robot.hand_payload(robot.hand_open)
+        return replace(config, hand=replace(hand, weighed=HandWeight(share * true.mass, _three(true.center_of_mass))))
+
     def _miscalibrated(self, calibration: DhCalibration | None) -> DhCalibration | None:
         """A factory calibration, or none, off by the errors."""
         if not self.sizes.kinematics:
@@ -126,7 +154,7 @@ class DrawnErrors:
         return DhCalibration(*(_six(d + self.sizes.kinematics * z) for d, z in zip(deltas, self.arm, strict=True)))
 
     def options(self, usual: SimOptions) -> SimOptions:
-        """What is in the cell that no station file says: how the nails lean, and the friction in the hand.
+        """What no station file says of the cell: leans of the nails, friction in the hand, errors of the wrench.
 
         Args:
             usual: The options without errors.
@@ -135,7 +163,8 @@ class DrawnErrors:
             The options.
         """
         friction = usual.friction * _share(self.sizes.friction * float(self.material[1]))
-        return replace(usual, nail_leans=tuple((float(x), float(y)) for x, y in self.leans), friction=friction)
+        leans = tuple((float(x), float(y)) for x, y in self.leans)
+        return replace(usual, nail_leans=leans, friction=friction, wrench_errors=self.sizes.wrench)
 
     def measured(self, tool: Tool, name: str) -> ToolData:
         """What a person with ruler, scales and calliper writes down of a hammer.
@@ -177,6 +206,8 @@ class DrawnErrors:
             "kinematics_mm": round(1e3 * self.sizes.kinematics * float(np.sqrt(np.mean(self.arm**2))), 3),
             "wood_percent": round(100.0 * self.sizes.wood * float(self.material[0]), 3),
             "friction_percent": round(100.0 * self.sizes.friction * float(self.material[1]), 3),
+            "payload_percent": round(100.0 * self.sizes.payload * self.hand, 3),
+            "wrench_percent": round(100.0 * self.sizes.wrench, 3),
         }
 
 
@@ -192,7 +223,7 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
     Returns:
         The errors.
     """
-    camera, nail, tool, lean, arm, material = (np.random.default_rng([seed, 31, stream]) for stream in range(6))
+    camera, nail, tool, lean, arm, material, hand = (np.random.default_rng([seed, 31, group]) for group in range(7))
     if camera_covariance is None:
         off = camera.normal(size=6) * np.repeat([sizes.camera_position, sizes.camera_rotation], 3)
     else:
@@ -206,6 +237,7 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
         tool.normal(size=9),
         arm.normal(size=(4, 6)),
         material.normal(size=2),
+        float(hand.normal()),
         sizes,
         known_camera=camera_covariance is not None and not np.any(camera_covariance),
     )

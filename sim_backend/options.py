@@ -71,6 +71,8 @@ class SimOptions:
         hands_over: Whether the person hands a tool over at all.
         nail_leans: Leans of the nails in their order, which nobody tells the job: x and y of a rotation vector in the
             upright nail's axes [rad]. Those beyond the last one stand upright.
+        wrench_errors: Size of the errors of the wrench that the simulated arm reports, as a share of those of the arm's
+            generation; 0 for an exact reading. An arm behind a controller stand-in has its profile's instead.
         boards: Calibration boards in the world; nothing touches them.
     """
 
@@ -81,6 +83,7 @@ class SimOptions:
     q_start: Array | None = None
     hands_over: bool = True
     nail_leans: tuple[tuple[float, float], ...] = ()
+    wrench_errors: float = 0.0
     boards: tuple[PlacedBoard, ...] = ()
 
     def __post_init__(self) -> None:

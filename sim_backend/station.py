@@ -154,7 +154,9 @@ class SimStation:
             visuals = SceneVisuals(config, tool, seed, lambda: scene_state(world, person), options.boards)
             camera = SimCamera(visuals, clock, config.camera.uncalibrated, seed)
             hand = simulated_hand(world, options)
-            station = Station(SimArm(world), hand, camera, person, clock, SIMULATED, SIMULATED)
+            station = Station(
+                SimArm(world, options.wrench_errors, [seed, 13]), hand, camera, person, clock, SIMULATED, SIMULATED
+            )
             judge = Judge(world)
             world.after_step.append(judge.after_step)
         except BaseException:

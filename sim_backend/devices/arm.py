@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -21,6 +22,7 @@ from toolee_robot.motion.trajectory_checks import check_payload, check_trajector
 from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor
 from toolee_robot.sim_backend.devices.motion_fault import Fault, motion_fault
 from toolee_robot.sim_backend.devices.motion_log import MotionLog
+from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory
 
@@ -39,15 +41,19 @@ class SimArm:
 
     Args:
         world: The simulated world.
+        wrench_errors: Size of the errors of the wrench as a share of those of the arm's generation (`ReadingErrors`);
+            0 for an exact reading.
+        seed: Seed of these errors.
     """
 
-    def __init__(self, world: SimWorld) -> None:
+    def __init__(self, world: SimWorld, wrench_errors: float = 0.0, seed: int | Sequence[int] = 0) -> None:
         self._world = world
         robot = world.robot.robot
         self._lower, self._upper = robot.lower[:6], robot.upper[:6]
         self._limits = world.config.arm
         self._velocity = np.minimum(np.array(self._limits.velocity), robot.velocity[:6])
-        self._sensor = FlangeSensor(world, robot.hand_payload(robot.hand_open), 1 / RATE)
+        errors = ReadingErrors(self._limits.model, wrench_errors, seed, 1 / RATE) if wrench_errors > 0.0 else None
+        self._sensor = FlangeSensor(world, robot.hand_payload(robot.hand_open), 1 / RATE, errors)
         world.wrench = lambda: self._sensor.wrench.copy()
         self._q, self._qd = world.robot.q_arm_target.copy(), np.zeros(6)
         self._open, self._moving, self._stop_asked = True, False, False
@@ -153,7 +159,7 @@ class SimArm:
         Raises:
             NotReadyError: The arm moves.
             LatchedError: An earlier fault has not been reset.
-            DeviceError: The link is down, or the arm is closed.
+            DeviceError: The force is too large for an offset, the link is down, or the arm is closed.
         """
         self._check_open()
         self._check_latch()

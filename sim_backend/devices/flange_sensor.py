@@ -6,6 +6,8 @@ import numpy as np
 
 from toolee_robot.frames import Array, cross
 from toolee_robot.hal import ZERO_TIME
+from toolee_robot.motion.touch_force import check_offset
+from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload
 
@@ -21,6 +23,7 @@ class FlangeSensor:
         world: The simulated world.
         payload: Payload to compensate.
         period: Averaging time [s].
+        errors: Errors of the reading; None for an exact one.
 
     Attributes:
         payload: Payload to compensate.
@@ -29,12 +32,12 @@ class FlangeSensor:
         wrench: Latest mean, (6,): force [N] and torque [Nm] about the flange's origin, axes of `base`.
     """
 
-    def __init__(self, world: SimWorld, payload: Payload, period: float) -> None:
+    def __init__(self, world: SimWorld, payload: Payload, period: float, errors: ReadingErrors | None = None) -> None:
         self.payload = payload
         self.period = period
         self.offset = np.zeros(6)
         self.wrench = np.zeros(6)
-        self._world = world
+        self._world, self._errors = world, errors
         hand = world.robot.robot.hand
         self._X_flange_root = hand.X_flange_root
         inertial = hand.tree.links[0].inertial
@@ -60,13 +63,19 @@ class FlangeSensor:
         self._velocity = self._payload_velocity()[0]
 
     def zero(self) -> None:
-        """Let the world advance by ZERO_TIME, and subtract the mean wrench of that time from all to come."""
+        """Let the world advance by ZERO_TIME, and subtract the mean wrench of that time from all to come.
+
+        Raises:
+            DeviceError: The force is too large for an offset.
+        """
         means = []
         self.begin()
         for _ in range(round(ZERO_TIME / self.period)):
             self._world.advance(self.period)
             means.append(self.wrench + self.offset)
-        self.offset = np.mean(means, axis=0)
+        mean = np.mean(means, axis=0)
+        check_offset(mean)
+        self.offset = mean
         self.wrench = means[-1] - self.offset
 
     def _finish(self) -> None:
@@ -78,6 +87,9 @@ class FlangeSensor:
         force = R_com @ mean[:3]
         carried = np.concatenate([force, R_com @ mean[3:] + cross(p_flange_com, force)])
         self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried - self.offset
+        if self._errors is not None:
+            robot = self._world.robot
+            self.wrench += self._errors.step(robot.q_arm_target, *robot.arm_state(), self.payload)
         self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
 
     def _payload_velocity(self) -> tuple[Array, Array, Array, Array]:

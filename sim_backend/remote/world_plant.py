@@ -6,12 +6,10 @@ import numpy as np
 
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor
+from toolee_robot.sim_backend.devices.reading_errors import TURN
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload
-
-TURN = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
-"""Signs of a wrench's components between `base` and the controller's base, which differ by a half turn about z."""
 
 
 class WorldPlant:

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import StationConfig, load_station
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, rotation_angle
+from toolee_robot.robots import load_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, draw_errors
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.tools import NAIL_DRIVERS, make_tool
+from toolee_robot.types import Payload
 
 CONFIG, USUAL = StationConfig(), SimOptions()
 SEEDS = range(400)
+MOUNTED = Path(__file__).parents[2] / "examples" / "mount.yaml"
 
 
 def test_without_errors_the_job_is_told_what_is_there() -> None:
@@ -31,6 +35,8 @@ def test_without_errors_the_job_is_told_what_is_there() -> None:
     assert (data.mass, data.grip_radius) == (tool.mass, tool.handle.grip_radius)
     assert (set(errors.options(USUAL).nail_leans), errors.options(USUAL).friction) == ({(0.0, 0.0)}, USUAL.friction)
     assert told.arm == CONFIG.arm
+    assert errors.weighed(CONFIG) == CONFIG
+    assert errors.options(USUAL).wrench_errors == 0.0
     assert errors.made_of(CONFIG) == CONFIG
     assert set(errors.facts.values()) == {0.0}
 
@@ -56,6 +62,24 @@ def test_the_errors_are_as_large_as_they_say() -> None:
     tool = make_tool(NAIL_DRIVERS[0], 5)
     masses = [draw_errors(NOMINAL, seed).measured(tool, "hammer").mass for seed in SEEDS]
     assert np.std(masses) / tool.mass == pytest.approx(NOMINAL.scales, rel=0.15)
+
+
+def test_the_hand_weighs_something_else_than_the_job_is_told() -> None:
+    def weight(config: StationConfig) -> Payload:
+        robot = load_robot(config.arm.model, None, config.hand)
+        return robot.hand_payload(robot.hand_open)
+
+    true = weight(CONFIG)
+    told = weight(draw_errors(NOMINAL, 3).weighed(CONFIG))
+    drawn = [draw_errors(NOMINAL, seed).hand for seed in SEEDS]
+    assert told.mass == pytest.approx(true.mass * (1.0 + NOMINAL.payload * drawn[3]))
+    np.testing.assert_allclose(told.center_of_mass, true.center_of_mass)
+    assert (np.mean(drawn), np.std(drawn)) == (pytest.approx(0.0, abs=0.15), pytest.approx(1.0, rel=0.15))
+    # A mount's data say what it weighs.
+    mounted, errors = load_station(MOUNTED), draw_errors(NOMINAL, 3)
+    assert weight(errors.weighed(mounted)).mass == pytest.approx(
+        weight(mounted).mass * (1.0 + NOMINAL.payload * errors.hand), rel=1e-3
+    )
 
 
 def test_the_arm_is_not_where_its_calibration_says() -> None:

@@ -1,4 +1,4 @@
-"""A simulated arm whose force has a CB3's errors, as the controller stand-in has them, and what it touches with."""
+"""A simulated arm whose force has a CB3's errors, and what it touches with."""
 
 from __future__ import annotations
 
@@ -8,46 +8,19 @@ from tests.tasks.bench import Log
 from toolee_robot.control import Mode, RobotModel, plan_over_nail, plan_strike
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import inverse
-from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor
-from toolee_robot.sim_backend.ur_controller.profile import CB3
-from toolee_robot.sim_backend.ur_controller.robot.dynamics import ArmDynamics
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10
-from toolee_robot.sim_backend.ur_controller.robot.sensing.force_errors import WrenchErrors
-from toolee_robot.sim_backend.ur_controller.robot.sensing.noise import Noise
+from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.hammering.touch import Touch
-
-GRAVITY = np.array([0.0, 0.0, 9.81])
-
-
-class NoisySensor(FlangeSensor):
-    """The simulated arm's force with noise, offset, drift and the errors in motion of a CB3, times `scale`."""
-
-    def disturb(self, seed: int, scale: float = 1.0) -> None:
-        self._scale = scale
-        self._dynamics = ArmDynamics(UR10)
-        self._errors = WrenchErrors(UR10, CB3.force, Noise(seed))
-
-    def _finish(self) -> None:
-        super()._finish()
-        robot, payload = self._world.robot, self.payload
-        q, qd = robot.arm_state()
-        dynamics = self._dynamics.step(
-            UR10, robot.q_arm_target, payload.mass, payload.center_of_mass, GRAVITY, self.period
-        )
-        steady, noise = self._errors.step(self.period, q, qd, dynamics)
-        self.wrench = self.wrench + self._scale * (steady + noise)
+from toolee_robot.types import ArmModel
 
 
 class Rig:
-    """The face over the nail, which a noisy arm touches."""
+    """The face over the nail, which an arm with the errors of a CB3's wrench, times `scale`, touches."""
 
     def __init__(self, bench: Bench, seed: int, scale: float = 1.0) -> None:
         self._world = bench.sim.world
         sensor = bench.arm._sensor
-        sensor.__class__ = NoisySensor
-        assert isinstance(sensor, NoisySensor)
-        sensor.disturb(seed, scale)
+        sensor._errors = ReadingErrors(ArmModel.UR10, scale, seed, sensor.period)
         robot = self._robot = RobotModel.of_station(CONFIG)
         bench.hand.close()
         self.log = Log()

@@ -32,6 +32,9 @@ CONFIRM_SHARE = 0.5
 """A contact is sure when at rest at least this share of the threshold still presses."""
 MAX_PHANTOMS = 3
 """Number of contacts in one touch that were none after which the force is not to be relied on."""
+LARGEST_OFFSET = 20.0
+"""Largest force at rest that is taken for an offset of the reading [N], twice the accuracy that a CB3 is said to have.
+Beyond it the arm touches something, or its payload is wrong."""
 SLOPE_RANGE = 0.008
 """Height above the end of a touch over which the rise of the force is examined [m]."""
 
@@ -85,6 +88,23 @@ def forces_at_rest(arm: Arm, clock: Clock, duration: float) -> Array:
         clock.sleep(1.0 / arm.rate)
         readings.append(arm.state().wrench[:3])
     return np.array(readings)
+
+
+def check_offset(wrench: Array) -> None:
+    """Check that what an arm reads at rest can be an offset of its reading.
+
+    Args:
+        wrench: Force [N] and torque [Nm] at rest, (6,).
+
+    Raises:
+        DeviceError: The force is larger than `LARGEST_OFFSET`.
+    """
+    if (force := float(np.linalg.norm(wrench[:3]))) > LARGEST_OFFSET:
+        raise DeviceError(
+            f"the arm feels {force:.0f} N at rest, more than an offset of its reading can be: free what it touches "
+            "or set the payload right, then zero the force again",
+            code="device.wrench_too_large",
+        )
 
 
 def touch_settings(forces: Array, rate: float, strike: StrikeConfig) -> TouchSettings:

@@ -41,6 +41,8 @@ ERRORS = {
     "nail_height_mm": "wood's height, mm",
     "face_mm": "face on the tool, mm",
     "mass_percent": "tool's mass, %",
+    "payload_percent": "hand's mass, %",
+    "wrench_percent": "errors of the force, % of its generation's",
 }
 """Errors against which success is shown, and how the axis is called."""
 CONDITIONS = "conditions"

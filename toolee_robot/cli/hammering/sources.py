@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -104,7 +104,9 @@ class SimulatedSource:
     @property
     def _drawn(self) -> DrawnErrors:
         known = None if self.config.camera.pose is None else np.zeros((6, 6))
-        return draw_errors(self.errors, self.seed, known)
+        # A controller's profile has the errors of the wrench.
+        errors = self.errors if self.stand_in is None else replace(self.errors, wrench=0.0)
+        return draw_errors(errors, self.seed, known)
 
     @property
     def real_time_factor(self) -> float | None:
@@ -144,7 +146,7 @@ class SimulatedSource:
         drawn = self._drawn
         cell, options = drawn.made_of(self.config), drawn.options(SimOptions(gui=self.gui))
         with open_station(cell, self.seed, options, self.stand_in, self.hand_driver) as sim:
-            config = self.config if self.errors == EXACT else drawn.displaced(self.config)
+            config = self.config if self.errors == EXACT else drawn.weighed(drawn.displaced(self.config))
             grasp = measured_grasp(drawn.measured(sim.tool, sim.tool.name), config)
             yield Opened(sim.station, config, grasp, sim.tool.name, _words(sim.tool), sim.judge, sim.tool)
 

@@ -58,7 +58,9 @@ def job_errors(config: StationConfig, station_file: Path, seed: int) -> DrawnErr
     Raises:
         ConfigError: The calibration's record cannot be read or was altered.
     """
-    return draw_errors(NOMINAL, seed, camera_covariance(config, station_file))
+    # What the hand weighs the file says itself, and the wrench is the controller's.
+    sizes = replace(NOMINAL, payload=0.0, wrench=0.0)
+    return draw_errors(sizes, seed, camera_covariance(config, station_file))
 
 
 def camera_covariance(config: StationConfig, station_file: Path) -> Array:

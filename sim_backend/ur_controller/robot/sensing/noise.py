@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from toolee_robot.frames import Array
@@ -16,7 +18,7 @@ class Noise:
         seed: Seed; equal seeds give equal vectors.
     """
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int | Sequence[int]) -> None:
         self._rng = np.random.default_rng(seed)
         self._block, self._next = self._rng.standard_normal((BLOCK, 6)), 0
 

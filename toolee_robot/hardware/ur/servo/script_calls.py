@@ -19,15 +19,13 @@ from toolee_robot.hal import ZERO_TIME, ArmStatus
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.servo.rtde_link import AT_REST, UrLink, bounded
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn
+from toolee_robot.motion.touch_force import check_offset
 from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 
 PAYLOAD_TOLERANCE: Final = 1e-3
 """[kg], [m] Largest difference between the payload set and the payload reported by the controller."""
 TCP_TOLERANCE: Final = 1e-5
 """[m], [rad] Largest difference between the TCP set and the TCP reported by the controller."""
-LARGEST_OFFSET: Final = 20.0
-"""[N] Largest force at rest that is taken for an offset of the reading, twice the accuracy that a CB3 is said to have.
-Beyond it the arm touches something, or its payload is wrong."""
 ZEROED: Final = 5.0
 """[N] Largest mean force after the controller has zeroed its sensor; the precision that a UR10e is said to have."""
 _HELD_READINGS = 5  # consecutive readings with one set-point, after which the arm counts as held
@@ -106,7 +104,7 @@ class ScriptCalls:
         self._expect_standstill(link.reading[StateColumn.QD])
         e_series = link.rate > CB3_RATE
         if e_series:
-            self._expect_offset(link.reading[StateColumn.WRENCH] + link.wrench_offset)
+            check_offset(link.reading[StateColumn.WRENCH] + link.wrench_offset)
             with self._bounded():
                 self._accepted(link.control.zeroFtSensor(), "the zero of its force sensor")
             link.catch_up()
@@ -121,7 +119,7 @@ class ScriptCalls:
                 message = "the robot's data or its program stopped while the force was zeroed: reset the arm"
                 raise DeviceError(message, code="device.program_stopped")
         mean = np.mean(wrenches, axis=0)
-        self._expect_offset(mean)
+        check_offset(mean)
         if e_series and np.linalg.norm(mean[:3]) > ZEROED:
             raise DeviceError(
                 f"the controller zeroed its force sensor, but still reports {np.linalg.norm(mean[:3]):.1f} N on "
@@ -193,12 +191,3 @@ class ScriptCalls:
         if (fastest := float(np.abs(qd).max())) > AT_REST:
             message = f"the arm moves ({fastest:.2f} rad/s): the force can be zeroed at standstill only"
             raise NotReadyError(message, code="not_ready.moving")
-
-    @staticmethod
-    def _expect_offset(wrench: Array) -> None:
-        if (force := float(np.linalg.norm(wrench[:3]))) > LARGEST_OFFSET:
-            raise DeviceError(
-                f"the arm feels {force:.0f} N at rest, more than an offset of its reading can be: free what it touches "
-                "or set the payload right, then zero the force again",
-                code="device.wrench_too_large",
-            )
