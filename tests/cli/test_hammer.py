@@ -263,7 +263,7 @@ def test_a_nail_out_of_reach_ends_the_job_with_a_reason_and_the_arm_parked(tmp_p
 @pytest.mark.nightly
 @pytest.mark.parametrize("model", ["UR10", "UR10e"])
 def test_a_nail_of_fifty_millimetres_needs_no_pilot_hole(tmp_path: Path, model: str) -> None:
-    """The example's nail takes 21 J, more than five times the default one; 30 strikes were measured."""
+    """The example's nail takes 21 J, more than five times the default one."""
     example = str(EXAMPLES / "long_nail.yaml")
     job = _whole_job(tmp_path, "--perfect-perception", "--exact", "--config", example, "--robot", model)
     assert job.returncode == 0, job.err
