@@ -79,7 +79,7 @@ def check_plan(
     assert np.max(depth) <= limits.deepest + 2e-5
     assert plan.brake_length == pytest.approx(max(np.max(depth), 0.0), abs=1e-3)
     if np.isfinite(limits.deepest):
-        assert depth[-1] < -0.02, "the command must turn back"
+        assert depth[-1] < limits.deepest - 0.03, "the command must turn back"
     assert np.all(torques(robot, plan, q_hand, X_hand_ee) <= limits.torque_share * RATED * 1.001)
     before = strike.times <= t
     assert world.closest(strike.q[before], 0.05, RUN_UP_EXEMPT).distance > 0.5 * config.strike.clearance
@@ -89,7 +89,7 @@ def check_plan(
 @pytest.mark.parametrize("model", [ArmModel.UR10, ArmModel.UR10E])
 @given(
     x=st.floats(0.6, 0.9), y=st.floats(-0.2, 0.4), along=st.floats(-0.03, 0.03), about=st.floats(-25, 25),
-    tilt=st.floats(-12, 12), deep=st.sampled_from([0.006, 0.010, 0.030, np.inf]),
+    tilt=st.floats(-12, 12), deep=st.sampled_from([0.006, 0.010, 0.030, 0.100, np.inf]),
     speed=st.sampled_from([0.4, 0.8, 1.2, np.inf]), protrusion=st.floats(0.0, 0.045),
 )  # fmt: skip
 @examples(4)

@@ -81,6 +81,7 @@ class RecordingObserver(TaskObserver):
         data: dict[str, Any] = {"speed": plan.speed, "spin": plan.theta, "clearance": plan.clearance.distance}
         data |= {"X_base_ee_contact": plan.X_base_ee_contact, "planning_seconds": plan.planning_time}
         data |= {"wanted_speed": plan.wanted_speed, "attainable_speed": plan.attainable_speed}
+        data |= {"brake_length": plan.brake_length}
         reason = (
             f"strike at {plan.speed:.2f} m/s of {plan.wanted_speed:.2f} wanted, "
             f"clearance {plan.clearance.distance * 1e3:.0f} mm"

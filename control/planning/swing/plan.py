@@ -15,6 +15,7 @@ from toolee_robot.control.collision_shapes import TOOL_JOINT
 from toolee_robot.control.correction import Candidates, candidates, rank
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.limits import check_trajectory
+from toolee_robot.control.planning.line import Line
 from toolee_robot.control.planning.strike import MIN_SPEED
 from toolee_robot.control.planning.swing.contact import Face, decelerations, fastest
 from toolee_robot.control.planning.swing.limits import SwingLimits
@@ -245,6 +246,9 @@ class _Swing:
         if deepest > limits.deepest:
             raise LimitError(f"the swing turns back only {deepest * 1e3:.1f} mm beyond the contact", code="limit.swing")
         self._check_clear(strike, contact)
+        # The nail is touched along this line with the same posture; a transfer leads to it.
+        touched = Line.through(self._robot.ik, q_contact, self._X_base_nail[:3, 2])
+        world.check(touched.q(np.array([max(beyond[0], -config.strike.run_up)])), NEED, "the way to a touch")
         check_trajectory(strike, arm, config.arm, config.scene, world)
         count = max(2, int(np.ceil(np.max(np.abs(strike.q[0] - q_start)) / STEP)) + 1)
         way = q_start + np.linspace(0.0, 1.0, count)[:, None] * (strike.q[0] - q_start)

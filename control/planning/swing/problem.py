@@ -40,8 +40,9 @@ LATERAL, SLOPE = 0.002, 0.25
 """The face comes down within a cone about the nail's axis: LATERAL wide at the contact [m], wider by SLOPE."""
 LATERAL_AFTER = 0.006
 """Lateral distance that is permitted while the face turns back [m]."""
-RETREAT = 0.03
-"""Least height of the face over the contact at the end [m]."""
+BACK = 0.04
+"""Least way of the face back from the deepest place that is permitted, at the end [m]: from 10 mm beyond the contact to
+30 mm over it, and from a place that only bounds the stop not far."""
 _FREE = 1e9
 
 
@@ -180,7 +181,7 @@ class SwingProblem:
             soon = np.append((steps > 0) & (steps <= 3), False)
             rows.add(A[soon, 0], -LATERAL_AFTER - rest[soon, 0], LATERAL_AFTER - rest[soon, 0])
             rows.add(A[soon, 1], -LATERAL_AFTER - rest[soon, 1], LATERAL_AFTER - rest[soon, 1])
-            rows.below(A[-1:, 2], -RETREAT - rest[-1:, 2])
+            rows.below(A[-1:, 2], self.deepest - BACK - rest[-1:, 2])
 
     def _points(self, rows: _Rows, x: Array) -> None:
         times = self.spline.knots[1:-1]
