@@ -28,6 +28,7 @@ from toolee_robot.control.supervisor_checks import (
     check_ready,
     check_speed,
     is_finite,
+    why_person_forbids,
 )
 from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import DeviceError, LatchedError, LimitError, MotionFaultError, PersonNearError
@@ -276,11 +277,7 @@ class Supervisor:
 
     def _reason_to_stop(self) -> str:
         """Why a person forbids motion in this mode; empty if they do not."""
-        if self._mode is Mode.UNATTENDED:
-            return "somebody is within the arm's reach" if self._person.zone_occupied() else ""
-        return (
-            "" if self._person.enabling_switch_held() else "the person at the station does not hold the enabling switch"
-        )
+        return why_person_forbids(self._person, self._mode)
 
     def _move(
         self, trajectory: Trajectory, world: CollisionWorld, guard: ContactGuard | None, watch: MotionWatch | None

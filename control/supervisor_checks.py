@@ -13,7 +13,7 @@ from toolee_robot.control.modes import Mode, carried_speed
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, LimitError, NotReadyError
 from toolee_robot.frames import Array
-from toolee_robot.hal import ArmState, ArmStatus
+from toolee_robot.hal import ArmState, ArmStatus, Person
 from toolee_robot.types import Trajectory
 
 STEP = 0.015
@@ -123,3 +123,27 @@ def check_clear(q: Array, world: CollisionWorld, exempt: frozenset[tuple[str, st
         f"the motion would bring {closest} together: nothing was moved; clear the way or move the target",
         code="collision.motion",
     )
+
+
+def why_person_forbids(person: Person, mode: Mode) -> str:
+    """Why a person forbids motion in a mode.
+
+    Args:
+        person: The person at the station.
+        mode: The mode of operation.
+
+    Returns:
+        The reason, which tells what is seen from what is assumed for want of a reading; empty if nothing forbids it.
+    """
+    certain = person.readings_certain()  # asked first: a late reading that comes meanwhile tells nothing of the others
+    if mode is Mode.UNATTENDED:
+        if not person.zone_occupied():
+            return ""
+        who = "somebody is" if certain else "somebody may be"
+        reason = f"{who} within the arm's reach"
+    else:
+        if person.enabling_switch_held():
+            return ""
+        who = "the person at the station does not hold" if certain else "nobody is known to hold"
+        reason = f"{who} the enabling switch"
+    return reason if certain else f"{reason}, as the readings of their inputs are late or have not settled"

@@ -18,7 +18,8 @@ class AbilityEmulator(LineEmulator[Hand]):
     Args:
         address: The hand's address on the line.
         seed: Seed of noise and chance.
-        pace: Rate of the motors' time relative to the host's; line and API mode keep to the host's.
+        pace: Rate of the hand's time relative to the host's, in which its API mode ends, too; the line keeps to the
+            host's.
     """
 
     label = "PSYONIC Ability Hand"
@@ -27,7 +28,7 @@ class AbilityEmulator(LineEmulator[Hand]):
 
     def __init__(self, address: int = 0x50, seed: int = 0, pace: float = 1.0) -> None:
         self.time = HandTime(pace)
-        hand = Hand(self.time, seed, pace)
+        hand = Hand(self.time, seed)
         super().__init__(hand, PseudoTerminal(), LineFaults(foreign, seed), TURNAROUND, BYTE_TIME, pace)
         self._parser = MessageParser(address)
 

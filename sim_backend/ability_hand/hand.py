@@ -39,21 +39,20 @@ class Hand:
     Args:
         clock: Returns the time [s].
         seed: Seed of noise and chance.
-        pace: Rate of that clock relative to the host's, in whose time the API mode ends.
 
     Attributes:
         motors: The six motors in the order of NAMES.
         has_pads: Whether it has touch pads; a hand without them says 0 in their place.
     """
 
-    def __init__(self, clock: Callable[[], float], seed: int = 0, pace: float = 1.0) -> None:
+    def __init__(self, clock: Callable[[], float], seed: int = 0) -> None:
         self._chance = random.Random(seed)
         self.motors = tuple(
             Motor(fastest, backdrivable=name == "thumb_rotator", chance=self._chance)
             for name, fastest in zip(NAMES, FASTEST, strict=True)
         )
         self.has_pads = True
-        self._clock, self._now, self._api_time = clock, clock(), API_TIME * pace
+        self._clock, self._now = clock, clock()
         self._api_until: float | None = None
         self._header = 0x10
 
@@ -124,14 +123,14 @@ class Hand:
         if mode in (0x10, 0x20, 0x30, 0x40, 0xA0) and variant <= 2:
             self._header = header
         if mode in (0x10, 0x20, 0x30, 0x40) and variant <= 2:
-            self._api_until = self._now + self._api_time
+            self._api_until = self._now + API_TIME
             for motor, sign, value in zip(self.motors, SIGNS, message.values, strict=False):
                 self._command(motor, mode, sign * value)
         elif header == 0x7C:
             if self._api_until is not None:
                 self._leave_api()
         elif mode != 0xA0 or self._api_until is not None:
-            self._api_until = self._now + self._api_time
+            self._api_until = self._now + API_TIME
         return [Frame(self._reply())]
 
     def _command(self, motor: Motor, mode: int, value: int) -> None:

@@ -111,7 +111,7 @@ class Bystander:
     """A person who is where a test puts them."""
 
     def __init__(self) -> None:
-        self.here, self.holds, self.confirms = False, True, True
+        self.here, self.holds, self.confirms, self.late = False, True, True, False
         self.asked = 0
 
     def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
@@ -134,11 +134,11 @@ class Bystander:
         return self.holds
 
     def zone_occupied(self) -> bool:
-        return self.here
+        return self.here or self.late
 
     def readings_certain(self) -> bool:
         """See `hal.Person`."""
-        return True
+        return not self.late
 
     def enabling_switch_held(self) -> bool:
-        return self.holds
+        return self.holds and not self.late

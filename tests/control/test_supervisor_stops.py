@@ -104,6 +104,20 @@ def test_the_enabling_switch_stops_a_slow_motion_and_does_not_latch(desk: Desk) 
     desk.supervisor.execute(desk.slow(0.1))
 
 
+@pytest.mark.parametrize(("mode", "assumed"), [(Mode.UNATTENDED, "may be within"), (Mode.HANDOVER, "nobody is known")])
+def test_what_is_assumed_for_want_of_a_reading_is_not_told_as_seen(desk: Desk, mode: Mode, assumed: str) -> None:
+    desk.supervisor.mode = mode
+    desk.person.late = True
+    with raises(PersonNearError, code="person_near.before_motion") as caught:
+        desk.supervisor.execute(desk.slow())
+    assert assumed in str(caught.value)
+    assert "are late" in str(caught.value)
+    desk.person.late, desk.person.here, desk.person.holds = False, True, False
+    with raises(PersonNearError, code="person_near.before_motion") as caught:
+        desk.supervisor.execute(desk.slow())
+    assert "late" not in str(caught.value)
+
+
 def test_a_person_sensor_that_fails_stops_the_arm(desk: Desk) -> None:
     desk.arm.pause = 0.002
     calls: list[int] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -47,6 +48,23 @@ def held(emulator: AbilityEmulator, hand: AbilityHand) -> None:
     hand.close()
     assert told(hand).holding
     assert told(hand).fault == ""
+
+
+def held_up(hand: AbilityHand, monkeypatch: pytest.MonkeyPatch, duration: float) -> None:
+    """Let the driver send nothing for this long [s on the wall clock], once."""
+    line = hand._line
+    assert line is not None
+    exchange, over = line.exchange, threading.Event()
+
+    def hold_up(degrees: tuple[float, ...] | None) -> object:
+        if not over.is_set():
+            time.sleep(duration)
+            over.set()
+        return exchange(degrees)
+
+    monkeypatch.setattr(line, "exchange", hold_up)
+    assert over.wait(duration + 2.0)
+    time.sleep(0.3)
 
 
 def test_entering_moves_nothing_and_leaves_it_to_whoever_drives_it(
@@ -188,17 +206,7 @@ def test_a_driver_that_was_held_up_does_not_close_again_what_the_hand_may_have_o
     emulator: AbilityEmulator, hand: AbilityHand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     held(emulator, hand)
-    line = hand._line
-    assert line is not None
-    exchange, paused = line.exchange, [True]
-
-    def hold_up(degrees: tuple[float, ...] | None) -> object:
-        if paused.pop() if paused else False:
-            time.sleep(0.6)
-        return exchange(degrees)
-
-    monkeypatch.setattr(line, "exchange", hold_up)
-    time.sleep(1.0)
+    held_up(hand, monkeypatch, 0.6)
     assert "without a command" in told(hand).fault
     assert not told(hand).holding, "the emulated hand has opened meanwhile"
     stands = emulator.angles
@@ -206,6 +214,22 @@ def test_a_driver_that_was_held_up_does_not_close_again_what_the_hand_may_have_o
     np.testing.assert_allclose(emulator.angles, stands, atol=5.0)
     hand.open()
     assert told(hand).fault == ""
+
+
+def test_a_rehearsal_in_slow_motion_gives_the_driver_its_slower_time(
+    model: HandModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    factor = 0.2
+    with AbilityEmulator(pace=factor) as emulator, AbilityHand(model, emulator.port, HostClock(factor)) as hand:
+        emulator.hold(HANDLE)
+        hand.close()
+        held_up(hand, monkeypatch, 0.6)
+        assert in_api(emulator), "0.12 s have passed for the hand"
+        assert told(hand).fault == ""
+        assert told(hand).holding
+        held_up(hand, monkeypatch, 1.8)
+        assert "without a command" in told(hand).fault
+        assert max(emulator.angles[:4]) < HANDLE - 2.0, "the emulated hand has opened meanwhile"
 
 
 def test_an_unplugged_cable_is_told_within_50_ms(emulator: AbilityEmulator, hand: AbilityHand) -> None:

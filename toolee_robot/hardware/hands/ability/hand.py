@@ -21,6 +21,7 @@ from toolee_robot.hardware.hands.wire.motion import Motion
 from toolee_robot.hardware.hands.wire.setpoints import Setpoints
 from toolee_robot.robots.hands import HandModel
 from toolee_robot.robots.hands.ability import CLOSED, MOTORS, OPEN, RANGE, joints_of_closures
+from toolee_robot.runtime.clock import HostClock
 
 APPROACH_SPEED, FINISH_SPEED, OPENING_SPEED = 120.0, 20.0, 240.0
 """Speeds of the fingers until they touch, of their pressing, and of opening [deg/s]."""
@@ -30,7 +31,8 @@ deg which say that it has slipped take 0.07 s."""
 LEAD = 12.0
 """Largest way by which a setpoint is ahead of a motor [deg]."""
 SILENT_MOST = 0.25
-"""Longest time between two commands for which the hand has certainly not left its API mode, which takes 0.3 s [s]."""
+"""Longest time between two commands for which the hand has certainly not left its API mode, which takes 0.3 s: of the
+host's time, as the station's may stand still in a simulation; in a rehearsal, which is slower, of the station's [s]."""
 OPENED = 5.0
 """Largest distance from the open hand's closure that counts as open [deg]."""
 REACTION = 0.03
@@ -101,6 +103,7 @@ class AbilityHand(WiredHand[HandLine, Reading]):
     def __init__(self, model: HandModel, port: str, clock: Clock, hand_id: int = 0x50) -> None:
         super().__init__(model, clock, RULE, STILL)
         self._port, self._address = port, hand_id
+        self._silent_most = clock.to_wall_time(SILENT_MOST) if isinstance(clock, HostClock) else SILENT_MOST
         self._touch, self._heat = Touch(), Heat()
         self._setpoints: Setpoints | None = None
         self._closures: Array | None = None
@@ -219,7 +222,7 @@ class AbilityHand(WiredHand[HandLine, Reading]):
     def _read(self, line: HandLine, number: int) -> Reading:
         """Send the next command, and take the reply to it: in the poller's thread, silent or not."""
         host = time.monotonic()
-        if self._setpoints is not None and host - self._asked > SILENT_MOST:
+        if self._setpoints is not None and host - self._asked > self._silent_most:
             # The hand may have left its API mode and moved: it stays where it is now.
             self._lapsed, self._setpoints = True, None
         self._asked = host
