@@ -141,7 +141,7 @@ def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Pa
     kept = EXAMPLES.parent / "docs" / "benchmark"
     shutil.copy(kept / "nominal_trials.jsonl", tmp_path / RESULTS)
     plan = load_plan(kept / "nominal_trials.yaml")
-    assert plan.hash.startswith("242faab488ca")
+    assert plan.hash.startswith("12837b3e6791")
     records = finished(plan, tmp_path)
     assert len(records) == len((tmp_path / RESULTS).read_text().splitlines()) - 1
     assert load_plan(kept / "sweep.yaml").hash.startswith("533cbe5b8057")

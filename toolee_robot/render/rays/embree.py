@@ -57,11 +57,12 @@ class _Library:
 
     def __init__(self) -> None:
         # The package's own module leads to the library that it is linked to, wherever the package is installed. The
-        # interpreter's lock is kept: a packet takes about a microsecond.
-        c = ctypes.PyDLL(rtcore_scene.__file__)
+        # interpreter's lock is kept for packets, which take about a microsecond, and released while a tree is built:
+        # an emulated camera shares its process with drivers that must not wait.
+        c, unlocked = ctypes.PyDLL(rtcore_scene.__file__), ctypes.CDLL(rtcore_scene.__file__)
         pointer, uint, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
         self.new_scene = _function(c.rtcNewScene, pointer, pointer)
-        self.commit_scene = _function(c.rtcCommitScene, None, pointer)
+        self.commit_scene = _function(unlocked.rtcCommitScene, None, pointer)
         self.release_scene = _function(c.rtcReleaseScene, None, pointer)
         self.new_geometry = _function(c.rtcNewGeometry, pointer, pointer, ctypes.c_int)
         self.new_buffer = _function(
