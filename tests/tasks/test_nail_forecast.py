@@ -101,6 +101,15 @@ def test_a_strike_at_a_nail_that_should_be_flush_is_measured(course: list[float]
             forecast.measured(max(forecast.height - depth, 0.0))
 
 
+def test_a_strike_that_was_not_felt_counts_in_the_progress() -> None:
+    forecast = NailForecast(LENGTH, FLUSH, RATE)
+    forecast.measured(START)
+    forecast.unfelt("not felt")
+    assert forecast.surprise == "not felt"
+    forecast.struck(ContactVerdict(Meeting.EXPECTED, DELAY), SPEED)
+    assert forecast.measured(START - 0.002) == pytest.approx(0.001)
+
+
 def test_a_nail_that_bends_away_is_noticed_in_a_few_contacts_where_one_is_too_uncertain() -> None:
     rate = 125.0  # a cycle is 10 mm of way
     for seed in range(50):

@@ -73,6 +73,18 @@ def test_a_nail_is_touched_after_its_first_strike_and_its_last_one_and_not_in_be
     assert 0.0 < result.nail_seconds < result.robot_seconds
 
 
+def test_a_strike_that_is_not_felt_is_followed_by_a_touch_which_tells_that_the_nail_was_hit(bench: Bench) -> None:
+    strike = replace(CONFIG.strike, contact_force=400.0)
+    config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=3), strike=strike)
+    log = Log()
+    result = bench.blind_task(log, config).run()
+    assert result.outcome is Outcome.OUT_OF_STRIKES, result.reason
+    assert all(strike.meeting in (Meeting.LATE, Meeting.NONE) for strike in result.strikes)
+    assert all(strike.protrusion is not None for strike in result.strikes)
+    assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
+    assert config.work.nail_protrusion - bench.sim.world.nail.protrusion > 0.002
+
+
 class FarSighted(PerfectPerception):
     """Sees the face too far out along its normal, by the same in every look: as a camera that stands elsewhere does."""
 

@@ -230,11 +230,13 @@ class NailDriving:
             met = verdict.meeting is Meeting.EXPECTED
             last = len(self.strikes) + 1 >= self._config.task.max_strikes
             measure = self._forecast.struck(verdict, plan.speed) or last if met else True
+            if verdict.meeting in (Meeting.LATE, Meeting.NONE):
+                self._forecast.unfelt(f"{verdict}: measuring whether the nail was hit")
             look_due = self._look_due(self.strikes_since_look + 1)
             self._retract(plan, CLEAR if measure or look_due else min(plan.run_up, self._config.strike.run_up))
         height = None
         try:
-            if not met:
+            if verdict.meeting is Meeting.EARLY:
                 raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
             if not measure:
                 return None
@@ -244,8 +246,10 @@ class NailDriving:
                 if self._config.strike.deepest is not None:  # after a swing the face is no longer square to the nail
                     self._gauge.go_over(plan)
                 # With a corrected face pose, a head that is no longer there after a strike means a bent nail.
-                missed = Outcome.BENT if self._correction else Outcome.NAIL_MISSED
+                missed = Outcome.BENT if met and self._correction else Outcome.NAIL_MISSED
                 height = self._gauge.measure(before, missed=missed)
+            if not met and before - height > MAX_DEPTH_PER_STRIKE:
+                raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
             return height
         finally:
             self._record(plan, report, verdict, height)

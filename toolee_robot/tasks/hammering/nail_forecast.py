@@ -111,6 +111,18 @@ class NailForecast:
         uncertain = driven < ACCURACY or ahead * ACCURACY > UNCERTAIN * driven
         return bool(self.surprise) or self.finished or uncertain or self.unmeasured > LONGEST
 
+    def unfelt(self, surprise: str) -> None:
+        """Take over a strike whose contact was not felt where it should be; the nail must be measured.
+
+        A light head's force can be lost in what a controller that estimates it from joint currents misses.
+
+        Args:
+            surprise: What is odd about it.
+        """
+        self.unmeasured += 1
+        self.finished = self.height <= self._flush
+        self.surprise = surprise
+
     def _disagreement(self, lateness: float) -> float:
         """Mean deviation of the last contacts that is beyond what their lateness [m] explains [m]; 0 if none is."""
         counts = np.arange(1, len(self._offs) + 1)
