@@ -23,21 +23,22 @@ from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.types import ArmModel, Trajectory
+from toolee_robot.types import ArmModel, Payload, Trajectory
 
 NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])
 
 
 class Rig(ABC):
     """An entered arm. rate: [Hz] expected. limits: it was made with. tracking: measured against commanded at rest
-    [rad]. reading: between two readings of the joints at rest [rad]. faults: whether stops, contacts and cuts can be
-    brought about without a person. disturbed: one was."""
+    [rad]. reading: between two readings of the joints at rest [rad]. carried: by the flange. faults: whether stops,
+    contacts and cuts can be brought about without a person. disturbed: one was."""
 
     arm: Arm
     rate: float
     limits: ArmLimits
     tracking = 1e-3
     reading = 1e-6
+    carried = Payload(1.5, np.array([0.0, 0.01, 0.08]))
     faults = True
     disturbed = False
 
@@ -125,6 +126,8 @@ class SimRig(Rig):
         arm = simulation.station.arm
         assert isinstance(arm, SimArm)
         self.arm: SimArm = arm
+        robot = simulation.world.robot.robot
+        self.carried = robot.hand_payload(robot.hand_open)
 
     def now(self) -> float:
         return self._simulation.station.clock.now()
