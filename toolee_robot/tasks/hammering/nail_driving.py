@@ -240,19 +240,30 @@ class NailDriving:
                 raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
             if not measure:
                 return None
-            if self._forecast.surprise:
-                self._observer.message(self._forecast.surprise)
+            height = self._touch_after(plan, before, verdict)
+            return height
+        finally:
+            self._record(plan, report, verdict, height)
+
+    def _touch_after(self, plan: StrikePlan, before: float, verdict: ContactVerdict) -> float:
+        """Touch the nail after a strike; returns what it protrudes by [m]. See `_strike_nail`."""
+        met = verdict.meeting is Meeting.EXPECTED
+        if self._forecast.surprise:
+            self._observer.message(self._forecast.surprise)
+        try:
             with self._stages(Stage.TOUCH):
                 if self._config.strike.deepest is not None:  # after a swing the face is no longer square to the nail
                     self._gauge.go_over(plan)
                 # With a corrected face pose, a head that is no longer there after a strike means a bent nail.
                 missed = Outcome.BENT if met and self._correction else Outcome.NAIL_MISSED
                 height = self._gauge.measure(before, missed=missed)
-            if not met and before - height > MAX_DEPTH_PER_STRIKE:
-                raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
-            return height
-        finally:
-            self._record(plan, report, verdict, height)
+        except JobEnded as end:
+            if met:
+                raise
+            raise JobEnded(end.outcome, f"{verdict}: the nail is not where the face went ({end})") from end
+        if not met and before - height > MAX_DEPTH_PER_STRIKE:
+            raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
+        return height
 
     def _swing(self, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
         """Execute the strike."""

@@ -114,7 +114,7 @@ class NailForecast:
     def unfelt(self, surprise: str) -> None:
         """Take over a strike whose contact was not felt where it should be; the nail must be measured.
 
-        A light head's force can be lost in what a controller that estimates it from joint currents misses.
+        A light head's first push can stay under the threshold that a noisy force asks for; it is felt readings later.
 
         Args:
             surprise: What is odd about it.
