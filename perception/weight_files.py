@@ -6,6 +6,7 @@ configuration, log). Nothing is ever fetched from a network.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -120,6 +121,21 @@ def load_into(network: torch.nn.Module, tensors: dict[str, torch.Tensor], what: 
             f"the {what}'s weights are incomplete, fetch them again: {(missing + unexpected)[:5]}",
             code="asset.incomplete",
         )
+
+
+def weights_hash(folder: Path) -> str:
+    """What identifies the weights in a folder.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        SHA-256 of the names and contents of the weights and their descriptions.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(p for p in folder.iterdir() if p.suffix in (".safetensors", ".json")):
+        digest.update(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n".encode())
+    return digest.hexdigest()
 
 
 def _half(name: str, value: torch.Tensor) -> torch.Tensor:

@@ -5,7 +5,6 @@ The file is part of the repository and is committed with what was decided by the
 
 from __future__ import annotations
 
-import hashlib
 import json
 import subprocess
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.dataset.encoding.checksums import SUMS, sha256
 from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
-from toolee_robot.perception.weight_files import WEIGHTS_DIR
+from toolee_robot.perception.weight_files import WEIGHTS_DIR, weights_hash
 
 LEDGER = Path(toolee_robot.__file__).resolve().parents[1] / "docs" / "results" / "test_ledger.jsonl"
 """The repository's ledger: one scoring a line, the newest last."""
@@ -138,21 +137,6 @@ def _test_set(folder: Path) -> dict[str, Any] | None:
             asked = {k: v for k, v in spec.to_json().items() if k in ("config", "size", "seed", "test_share", "device")}
             return {"name": root.name, **asked, "sha256": sha256(sums)}
     return None
-
-
-def weights_hash(folder: Path) -> str:
-    """What identifies the weights in a folder.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        SHA-256 of the names and contents of the weights and their descriptions.
-    """
-    digest = hashlib.sha256()
-    for path in sorted(p for p in folder.iterdir() if p.suffix in (".safetensors", ".json")):
-        digest.update(f"{sha256(path)}  {path.name}\n".encode())
-    return digest.hexdigest()
 
 
 def _commit(folder: Path) -> str:

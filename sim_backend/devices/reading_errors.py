@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import profile
-from toolee_robot.sim_backend.ur_controller.robot.dynamics import ArmDynamics
+from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT, ArmDynamics
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.sensing.force_errors import WrenchErrors
 from toolee_robot.sim_backend.ur_controller.robot.sensing.noise import Noise
@@ -17,8 +17,6 @@ from toolee_robot.types import ArmModel, Payload
 
 TURN = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
 """Signs of a wrench's components between `base` and the controller's base, which differ by a half turn about z."""
-UPWARDS = np.array([0.0, 0.0, 9.82])
-"""Acceleration of the base that is equivalent to gravity, as a controller has it [m/s^2]."""
 
 
 class ReadingErrors:
@@ -54,6 +52,6 @@ class ReadingErrors:
             Force [N] and torque [Nm] about the flange's origin, (6,), axes of `base`.
         """
         carried = payload.mass, payload.center_of_mass
-        dynamics = self._dynamics.step(self._model, q_target, *carried, UPWARDS, self._period)
+        dynamics = self._dynamics.step(self._model, q_target, *carried, UPRIGHT, self._period)
         steady, noise = self._errors.step(self._period, q, qd, dynamics)
         return np.asarray(self._size * TURN * (steady + noise))

@@ -18,7 +18,7 @@ import pytest
 from mcap.reader import make_reader
 
 from tests.paper_weights import untrained_paper_weights
-from toolee_robot.perception.evaluation.ledger import weights_hash
+from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.recording.reading import read_history
 
 pytestmark = pytest.mark.sim(seconds=150)

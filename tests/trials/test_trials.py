@@ -16,7 +16,7 @@ import yaml
 from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
-from toolee_robot.perception.evaluation.ledger import weights_hash
+from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
 from toolee_robot.trials.attended_plan import option
 from toolee_robot.trials.results import RESULTS, Record, read_results

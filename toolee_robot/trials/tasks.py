@@ -99,8 +99,8 @@ def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
     if not plan.paper_weights:
         return
     # Networks take seconds to import, which no other plan needs here.
-    from toolee_robot.perception.evaluation.ledger import weights_hash
     from toolee_robot.perception.research.tooleenet import PaperEstimator
+    from toolee_robot.perception.weight_files import weights_hash
 
     folder = Path(plan.paper_weights)
     PaperEstimator.load_for_job(folder)

@@ -6,12 +6,7 @@ is per cloud (theirs is shared by the whole batch), and no metric ignores axes b
 (`toolee_robot.perception.evaluation` has that rule as an extra column).
 """
 
-from toolee_robot.perception.research.tooleenet.estimator import (
-    COLUMNS,
-    Column,
-    PaperEstimator,
-    column_of,
-)
+from toolee_robot.perception.research.tooleenet.estimator import COLUMNS, Column, PaperEstimator, column_of
 from toolee_robot.perception.research.tooleenet.recipe import PaperRecipe
 
 __all__ = ["COLUMNS", "Column", "PaperEstimator", "PaperRecipe", "column_of"]

@@ -21,6 +21,7 @@ from toolee_robot.perception.pose.processes.flow import Sampler
 from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
 from toolee_robot.perception.pose.rotations import twist_angles
 from toolee_robot.perception.pose.spin import with_spin_variance
+from toolee_robot.perception.precision import torch_device
 from toolee_robot.perception.research.paper_training import HOW_TO_TRAIN
 from toolee_robot.perception.research.tooleenet.network import PaperNet
 from toolee_robot.perception.research.tooleenet.pointnet2 import ORDERED
@@ -110,8 +111,8 @@ class PaperEstimator(CloudEstimator):
     uses_completed = False
 
     def __init__(self, net: PaperNet, column: Column, device: str = "cpu", sampler: Sampler | None = None) -> None:
-        self._net = net.to(device).eval()
-        self._device = torch.device(device)
+        self._device = torch_device(device)
+        self._net = net.to(self._device).eval()
         self.column, self.of_tool = column, column.of_tool
         self.process, self.sampler = PROCESS, sampler or Rk45()
 

@@ -22,6 +22,8 @@ CENTRES_OF_MASS = np.array(
 """Centres of mass of the links of a UR10 and a UR10e, (6, 3) [m]."""
 MASSES = {"UR10": (7.1, 12.7, 4.27, 2.0, 2.0, 0.365), "UR10e": (7.369, 13.051, 3.989, 2.1, 1.98, 0.615)}
 """Masses of the links [kg]."""
+UPRIGHT = np.array([0.0, 0.0, 9.82])
+"""Acceleration of an upright base that is equivalent to gravity, as the controller has it, (3,) [m/s^2]."""
 
 
 _NEXT, _LAST = np.array((1, 2, 0)), np.array((2, 0, 1))

@@ -16,6 +16,7 @@ from toolee_robot.sim_backend.ur_controller.profile import IDEAL, Profile
 from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.robot.cartesian import tcp_twist
 from toolee_robot.sim_backend.ur_controller.robot.compliance import Compliance
+from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT
 from toolee_robot.sim_backend.ur_controller.robot.events import Event, EventKind
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain, forward
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
@@ -89,7 +90,7 @@ class Machine:
         self.watchdogs = Watchdogs()
         self.q_target, self.qd_target, self.qdd_target = plant.q.copy(), np.zeros(6), np.zeros(6)
         self.payload, self.payload_cog, self.payload_inertia = 0.0, np.zeros(3), np.zeros(6)
-        self.gravity = np.array([0.0, 0.0, 9.82])
+        self.gravity = UPRIGHT.copy()
         self.speed_fraction, self.speed_scaling = 1.0, 1.0
         self.paused = False
         self.compliance: Compliance | None = None

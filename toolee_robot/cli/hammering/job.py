@@ -20,7 +20,7 @@ from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.run_folder import RECORDING
-from toolee_robot.perception.evaluation.ledger import weights_hash
+from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
