@@ -43,6 +43,16 @@ def in_api(emulator: AbilityEmulator) -> bool:
     return modes[0]
 
 
+def opens_freely(emulator: AbilityEmulator) -> None:
+    """Let no finger take its own opening for a collision: such a one stays closed when the API mode ends."""
+
+    def free(hand: Hand) -> None:
+        for motor in hand.motors:
+            motor.ratchets = 0.0
+
+    emulator.tell(free)
+
+
 def held(emulator: AbilityEmulator, hand: AbilityHand) -> None:
     emulator.hold(HANDLE)
     hand.close()
@@ -205,6 +215,7 @@ def test_a_silent_hand_is_told_on_what_it_holds_and_an_error_says_so(
 def test_a_driver_that_was_held_up_does_not_close_again_what_the_hand_may_have_opened(
     emulator: AbilityEmulator, hand: AbilityHand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    opens_freely(emulator)
     held(emulator, hand)
     held_up(hand, monkeypatch, 0.6)
     assert "without a command" in told(hand).fault
@@ -221,6 +232,7 @@ def test_a_rehearsal_in_slow_motion_gives_the_driver_its_slower_time(
 ) -> None:
     factor = 0.2
     with AbilityEmulator(pace=factor) as emulator, AbilityHand(model, emulator.port, HostClock(factor)) as hand:
+        opens_freely(emulator)
         emulator.hold(HANDLE)
         hand.close()
         held_up(hand, monkeypatch, 0.6)
