@@ -152,6 +152,9 @@ class NailDriving:
             self.protrusion = height
             if progress > MAX_DEPTH_PER_STRIKE:
                 return Outcome.BENT, f"the head sank {progress * 1e3:.1f} mm in one strike: the nail has bent away"
+            if self.strikes[-1].meeting is not Meeting.EXPECTED and height <= task.flush_protrusion:
+                # Beside a nail that it has missed the face meets the wood at once, which reads flush.
+                self._look(task.views_again)
             stalled = stalled + struck if progress < task.min_progress else 0
             if stalled < 2:
                 continue

@@ -34,7 +34,8 @@ class NailForecast:
     Attributes:
         height: Protrusion as forecast for now [m].
         unmeasured: Number of strikes since the last measurement.
-        finished: Whether the nail was flush before the last strike, by forecast or measurement, as far as is known.
+        finished: Whether the nail was flush before the last strike, by forecast or measurement, and that strike met it
+            where it should.
         surprise: What the last strike met otherwise than forecast, for a person; empty if nothing.
     """
 
@@ -97,7 +98,8 @@ class NailForecast:
         self.finished = self.height <= self._flush
         if self.unmeasured == 1:
             self._delays.append(verdict.before)  # the nail's height was known: this is the delay of the detection
-        self._offs.append(verdict.before - float(np.mean(self._delays)))
+        delay = float(np.mean(self._delays)) if self._delays else verdict.before
+        self._offs.append(verdict.before - delay)
         off = self._disagreement(LATENESS * speed / self._rate)
         self.surprise = ""
         if off:
@@ -120,7 +122,7 @@ class NailForecast:
             surprise: What is odd about it.
         """
         self.unmeasured += 1
-        self.finished = self.height <= self._flush
+        self.finished = False
         self.surprise = surprise
 
     def _disagreement(self, lateness: float) -> float:
