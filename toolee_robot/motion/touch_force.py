@@ -18,11 +18,13 @@ QUIET = 1.0
 """Standard deviation of the force up to which a touch goes at `strike.touch_speed` [N]; with more, slower."""
 SLOWEST = 0.2
 """Least speed of a touch as a share of `strike.touch_speed`."""
-PRECISE, RELEASE = 0.6, 0.22
+PRECISE, RELEASE = 0.6, 2e-6
 """Standard deviation of the window's mean force up to which the way down tells where the force began [N]; with more,
-the face is released at this share of `strike.touch_speed` times (QUIET / standard deviation)^2, since the variance of a
-mean falls as the time that it is taken over. With a CB3's noise that are 0.5 mm/s and 0.15 mm of deviation for a hand
-that yields by 1 mm to 6.5 N."""
+the face is released at a speed of this much [m/s] for every N/m of stiffness, times (QUIET / standard deviation)^2: the
+deviation of the height found falls with the root of stiffness and time. With a CB3's noise and a hand that yields by 1
+mm to 6.5 N that are 1 mm/s and 0.2 mm of deviation."""
+RELEASE_SPEEDS = 0.0005, 0.001
+"""Least and largest speed of a release [m/s]."""
 SIGMAS = 4.5
 """Threshold of a contact in standard deviations of the window's mean force: one touch in some fifty with a CB3's noise
 is a phantom, which is recognised."""
@@ -47,13 +49,26 @@ class TouchSettings:
         force: Mean force that counts as a contact [N].
         window: Averaging window [s].
         speed: Speed of the touch [m/s].
-        release: Speed of the release after it [m/s]; None where the touch itself is precise enough.
+        release: Speed of the release after it by the stiffness [m/s per N/m]; None where the touch itself is precise
+            enough.
     """
 
     force: float
     window: float
     speed: float
     release: float | None
+
+    def release_speed(self, stiffness: float) -> float:
+        """Speed of a release.
+
+        Args:
+            stiffness: Stiffness of tool, hand and what the face presses on [N/m].
+
+        Returns:
+            The speed [m/s].
+        """
+        assert self.release is not None, "a quiet arm releases nothing"
+        return float(np.clip(self.release * stiffness, *RELEASE_SPEEDS))
 
 
 @dataclass(frozen=True)
@@ -137,7 +152,7 @@ def touch_settings(forces: Array, rate: float, strike: StrikeConfig) -> TouchSet
             code="device.force_noise",
         )
     noisy = sigma > QUIET and deviation > PRECISE
-    release = RELEASE * strike.touch_speed * (QUIET / sigma) ** 2 if noisy else None
+    release = RELEASE * (QUIET / sigma) ** 2 if noisy else None
     return TouchSettings(max(strike.touch_force, needed), window, speed, release)
 
 
@@ -159,19 +174,21 @@ def deviation_of_mean(forces: Array, rate: float, duration: float) -> float:
     return float(np.sqrt(np.mean(means**2) / (1.0 - n / len(forces))))
 
 
-def onset(heights: Array, forces: Array) -> Rise | None:
+def onset(heights: Array, forces: Array, zeros: int = 0) -> Rise | None:
     """Find where a force began to rise, by the least squares of a force that is constant above and linear below.
 
     Args:
         heights: Heights, falling or rising, (N,) [m]; the lowest one is the end of a touch or the start of a release.
         forces: Upward forces, (N,) [N].
+        zeros: Number of readings whose mean was made zero where nothing touched the face, and which count as well.
 
     Returns:
         The line; None if the force does not rise downwards.
     """
     lowest = float(np.min(heights))
     near = heights < lowest + SLOPE_RANGE
-    x, f = heights[near], forces[near]
+    x = np.concatenate([heights[near], np.full(zeros, np.inf)])
+    f = np.concatenate([forces[near], np.zeros(zeros)])
     best, rise = np.inf, None
     for begin in np.arange(lowest + 0.0001, lowest + 0.75 * SLOPE_RANGE, 0.0001):
         ramp = np.maximum(begin - x, 0.0)

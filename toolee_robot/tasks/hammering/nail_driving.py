@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.contact import ContactVerdict, Meeting
-from toolee_robot.control.dynamics.strike_load import strike_load
+from toolee_robot.control.dynamics.strike_load import StrikeLoad, strike_load
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.swing import SwingLimits, plan_swing
 from toolee_robot.control.records import StrikePlan
@@ -231,7 +231,8 @@ class NailDriving:
         with self._stages(Stage.STRIKE):
             report, verdict = self._swing(plan)
             met = verdict.meeting is Meeting.EXPECTED
-            last = len(self.strikes) + 1 >= self._config.task.max_strikes
+            load = self._load(report)
+            last = len(self.strikes) + 1 >= self._config.task.max_strikes or bool(load.excess(self._config.strike))
             measure = self._forecast.struck(verdict, plan.speed) or last if met else True
             if verdict.meeting in (Meeting.LATE, Meeting.NONE):
                 self._forecast.unfelt(f"{verdict}: measuring whether the nail was hit")
@@ -246,7 +247,7 @@ class NailDriving:
             height = self._touch_after(plan, before, verdict)
             return height
         finally:
-            self._record(plan, report, verdict, height)
+            self._record(plan, report, verdict, load, height)
 
     def _touch_after(self, plan: StrikePlan, before: float, verdict: ContactVerdict) -> float:
         """Touch the nail after a strike; returns what it protrudes by [m]. See `_strike_nail`."""
@@ -285,14 +286,19 @@ class NailDriving:
         below = float(plan.X_base_ee_contact[2, 3] - X_base_ee[2, 3])
         self._motions.straight("up", UP, above + max(below, 0.0), speed=RETRACT_SPEED, share=RETRACT_SHARE)
 
-    def _record(self, plan: StrikePlan, report: MotionReport, verdict: ContactVerdict, height: float | None) -> None:
+    def _load(self, report: MotionReport) -> StrikeLoad:
+        """What a strike asked of the arm."""
+        payload = self._motions.payload
+        assert payload is not None, "the payload is set when the hand has closed"
+        return strike_load(report, self._robot, self._motions.q_hand, payload, self._config.arm.model)
+
+    def _record(
+        self, plan: StrikePlan, report: MotionReport, verdict: ContactVerdict, load: StrikeLoad, height: float | None
+    ) -> None:
         force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))
         stamp = report.stamps[-1] if report.contact is None else report.contact.stamp
         if report.contact is not None:
             self._observer.contact(stamp, force, plan.X_base_ee_contact)
-        payload, model = self._motions.payload, self._config.arm.model
-        assert payload is not None, "the payload is set when the hand has closed"
-        load = strike_load(report, self._robot, self._motions.q_hand, payload, model)
         strike = Strike(len(self.strikes) + 1, float(stamp), plan.speed, force, verdict.meeting, load, height)
         self.strikes.append(strike)
         self._observer.strike(strike)

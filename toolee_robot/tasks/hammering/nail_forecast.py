@@ -12,8 +12,10 @@ import numpy as np
 
 from toolee_robot.control.contact import ContactVerdict
 
-LONGEST = 12
-"""Largest number of successive strikes without a measurement."""
+FIRST, LONGEST = 2, 12
+"""Number of strikes before the first measurement, unless one of them meets the nail elsewhere than expected: the deeper
+they have driven it, the farther their measurement tells the course of the others; and largest number of successive
+strikes without a measurement."""
 ACCURACY, UNCERTAIN = 0.0007, 0.004
 """Accuracy of the depth between two measurements [m], and what the forecast may be off by for it [m]: a nail that was
 driven by less than the accuracy is measured after every strike."""
@@ -92,7 +94,8 @@ class NailForecast:
 
         Returns:
             Whether the nail must be measured before the next strike: it met the nail elsewhere than forecast, the nail
-            was flush already by forecast, the forecast has become uncertain, or it was not measured for long.
+            was flush already by forecast, the forecast has become uncertain, or it was not measured for long; before
+            the first measurement, whether there were enough strikes.
         """
         self.unmeasured += 1
         self.finished = self.height <= self._flush
@@ -101,12 +104,14 @@ class NailForecast:
         delay = float(np.mean(self._delays)) if self._delays else verdict.before
         self._offs.append(verdict.before - delay)
         off = self._disagreement(LATENESS * speed / self._rate)
+        if self._growth is None:
+            off = max(off, 0.0)  # nothing tells yet how far the strikes before have driven it
         self.surprise = ""
         if off:
             where = f"{abs(off) * 1e3:.0f} mm {'above' if off > 0 else 'below'}"
             self.surprise = f"the strike met the nail {where} where it was expected: measuring it"
         if self._growth is None:
-            return True
+            return bool(self.surprise) or self.unmeasured >= FIRST
         depth = float(np.sqrt(self._depth(self._measured) ** 2 + self.unmeasured * self._growth))
         self.height = max(self._length - depth, 0.0)
         driven, ahead = self._first - self._measured, self._measured - self.height

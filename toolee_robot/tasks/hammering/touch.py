@@ -57,6 +57,7 @@ class Touch:
     def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
         self._motions, self._config, self._robot, self._observer = motions, config, robot, observer
         self._settings: TouchSettings | None = None
+        self._stiffnesses: list[float] = []  # that releases have told [N/m]
 
     def prepare(self) -> bool:
         """Zero the force at rest, before a touch, unless it still is zero; the first time, measure its noise.
@@ -118,10 +119,10 @@ class Touch:
             if pressing @ self._up < CONFIRM_SHARE * settings.force:
                 continue
             heights, forces = self._course(report, report.contact.stamp, X_flange_ee)
-            rise = onset(heights, forces)
+            rise = onset(heights, forces, self._zeros)
             height = float(heights[-1]) if rise is None else rise.height
             if settings.release is not None:
-                released = self._release(what, height, settings.release, X_flange_ee)
+                released = self._release(what, height, float(pressing @ self._up), X_flange_ee)
                 if released is None:
                     continue
                 height = released
@@ -151,6 +152,12 @@ class Touch:
         raise AssertionError
 
     @property
+    def _zeros(self) -> int:
+        """Number of readings of the zero, where the force was zeroed just before the touch."""
+        assert self._settings is not None, "prepare() comes first"
+        return 0 if self._settings.release is None else round(ZERO_TIME * self._motions.arm.rate)
+
+    @property
     def _up(self) -> Array:
         """Direction out of the wood in `base`, (3,)."""
         return -self._config.work.X_base_nail(0.0)[:3, 2]
@@ -159,21 +166,26 @@ class Touch:
         X_base_ee = self._robot.arm.fk(self._motions.q) @ X_flange_ee
         return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
 
-    def _release(self, what: str, height: float, speed: float, X_flange_ee: Array) -> float | None:
-        """Lift the face slowly from what it presses on, which it met at about `height` [m].
+    def _release(self, what: str, height: float, force: float, X_flange_ee: Array) -> float | None:
+        """Lift the face slowly from what it presses on with a force [N] and met at about `height` [m].
 
         Returns:
             Height at which the force is gone [m]; None if no force goes with the way up, so that nothing was touched.
         """
         motions, settings = self._motions, self._settings
         assert settings is not None, "prepare() comes first"
-        way = float(np.clip(height - self._height(X_flange_ee), 0.0, SLOPE_RANGE - FREE)) + FREE
-        up = plan_straight(self._robot, self._config, motions.world(), motions.q, way, UP, speed)
+        way = max(height - self._height(X_flange_ee), 1e-6)
+        # A release tells the stiffness far better than the way down does.
+        stiffness = float(np.median(self._stiffnesses)) if self._stiffnesses else max(force, 0.0) / way
+        pressed = min(max(force, 0.0) / max(stiffness, 1e-6), SLOPE_RANGE - FREE)
+        speed = settings.release_speed(stiffness)
+        up = plan_straight(self._robot, self._config, motions.world(), motions.q, pressed + FREE, UP, speed)
         report = motions.execute(f"release the {what}", up, at_work=True)
         heights, forces = self._course(report, np.inf, X_flange_ee)
-        rise = onset(heights, forces)
+        rise = onset(heights, forces, self._zeros)
         if rise is None or rise.stiffness * (rise.height - np.min(heights)) < CONFIRM_SHARE * settings.force:
             return None
+        self._stiffnesses.append(rise.stiffness)
         return rise.height
 
     def _course(self, report: MotionReport, until: float, X_flange_ee: Array) -> tuple[Array, Array]:
