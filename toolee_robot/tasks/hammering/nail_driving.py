@@ -9,19 +9,17 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.contact import ContactVerdict, Meeting
-from toolee_robot.control.dynamics.strike_load import StrikeLoad, strike_load
-from toolee_robot.control.planning.strike import plan_strike
-from toolee_robot.control.planning.swing import SwingLimits, plan_swing
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import inverse, transform
-from toolee_robot.hal import Clock, MotionReport
-from toolee_robot.tasks.common.motions import UP, Motions
+from toolee_robot.hal import Clock
+from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.nail_forecast import NailForecast
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, MAX_DEPTH_PER_STRIKE, NailGauge
+from toolee_robot.tasks.hammering.striking import Striking
 from toolee_robot.tasks.hammering.tool_pose import Holding
 from toolee_robot.types import Payload
 
@@ -35,9 +33,6 @@ BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
 CONFIRMED = 0.0005
 """Largest progress of a strike on a flush nail [m]."""
-RETRACT_SPEED, RETRACT_SHARE = 0.8, 0.5
-"""Largest speed of the way up after a strike, with nobody in reach [m/s], and share of a strike's velocities and
-accelerations."""
 
 
 class NailDriving:
@@ -56,7 +51,6 @@ class NailDriving:
         correction: Whether the estimated in-hand pose is used.
 
     Attributes:
-        strikes: The strikes done so far.
         protrusion: Height of the nail's head over the wood as measured last [m]; None before `run`.
         seconds: Time that the nail has taken so far, from the first look's end on [s], station clock.
     """
@@ -74,13 +68,12 @@ class NailDriving:
         *,
         correction: bool,
     ) -> None:
-        self.strikes: list[Strike] = []
         self.protrusion: float | None = None
         self.seconds = 0.0
-        self._motions, self._config, self._robot, self._clock = motions, config, robot, clock
+        self._motions, self._config, self._clock = motions, config, clock
         self._stages, self._observer = stages, observer
         self._look_from = look
-        self._tool = tool
+        self._striking = Striking(motions, config, robot, clock, observer, tool)
         self._correction = correction
         self._gauge = NailGauge(motions, config, robot, observer)
         self._forecast = NailForecast(config.work.nail_length, config.task.flush_protrusion, motions.arm.rate)
@@ -88,6 +81,11 @@ class NailDriving:
         self._holding = Holding()
         self._measured = False
         self._seen_too_near = 0.0  # along the face's normal, by the first touch after the first look [m]
+
+    @property
+    def strikes(self) -> tuple[Strike, ...]:
+        """The strikes done so far."""
+        return tuple(self._striking.done)
 
     @property
     def strikes_since_look(self) -> int:
@@ -137,7 +135,8 @@ class NailDriving:
             self._check_load()
             if self._look_due(self.strikes_since_look) and height > task.flush_protrusion:
                 self._look(task.views_again)
-            plan = self._plan(height)
+            with self._stages(Stage.PLAN):
+                plan = self._striking.plan(height)
             before, measured = height, None
             missed += 1
             with self._check_missed(missed):
@@ -187,7 +186,8 @@ class NailDriving:
 
     def _first_touch(self, known: float) -> float:
         """Touch a nail that protrudes by `known` [m], but for an interruption; returns what it protrudes by [m]."""
-        plan = self._plan(known)
+        with self._stages(Stage.PLAN):
+            plan = self._striking.plan(known)
         with self._stages(Stage.TOUCH), self._check_blind():
             if self._measured:
                 return self._gauge.resume(plan, known)
@@ -203,20 +203,6 @@ class NailDriving:
         self._motions.X_hand_ee = self._motions.X_hand_ee @ transform(p=[0.0, 0.0, self._seen_too_near])
         self._strikes_seen = len(self.strikes)
 
-    def _plan(self, height: float) -> StrikePlan:
-        """Plan a strike at a nail that protrudes by `height` [m]."""
-        with self._stages(Stage.PLAN):
-            motions, deepest = self._motions, self._config.strike.deepest
-            X_base_nail = self._config.work.X_base_nail(height)
-            state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee
-            if deepest is None:
-                plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=self._tool)
-            else:
-                limits = SwingLimits(self._tool, deepest)
-                plan = plan_swing(self._robot, self._config, *state, X_base_nail, limits=limits)
-            self._observer.planned(self._clock.now(), plan)
-            return plan
-
     def _strike_nail(self, plan: StrikePlan, before: float) -> float | None:
         """Strike a nail that protrudes by `before` [m], as far as is known.
 
@@ -229,15 +215,15 @@ class NailDriving:
             JobEnded: The strike, or the touch after it, does not meet the nail.
         """
         with self._stages(Stage.STRIKE):
-            report, verdict = self._swing(plan)
+            report, verdict = self._striking.swing(plan)
             met = verdict.meeting is Meeting.EXPECTED
-            load = self._load(report)
+            load = self._striking.load(report)
             last = len(self.strikes) + 1 >= self._config.task.max_strikes or bool(load.excess(self._config.strike))
             measure = self._forecast.struck(verdict, plan.speed) or last if met else True
             if verdict.meeting in (Meeting.LATE, Meeting.NONE):
                 self._forecast.unfelt(f"{verdict}: measuring whether the nail was hit")
             look_due = self._look_due(self.strikes_since_look + 1)
-            self._retract(plan, CLEAR if measure or look_due else min(plan.run_up, self._config.strike.run_up))
+            self._striking.retract(plan, CLEAR if measure or look_due else min(plan.run_up, self._config.strike.run_up))
         height = None
         try:
             if verdict.meeting is Meeting.EARLY:
@@ -247,7 +233,7 @@ class NailDriving:
             height = self._touch_after(plan, before, verdict)
             return height
         finally:
-            self._record(plan, report, verdict, load, height)
+            self._striking.record(plan, report, verdict, load, height)
 
     def _touch_after(self, plan: StrikePlan, before: float, verdict: ContactVerdict) -> float:
         """Touch the nail after a strike; returns what it protrudes by [m]. See `_strike_nail`."""
@@ -268,40 +254,6 @@ class NailDriving:
         if not met and before - height > MAX_DEPTH_PER_STRIKE:
             raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
         return height
-
-    def _swing(self, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
-        """Execute the strike."""
-        motions = self._motions
-        motions.transfer("to the run-up", plan.approach)
-        motions.arm.permit_swings(self._config.task.handover_timeout)
-        return motions.swing("strike", plan)
-
-    def _retract(self, plan: StrikePlan, above: float) -> None:
-        """Move straight up from where a strike ended, to `above` [m] over the nail.
-
-        The strike may have been stopped above the nail by an obstacle: never down.
-        """
-        fk = self._robot.arm.fk
-        X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
-        below = float(plan.X_base_ee_contact[2, 3] - X_base_ee[2, 3])
-        self._motions.straight("up", UP, above + max(below, 0.0), speed=RETRACT_SPEED, share=RETRACT_SHARE)
-
-    def _load(self, report: MotionReport) -> StrikeLoad:
-        """What a strike asked of the arm."""
-        payload = self._motions.payload
-        assert payload is not None, "the payload is set when the hand has closed"
-        return strike_load(report, self._robot, self._motions.q_hand, payload, self._config.arm.model)
-
-    def _record(
-        self, plan: StrikePlan, report: MotionReport, verdict: ContactVerdict, load: StrikeLoad, height: float | None
-    ) -> None:
-        force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))
-        stamp = report.stamps[-1] if report.contact is None else report.contact.stamp
-        if report.contact is not None:
-            self._observer.contact(stamp, force, plan.X_base_ee_contact)
-        strike = Strike(len(self.strikes) + 1, float(stamp), plan.speed, force, verdict.meeting, load, height)
-        self.strikes.append(strike)
-        self._observer.strike(strike)
 
     def _check_load(self) -> None:
         """Allow no further strike after one that brought the arm too near to a stop of its own."""

@@ -1,0 +1,142 @@
+"""Single strikes: plan one, execute it, rise from it, and say what it asked of the arm."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.contact import ContactVerdict
+from toolee_robot.control.dynamics.strike_load import StrikeLoad, strike_load
+from toolee_robot.control.planning.strike import plan_strike
+from toolee_robot.control.planning.swing import SwingLimits, plan_swing
+from toolee_robot.control.records import StrikePlan
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.frames import inverse
+from toolee_robot.hal import Clock, MotionReport
+from toolee_robot.tasks.common.motions import UP, Motions
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import Strike
+from toolee_robot.types import Payload
+
+RETRACT_SPEED, RETRACT_SHARE = 0.8, 0.5
+"""Largest speed of the way up after a strike, with nobody in reach [m/s], and share of a strike's velocities and
+accelerations."""
+
+
+class Striking:
+    """The strikes on one nail, one by one.
+
+    Args:
+        motions: The arm and what it carries.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        clock: The station's clock.
+        observer: Receives plans, contacts and strikes.
+        tool: Mass [kg] and centre of mass of the tool in the frame of its end effector [m].
+
+    Attributes:
+        done: The strikes that were recorded.
+    """
+
+    def __init__(
+        self,
+        motions: Motions,
+        config: StationConfig,
+        robot: RobotModel,
+        clock: Clock,
+        observer: TaskObserver,
+        tool: Payload,
+    ) -> None:
+        self.done: list[Strike] = []
+        self._motions, self._config, self._robot = motions, config, robot
+        self._clock, self._observer, self._tool = clock, observer, tool
+
+    def plan(self, height: float) -> StrikePlan:
+        """Plan a strike.
+
+        Args:
+            height: Protrusion of the nail [m].
+
+        Returns:
+            The plan, from where the arm stands.
+
+        Raises:
+            PlanningError: There is none.
+        """
+        motions, deepest = self._motions, self._config.strike.deepest
+        X_base_nail = self._config.work.X_base_nail(height)
+        state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee
+        if deepest is None:
+            plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=self._tool)
+        else:
+            limits = SwingLimits(self._tool, deepest)
+            plan = plan_swing(self._robot, self._config, *state, X_base_nail, limits=limits)
+        self._observer.planned(self._clock.now(), plan)
+        return plan
+
+    def swing(self, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
+        """Execute a strike.
+
+        Args:
+            plan: The strike.
+
+        Returns:
+            What was done, and how it met the nail.
+
+        Raises:
+            TooleeError: A motion failed, or nobody permits it.
+        """
+        motions = self._motions
+        motions.transfer("to the run-up", plan.approach)
+        motions.arm.permit_swings(self._config.task.handover_timeout)
+        return motions.swing("strike", plan)
+
+    def retract(self, plan: StrikePlan, above: float) -> None:
+        """Move straight up from where a strike ended.
+
+        The strike may have been stopped above the nail by an obstacle: never down.
+
+        Args:
+            plan: The strike.
+            above: Height over the nail [m].
+
+        Raises:
+            TooleeError: The motion failed.
+        """
+        fk = self._robot.arm.fk
+        X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
+        below = float(plan.X_base_ee_contact[2, 3] - X_base_ee[2, 3])
+        self._motions.straight("up", UP, above + max(below, 0.0), speed=RETRACT_SPEED, share=RETRACT_SHARE)
+
+    def load(self, report: MotionReport) -> StrikeLoad:
+        """Compute what a strike asked of the arm.
+
+        Args:
+            report: What was done.
+
+        Returns:
+            The load.
+        """
+        payload = self._motions.payload
+        assert payload is not None, "the payload is set when the hand has closed"
+        return strike_load(report, self._robot, self._motions.q_hand, payload, self._config.arm.model)
+
+    def record(
+        self, plan: StrikePlan, report: MotionReport, verdict: ContactVerdict, load: StrikeLoad, height: float | None
+    ) -> None:
+        """Keep a strike, and tell of it.
+
+        Args:
+            plan: The strike.
+            report: What was done.
+            verdict: How it met the nail.
+            load: What it asked of the arm.
+            height: Protrusion of the nail measured after it [m]; None where it was not.
+        """
+        force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))
+        stamp = report.stamps[-1] if report.contact is None else report.contact.stamp
+        if report.contact is not None:
+            self._observer.contact(stamp, force, plan.X_base_ee_contact)
+        strike = Strike(len(self.done) + 1, float(stamp), plan.speed, force, verdict.meeting, load, height)
+        self.done.append(strike)
+        self._observer.strike(strike)
