@@ -160,6 +160,19 @@ def test_how_many_strikes_are_left() -> None:
     assert flush - 1 < 3 + forecast.left <= flush
 
 
+def test_how_many_strikes_the_height_before_the_last_one_did_not_know_of() -> None:
+    forecast, met = NailForecast(LENGTH, FLUSH, RATE), ContactVerdict(Meeting.EXPECTED, DELAY)
+    forecast.measured(START)
+    assert forecast.unknown == 0
+    for number in range(1, FIRST + 1):
+        forecast.struck(met, SPEED)
+        assert forecast.unknown == number
+    forecast.measured(START - 0.004)
+    for _ in range(2):
+        forecast.struck(met, SPEED)
+        assert forecast.unknown == 1
+
+
 def test_progress_is_that_of_one_strike() -> None:
     forecast = NailForecast(LENGTH, FLUSH, RATE)
     drive(forecast, [0.002, 0.001], np.random.default_rng(0))

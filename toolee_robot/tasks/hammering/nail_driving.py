@@ -246,12 +246,12 @@ class NailDriving:
                     self._gauge.go_over(plan)
                 # With a corrected face pose, a head that is no longer there after a strike means a bent nail.
                 missed = Outcome.BENT if met and self._correction else Outcome.NAIL_MISSED
-                height = self._gauge.measure(before, missed=missed)
+                height = self._gauge.measure(before, self._forecast.unknown, missed)
         except JobEnded as end:
             if met:
                 raise
             raise JobEnded(end.outcome, f"{verdict}: the nail is not where the face went ({end})") from end
-        if not met and before - height > MAX_DEPTH_PER_STRIKE:
+        if not met and before - height > self._forecast.unknown * MAX_DEPTH_PER_STRIKE:
             raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
         return height
 

@@ -55,6 +55,11 @@ class NailForecast:
         self._offs: list[float] = []  # of the contacts since the last measurement, from the forecast [m]
 
     @property
+    def unknown(self) -> int:
+        """Number of strikes of which the height before the last one knew nothing."""
+        return self.unmeasured if self._growth is None else min(self.unmeasured, 1)
+
+    @property
     def left(self) -> float:
         """Number of strikes until the nail is flush, as far as is known; infinite if nothing is."""
         if not self._growth:

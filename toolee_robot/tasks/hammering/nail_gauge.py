@@ -88,11 +88,12 @@ class NailGauge:
         self.go_over(plan)
         return self.measure(expected)
 
-    def measure(self, expected: float, missed: Outcome = Outcome.NAIL_MISSED) -> float:
+    def measure(self, expected: float, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED) -> float:
         """Measure the protrusion, starting CLEAR over the nail; it ends beside the nail, above its head.
 
         Args:
             expected: Expected protrusion [m].
+            strikes: Number of strikes that it does not know of.
             missed: Outcome of the job if the nail's head is not met.
 
         Returns:
@@ -101,11 +102,11 @@ class NailGauge:
         Raises:
             JobEnded: A touch met nothing, or the tool already touches something before it.
         """
-        motions, expected = self._motions, max(expected, 0.0)
+        motions, expected, implausible = self._motions, max(expected, 0.0), max(strikes, 1) * IMPLAUSIBLE_DEPTH
         place = motions.X_hand_ee[:3, 3]
         known = self._corrected is not None and np.array_equal(place, self._corrected)  # but for the slip of strikes
         # A strike may have driven the nail, which `expected` does not know of.
-        lowest = self._height() - CLEAR - TOLERANCE - IMPLAUSIBLE_DEPTH
+        lowest = self._height() - CLEAR - TOLERANCE - implausible
         nail = self._lower("nail", expected + MARGIN if known else None, lowest, missed)
         self._rise_to(nail + LIFT)
         # Towards the handle, so that the hand moves away from the block.
@@ -116,7 +117,7 @@ class NailGauge:
         slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
         lowest = min(slipped, 0.0) - TOLERANCE
         wood = self._lower("wood", max(slipped, 0.0) + margin, lowest, Outcome.NAIL_MISSED)
-        if nail - wood + self._reference < expected - IMPLAUSIBLE_DEPTH:
+        if nail - wood + self._reference < expected - implausible:
             # A force felt above the wood makes the nail seem driven deeper; none can be felt below it.
             self._rise_to(wood + LIFT)
             wood = min(wood, self._lower("wood", None, lowest, Outcome.NAIL_MISSED))
