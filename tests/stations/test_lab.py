@@ -137,9 +137,11 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
     ("name", "driver", "port", "factor"),
     [
         ("inspire", InspireHand, "/dev/ttyUSB0", FACTOR),
-        ("inspire", InspireHand, "tcp://192.168.11.210:6000", FACTOR),
-        ("ability", AbilityHand, "/dev/ttyUSB0", FACTOR),
-        ("shadow", ShadowHand, "ws://192.168.1.20:9090", 0.25),  # its fingers wait for the thumb, slowly
+        # Of the others the contract, their drivers' tests and rows are in every run; nightly these.
+        pytest.param("inspire", InspireHand, "tcp://192.168.11.210:6000", FACTOR, marks=pytest.mark.nightly),
+        pytest.param("ability", AbilityHand, "/dev/ttyUSB0", FACTOR, marks=pytest.mark.nightly),
+        # Its fingers wait for the thumb, slowly.
+        pytest.param("shadow", ShadowHand, "ws://192.168.1.20:9090", 0.25, marks=pytest.mark.nightly),
     ],
 )
 def test_the_emulated_fingers_hold_what_the_person_puts_between_them(

@@ -28,6 +28,7 @@ from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.robots import hand_model
 from toolee_robot.runtime.code_version import code_version
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.gc_pause import gc_settled
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.verdict import NailTruth, StrikeTruth, Verdict
 from toolee_robot.tasks.common.observer import Observers
@@ -97,6 +98,7 @@ class HammerJob:
         names, flush = self.nails or self.source.config.work.names, self.source.config.task.flush_protrusion
         screen, collector = ConsoleObserver(console, flush, len(names)), PictureCollector(flush)
         with (
+            gc_settled() as settle,
             nullcontext() if self.source.real_time_factor is None else LatencyMonitor() as machine,
             self._page(console) as page,
             self.source.open(
@@ -119,6 +121,7 @@ class HammerJob:
             )  # fmt: skip
             if machine is not None:
                 machine.begin()
+            settle()
             try:
                 with screen.live():
                     result = task.run()
