@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pybullet as pb
 import pytest
 
 from tests.tasks.bench import Log
@@ -16,7 +17,9 @@ from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.physics.nail import SLIDE
 from toolee_robot.tasks.common.outcome import Outcome
+from toolee_robot.tasks.hammering.nail_gauge import NailGauge
 from toolee_robot.types import InHandEstimate, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=30)
@@ -83,6 +86,31 @@ def test_a_strike_that_is_not_felt_is_followed_by_a_touch_which_tells_that_the_n
     assert all(strike.protrusion is not None for strike in result.strikes)
     assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
     assert config.work.nail_protrusion - bench.sim.world.nail.protrusion > 0.002
+
+
+def test_a_touch_that_reads_flush_after_a_strike_that_was_not_felt_is_believed_only_after_a_look_and_another_strike(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a nail that it has missed the face meets the wood at once."""
+    nail, work = bench.sim.world.nail, replace(CONFIG.work, nail_protrusion=0.006)
+    pb.resetJointState(nail.body, SLIDE, nail.protrusion - 0.006, physicsClientId=bench.sim.world.client)
+    strike = replace(CONFIG.strike, contact_force=400.0)
+    config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=2), strike=strike, work=work)
+    measure, beside_the_nail = NailGauge.measure, iter([False, True, False])
+
+    def misread(gauge: NailGauge, expected: float, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED) -> float:
+        height = measure(gauge, expected, strikes, missed)
+        return 0.0003 if next(beside_the_nail) else height
+
+    monkeypatch.setattr(NailGauge, "measure", misread)
+    log = Log()
+    result = bench.seeing_task(log, config, PerfectPerception(bench.sim.judge)).run()
+    assert [strike.meeting is Meeting.EXPECTED for strike in result.strikes] == [False, False]
+    assert result.strikes[0].protrusion == 0.0003
+    between = log.motions[log.motions.index("strike") : -log.motions[::-1].index("strike") - 1]
+    assert between.count("to a view") == CONFIG.task.views_again
+    assert result.outcome is Outcome.OUT_OF_STRIKES, result.reason
+    assert nail.protrusion > CONFIG.task.flush_protrusion
 
 
 class FarSighted(PerfectPerception):
