@@ -39,9 +39,10 @@ class _Machine:
         self.stalls: dict[str, float] = {}
 
     def begin(self, name: str) -> None:
-        if not self._running:
+        if not gc.get_freeze_count():  # a job in this process ends with none
             gc.collect()
             gc.freeze()  # with all that the tests before have left a full collection takes half a second
+        if not self._running:
             self._latency.__enter__()
             self._keepalive.__enter__()
         self._running = name
