@@ -16,6 +16,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from toolee_robot.errors import AssetError
+from toolee_robot.perception.dataset.encoding.checksums import sha256
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
 """Folder of the shipped weights."""
@@ -134,7 +135,7 @@ def weights_hash(folder: Path) -> str:
     """
     digest = hashlib.sha256()
     for path in sorted(p for p in folder.iterdir() if p.suffix in (".safetensors", ".json")):
-        digest.update(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n".encode())
+        digest.update(f"{sha256(path)}  {path.name}\n".encode())
     return digest.hexdigest()
 
 

@@ -41,7 +41,7 @@ class _Machine:
     def begin(self, name: str) -> None:
         if not gc.get_freeze_count():  # a job in this process ends with none
             gc.collect()
-            gc.freeze()  # with all that the tests before have left a full collection takes half a second
+            gc.freeze()  # what the tests before have left makes a full collection long, and no thread runs in it
         if not self._running:
             self._latency.__enter__()
             self._keepalive.__enter__()

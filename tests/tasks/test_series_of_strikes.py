@@ -126,14 +126,34 @@ class FarSighted(PerfectPerception):
         return replace(seen, X_hand_ee=seen.X_hand_ee @ transform(p=[0.0, 0.0, 0.006]))
 
 
+def off_along_the_normal(bench: Bench, plans: list[StrikePlan]) -> list[float]:
+    """How far each plan has the face from where it is in the end, along its normal [m]."""
+    q_hand = bench.sim.station.hand.state().joints.q
+    robot = RobotModel.of_station(CONFIG)
+    true = inverse(bench.sim.judge.X_hand_ee(bench.sim.world.time))
+    planned = [inverse(robot.fk(plan.q_contact, q_hand)[1]) @ plan.X_base_ee_contact for plan in plans]
+    return [float((true @ X_hand_ee)[2, 3]) for X_hand_ee in planned]
+
+
+def test_without_correction_what_the_first_touch_told_is_not_added_again(bench: Bench) -> None:
+    config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=CONFIG.task.strikes_between_looks + 1))
+    grasp, log = bench.true_grasp, Plans()
+    beyond = transform(p=[0.0, 0.0, 0.005])
+    bench.true_grasp = replace(grasp, X_hand_tool=grasp.X_hand_ee @ beyond @ inverse(grasp.X_tool_ee))
+    try:
+        bench.blind_task(log, config).run()
+    finally:
+        bench.true_grasp = grasp
+    first, *_, before_the_look, last = off_along_the_normal(bench, log.plans)
+    assert first > 0.003, "as it was told, but for the slip of five strikes"
+    assert last == pytest.approx(before_the_look, abs=0.001), "nothing was touched between the last two"
+
+
 def test_what_a_touch_told_of_the_cameras_error_outlives_the_next_look(bench: Bench) -> None:
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=CONFIG.task.strikes_between_looks + 1))
     log = Plans()
     bench.seeing_task(log, config, FarSighted(bench.sim.judge)).run()
     assert sum(name == "to a view" for name in log.motions) == CONFIG.task.views + CONFIG.task.views_again
-    q_hand = bench.sim.station.hand.state().joints.q
-    robot = RobotModel.of_station(CONFIG)
-    first, *_, last = [inverse(robot.fk(plan.q_contact, q_hand)[1]) @ plan.X_base_ee_contact for plan in log.plans]
-    true = bench.sim.judge.X_hand_ee(bench.sim.world.time)
-    assert (inverse(true) @ first)[2, 3] > 0.004, "as it was seen, but for the slip of five strikes"
-    assert abs((inverse(true) @ last)[2, 3]) < 0.003
+    first, *_, last = off_along_the_normal(bench, log.plans)
+    assert first > 0.004, "as it was seen, but for the slip of five strikes"
+    assert abs(last) < 0.003

@@ -113,6 +113,7 @@ def test_the_threshold_follows_from_the_noise_and_its_correlation(sigma: float, 
     true = float(np.sqrt(np.mean(np.convolve(later[:, 0], np.full(n, 1 / n), mode="valid") ** 2)))
     assert 0.5 * true < deviation_of_mean(rest, RATE, settings.window) < 2.0 * true
     assert settings.force > 3.0 * true
+    assert settings.release is None or settings.release_speed(1e9) < 0.25 * settings.speed
     assert settings.release is None or sigma > 0.9
 
 

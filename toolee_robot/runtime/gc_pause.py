@@ -28,8 +28,9 @@ def gc_paused() -> Iterator[None]:
 def gc_settled() -> Iterator[Callable[[], None]]:
     """Context in which a collection goes through what is new only, and is short.
 
-    With the networks and a station loaded a full one takes 0.3 s and more, in which no thread runs, so that a driver
-    beside it takes its device for silent. Nothing that was there at the beginning is freed before the end.
+    With the networks and a station loaded a full one takes some 0.2 s, in which no thread runs: nearly the
+    time after which a driver takes its device for silent. Nothing that was there at the beginning is freed before the
+    end.
 
     Returns:
         The context. Its value adds what has come since: call it when a station has been opened.

@@ -198,9 +198,10 @@ class NailDriving:
         return known
 
     def _look(self, views: int, *, afresh: bool = False) -> None:
-        self._holding = self._look_from(views, afresh)
-        # The camera's and the arm's errors are those of the look before, which the touch has told along the normal.
-        self._motions.X_hand_ee = self._motions.X_hand_ee @ transform(p=[0.0, 0.0, self._seen_too_near])
+        if self._correction:
+            self._holding = self._look_from(views, afresh)
+            # The camera's and the arm's errors are those of the look before, which the touch has told along the normal.
+            self._motions.X_hand_ee = self._motions.X_hand_ee @ transform(p=[0.0, 0.0, self._seen_too_near])
         self._strikes_seen = len(self.strikes)
 
     def _strike_nail(self, plan: StrikePlan, before: float) -> float | None:

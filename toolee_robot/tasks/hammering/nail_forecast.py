@@ -18,7 +18,10 @@ they have driven it, the farther their measurement tells the course of the other
 strikes without a measurement."""
 ACCURACY, UNCERTAIN = 0.0007, 0.004
 """Accuracy of the depth between two measurements [m], and what the forecast may be off by for it [m]: a nail that was
-driven by less than the accuracy is measured after every strike."""
+driven by less than `LITTLE` is measured after every strike."""
+LITTLE = 0.0025
+"""Depth that says little of the course [m]: a measurement that is 1.2 mm short of it would put the forecast off by more
+than 2 mm within three strikes."""
 DISAGREEMENT, LATENESS = 0.003, 1.5
 """Deviation of a contact from the forecast above which the nail is measured [m], beyond the arm's travel in so many
 control cycles: a force is felt up to a cycle late, and another one where it is noisy. In the mean of the last k
@@ -57,7 +60,7 @@ class NailForecast:
     @property
     def unknown(self) -> int:
         """Number of strikes of which the height before the last one knew nothing."""
-        return self.unmeasured if self._growth is None else min(self.unmeasured, 1)
+        return self.unmeasured if self._growth is None else 1
 
     @property
     def left(self) -> float:
@@ -120,7 +123,7 @@ class NailForecast:
         depth = float(np.sqrt(self._depth(self._measured) ** 2 + self.unmeasured * self._growth))
         self.height = max(self._length - depth, 0.0)
         driven, ahead = self._first - self._measured, self._measured - self.height
-        uncertain = driven < ACCURACY or ahead * ACCURACY > UNCERTAIN * driven
+        uncertain = driven < LITTLE or ahead * ACCURACY > UNCERTAIN * driven
         return bool(self.surprise) or self.finished or uncertain or self.unmeasured > LONGEST
 
     def unfelt(self, surprise: str) -> None:

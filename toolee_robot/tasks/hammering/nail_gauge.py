@@ -102,7 +102,7 @@ class NailGauge:
         Raises:
             JobEnded: A touch met nothing, or the tool already touches something before it.
         """
-        motions, expected, implausible = self._motions, max(expected, 0.0), max(strikes, 1) * IMPLAUSIBLE_DEPTH
+        motions, expected, implausible = self._motions, max(expected, 0.0), strikes * IMPLAUSIBLE_DEPTH
         place = motions.X_hand_ee[:3, 3]
         known = self._corrected is not None and np.array_equal(place, self._corrected)  # but for the slip of strikes
         # A strike may have driven the nail, which `expected` does not know of.

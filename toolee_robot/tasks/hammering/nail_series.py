@@ -140,4 +140,4 @@ class NailSeries:
 
 
 def _result(name: str, outcome: Outcome | None, reason: str, driving: NailDriving) -> NailResult:
-    return NailResult(name, outcome, reason, tuple(driving.strikes), driving.protrusion, driving.seconds)
+    return NailResult(name, outcome, reason, driving.strikes, driving.protrusion, driving.seconds)

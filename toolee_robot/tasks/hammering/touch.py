@@ -115,14 +115,14 @@ class Touch:
             report = motions.execute(f"touch the {what}", down, guard, at_work=True)
             if report.contact is None:
                 return None
-            pressing = np.mean(motions.forces(max(CONFIRM_TIME, settings.window)), axis=0)
-            if pressing @ self._up < CONFIRM_SHARE * settings.force:
+            pressing = float(np.mean(motions.forces(max(CONFIRM_TIME, settings.window)), axis=0) @ self._up)
+            if pressing < CONFIRM_SHARE * settings.force:
                 continue
             heights, forces = self._course(report, report.contact.stamp, X_flange_ee)
             rise = onset(heights, forces, self._zeros)
             height = float(heights[-1]) if rise is None else rise.height
             if settings.release is not None:
-                released = self._release(what, height, float(pressing @ self._up), X_flange_ee)
+                released = self._release(what, height, pressing, X_flange_ee)
                 if released is None:
                     continue
                 height = released
@@ -167,7 +167,7 @@ class Touch:
         return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
 
     def _release(self, what: str, height: float, force: float, X_flange_ee: Array) -> float | None:
-        """Lift the face slowly from what it presses on with a force [N] and met at about `height` [m].
+        """Lift the face slowly from what it presses on with a force [N], upwards, and met at about `height` [m].
 
         Returns:
             Height at which the force is gone [m]; None if no force goes with the way up, so that nothing was touched.
@@ -176,8 +176,8 @@ class Touch:
         assert settings is not None, "prepare() comes first"
         way = max(height - self._height(X_flange_ee), 1e-6)
         # A release tells the stiffness far better than the way down does.
-        stiffness = float(np.median(self._stiffnesses)) if self._stiffnesses else max(force, 0.0) / way
-        pressed = min(max(force, 0.0) / max(stiffness, 1e-6), SLOPE_RANGE - FREE)
+        stiffness = float(np.median(self._stiffnesses)) if self._stiffnesses else force / way
+        pressed = min(force / stiffness, SLOPE_RANGE - FREE)
         speed = settings.release_speed(stiffness)
         up = plan_straight(self._robot, self._config, motions.world(), motions.q, pressed + FREE, UP, speed)
         report = motions.execute(f"release the {what}", up, at_work=True)
