@@ -16,7 +16,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.dataset.encoding.checksums import sha256
+from toolee_robot.runtime.files import sha256
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
 """Folder of the shipped weights."""

@@ -10,7 +10,7 @@ from typing import IO, Any
 
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception.dataset.card import Card
-from toolee_robot.perception.dataset.encoding.checksums import SUMS, sha256, write_sums
+from toolee_robot.perception.dataset.encoding.checksums import SUMS, write_sums
 from toolee_robot.perception.dataset.instances import MODELS, TOOLS
 from toolee_robot.perception.dataset.models import model_entry, write_models_info
 from toolee_robot.perception.dataset.paper_camera import FOCAL, FULL_HEIGHT, FULL_WIDTH
@@ -18,6 +18,7 @@ from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.dataset.scene_reader import read_json, scene_folders
 from toolee_robot.perception.dataset.scene_writer import COCO_CATEGORIES, json_by_line
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec, SceneJob
+from toolee_robot.runtime.files import sha256
 
 README, CARD, CAMERA, TARGETS, COCO = "README.md", "card.json", "camera.json", "test_targets_bop19.json", "coco"
 

@@ -14,10 +14,11 @@ from typing import Any
 
 import toolee_robot
 from toolee_robot.errors import AssetError, UserError
-from toolee_robot.perception.dataset.encoding.checksums import SUMS, sha256
+from toolee_robot.perception.dataset.encoding.checksums import SUMS
 from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.weight_files import WEIGHTS_DIR, weights_hash
+from toolee_robot.runtime.files import sha256
 
 LEDGER = Path(toolee_robot.__file__).resolve().parents[1] / "docs" / "results" / "test_ledger.jsonl"
 """The repository's ledger: one scoring a line, the newest last."""

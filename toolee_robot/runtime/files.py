@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -50,3 +51,19 @@ def write_atomic(path: Path, data: bytes) -> None:
     """
     with written_whole(path) as scratch:
         scratch.write_bytes(data)
+
+
+def sha256(path: Path) -> str:
+    """Compute the checksum of a file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        SHA-256 of its bytes, hexadecimal.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 from toolee_robot.errors import AssetError
 from toolee_robot.runtime.files import write_atomic
 
 SUMS = "SHA256SUMS"
-
-
-def sha256(path: Path) -> str:
-    """Of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_sums(folder: Path, sums: dict[str, str]) -> None:

@@ -9,12 +9,13 @@ from functools import partial
 from pathlib import Path
 
 from toolee_robot.errors import AssetError, TooleeError
-from toolee_robot.perception.dataset.encoding.checksums import SUMS, read_sums, sha256
+from toolee_robot.perception.dataset.encoding.checksums import SUMS, read_sums
 from toolee_robot.perception.dataset.index_files import COCO, derive, is_finished, listed
 from toolee_robot.perception.dataset.instances import MODELS
 from toolee_robot.perception.dataset.parallel import on_processes
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec, SceneJob
 from toolee_robot.perception.dataset.validation.scene_check import check_scene
+from toolee_robot.runtime.files import sha256
 
 
 @dataclass(frozen=True, order=True)

@@ -24,7 +24,7 @@ from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.dataset.catalogue import GENERATED, number_of
 from toolee_robot.perception.dataset.clouds import read_clouds
 from toolee_robot.perception.dataset.encoding import rle
-from toolee_robot.perception.dataset.encoding.checksums import SUMS, sha256, write_sums
+from toolee_robot.perception.dataset.encoding.checksums import SUMS, write_sums
 from toolee_robot.perception.dataset.figures.shape_distances import distances
 from toolee_robot.perception.dataset.index_files import listed
 from toolee_robot.perception.dataset.instances import read_ply
@@ -35,6 +35,7 @@ from toolee_robot.perception.io import bop_images
 from toolee_robot.perception.synthesis.bodies import tool_meshes
 from toolee_robot.perception.synthesis.generate import generate
 from toolee_robot.perception.synthesis.tool_cache import TOOL_CACHE, ToolCache
+from toolee_robot.runtime.files import sha256
 
 pytestmark = pytest.mark.sim
 

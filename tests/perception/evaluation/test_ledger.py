@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from toolee_robot.cli.app import run
-from toolee_robot.perception.dataset.encoding.checksums import sha256
 from toolee_robot.perception.dataset.records import INSTANCES
 from toolee_robot.perception.dataset.spec import DESCRIPTION, TEST_SEEDS, DatasetSpec
 from toolee_robot.perception.evaluation import ledger
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
+from toolee_robot.runtime.files import sha256
 from toolee_robot.tools.catalog import role, split
 
 pytestmark = pytest.mark.sim(seconds=20)
