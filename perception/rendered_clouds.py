@@ -9,12 +9,16 @@ tools.
 
 from __future__ import annotations
 
+import math
+import os
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
@@ -42,20 +46,22 @@ def rendered_clouds(
     limit: int | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     column: Column | None = None,
+    minutes: float | None = None,
 ) -> RenderedClouds:
     """Make the clouds of a data set, or of one split.
 
     Args:
         data: Folder of the data set or split.
         weights: Folder of the detector's weights; None: the shipped ones.
-        device: torch device that runs the detector.
+        device: torch device that runs the detector; "cuda": each process takes one of the GPUs there are.
         workers: Number of processes.
         limit: Largest number of images per split.
         progress: Called with the number of finished scenes and their total.
         column: Column of the paper's Table I whose estimator is trained: true masks only, no detector.
+        minutes: Wall-clock after which no further clouds are awaited; None: no limit.
 
     Returns:
-        The clouds with their truth.
+        The clouds with their truth, of the scene folders that were done in that time, at least one.
 
     Raises:
         AssetError: Data or weights are missing.
@@ -63,12 +69,15 @@ def rendered_clouds(
     """
     todo = parts(data, limit)
     found = []
-    begin = partial(Segmenter.load, weights, device) if column is None else _no_detector
+    end = math.inf if minutes is None else time.monotonic() + 60 * minutes
+    begin = partial(_detector, weights, device) if column is None else _no_detector
     read = clouds_of_part if column is None or not column.of_tool else tool_clouds_of_part
     with ProcessMap(begin, workers) as processes:
         for done, part in enumerate(processes.map(read, todo)):
             found.append(part)
             progress(done + 1, len(todo))
+            if time.monotonic() >= end:
+                break
     clouds = RenderedClouds.cat(found)
     if not clouds.positive.any():
         raise UserError(
@@ -124,6 +133,12 @@ def tool_clouds_of_part(_detector: EeDetector | None, part: Part) -> RenderedClo
             X_camera_tool = (instance.X_camera_ee @ inverse(ee.X_tool_ee)).astype(np.float32)
             rows.append(replace(row, X_camera_target=X_camera_tool[None], of_tool=np.array([True])))
     return RenderedClouds.cat(rows)
+
+
+def _detector(weights: Path | None, device: str) -> Segmenter:
+    """Worker state: the detector, on one of the GPUs where "cuda" leaves the choice."""
+    count = torch.cuda.device_count()
+    return Segmenter.load(weights, f"cuda:{os.getpid() % count}" if device == "cuda" and count else device)
 
 
 def _no_detector() -> None:

@@ -226,6 +226,21 @@ def test_the_command_keeps_them_for_a_training(
     assert said["negative"] == (~kept.positive).sum()
 
 
+def test_what_is_there_after_a_time_is_kept(folder: Path, tmp_path: Path) -> None:
+    twice = tmp_path / "train"
+    twice.mkdir()
+    for name in ("000000", "000001"):
+        (twice / name).symlink_to(folder / "000000")
+
+    def made(*options: str) -> int:
+        out = tmp_path / "clouds.npz"
+        arguments = ["train", "clouds", str(twice), "--out", str(out), "--estimator", "paper", *options]
+        assert run(arguments) == 0
+        return len(RenderedClouds.load(out))
+
+    assert 2 * made("--minutes", "0.000001") == made("--minutes", "60") == made()
+
+
 def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> None:
     samples, held_out = (sample_tools(held_out=held, seeds_per_kind=1, workers=1) for held in (False, True))
     config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=64, validation=40, compile=False)

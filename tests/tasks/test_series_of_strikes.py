@@ -113,6 +113,27 @@ def test_a_touch_that_reads_flush_after_a_strike_that_was_not_felt_is_believed_o
     assert nail.protrusion > CONFIG.task.flush_protrusion
 
 
+def test_a_nail_that_no_strike_was_felt_to_meet_is_not_called_flush(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The face strikes and touches the wood beside it."""
+    nail, work = bench.sim.world.nail, replace(CONFIG.work, nail_protrusion=0.006)
+    pb.resetJointState(nail.body, SLIDE, nail.protrusion - 0.006, physicsClientId=bench.sim.world.client)
+    task, strike = replace(CONFIG.task, max_strikes=5), replace(CONFIG.strike, contact_force=400.0)
+    config = replace(CONFIG, task=task, strike=strike, work=work)
+    measure, first = NailGauge.measure, iter([True])
+
+    def misread(gauge: NailGauge, expected: float, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED) -> float:
+        height = measure(gauge, expected, strikes, missed)
+        return height if next(first, False) else 0.0003
+
+    monkeypatch.setattr(NailGauge, "measure", misread)
+    result = bench.blind_task(Log(), config).run()
+    assert result.outcome is Outcome.NAIL_MISSED, result.reason
+    assert "look at the nail" in result.reason
+    assert nail.protrusion > config.task.flush_protrusion
+
+
 class FarSighted(PerfectPerception):
     """Sees the face too far out along its normal, by the same in every look: as a camera that stands elsewhere does."""
 

@@ -51,10 +51,12 @@ class Clouds:
     """The detector's weights (default: those that ship)."""
     limit: Count = None
     """Images of each split (default: all)."""
+    minutes: Number = None
+    """Keep the clouds that are made within this time (default: until all are made)."""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
     """Processes at a time."""
     device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "cpu"
-    """Where the detector runs: cpu, cuda, cuda:1."""
+    """Where the detector runs: cpu, cuda:1, or cuda: spread over all GPUs."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -79,6 +81,7 @@ class Clouds:
                 self.limit,
                 partial(report, "scene folders"),
                 column,
+                self.minutes,
             )
         clouds.save(self.out)
         shown = int(clouds.positive.sum())

@@ -128,7 +128,7 @@ class NailDriving:
             flush = flush + 1 if height <= task.flush_protrusion and not forecast.unmeasured else 0
             sure = forecast.finished and height <= SURELY_FLUSH * task.flush_protrusion
             if flush > 2 or (flush and sure) or (flush == 2 and progress < CONFIRMED):
-                return Outcome.FLUSH, f"the head stands {height * 1e3:.1f} mm over the wood"
+                return self._flush(f"the head stands {height * 1e3:.1f} mm over the wood")
             if len(self.strikes) >= task.max_strikes:
                 end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
                 return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if flush else end
@@ -158,12 +158,18 @@ class NailDriving:
             if stalled < 2:
                 continue
             if height <= FLUSH_WHEN_STALLED:
-                return Outcome.FLUSH, f"two strikes moved it no further, {height * 1e3:.1f} mm over the wood"
+                return self._flush(f"two strikes moved it no further, {height * 1e3:.1f} mm over the wood")
             if doubted or not self._correction:
                 return Outcome.STUCK, f"two strikes moved the head under {task.min_progress * 1e3:.1f} mm"
             # The edge of a face that has tilted in the hand meets the wood before the nail is flush.
             doubted, stalled = True, 0
             self._look(task.views)
+
+    def _flush(self, words: str) -> tuple[Outcome, str]:
+        """The end of a nail that reads flush: not believed if no strike was felt where the nail should be."""
+        if self.strikes and all(strike.meeting is not Meeting.EXPECTED for strike in self.strikes):
+            return Outcome.NAIL_MISSED, f"{words}, but no strike met it where it should be: look at the nail"
+        return Outcome.FLUSH, words
 
     def _begin(self) -> None:
         """Touch the nail: its height is known, but for an interruption, and the face's place along it is not.
