@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import torch
 
 from toolee_robot.perception import Segmenter
-from toolee_robot.perception.evaluation import pose, views
+from toolee_robot.perception.evaluation import exact_shape, pose, views
 from toolee_robot.perception.evaluation.breakdown import held_out_breakdown
 from toolee_robot.perception.evaluation.estimates import (
     Answer,
@@ -26,7 +26,7 @@ from toolee_robot.perception.evaluation.estimates import (
     summary,
 )
 from toolee_robot.perception.evaluation.examples import Part, joined, of_role, parts, read_part
-from toolee_robot.perception.evaluation.records import Examples, Instance
+from toolee_robot.perception.evaluation.records import Case, Examples, Instance
 from toolee_robot.perception.evaluation.samplers import sampler_table
 from toolee_robot.perception.pipeline import EeDetector, ToolPerception
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
@@ -58,6 +58,7 @@ class Plan:
         seed: Seed of the rendered frames.
         device: torch device of the networks.
         workers: Number of processes.
+        exact_shape: Whether to fit each tool's exact shape to its cloud, too.
     """
 
     folder: Path
@@ -72,6 +73,7 @@ class Plan:
     seed: int = 1_000_003
     device: str = "cpu"
     workers: int = 1
+    exact_shape: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +169,13 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
                     },
                 }
             report["estimators"][label] = record
+        if plan.exact_shape:
+            best = examples.of("truth")
+            asked_of = [(i, best.get(k)) for k, i in enumerate(examples.instances) if i.target]
+            found_fits = processes.map(_fit, asked_of)
+            fits = list(_counted(found_fits, partial(progress, "exact shapes"), len(asked_of)))
+            groups = {"held-out": [f for f in fits if f.held_out], "seen": [f for f in fits if not f.held_out]}
+            report["exact_shape"] = {group: exact_shape.table(some) for group, some in groups.items() if some}
         if plan.sampler_clouds:
             first = next(iter(networks.estimators.values()))
             report["samplers"] = sampler_table(first, examples, plan.sampler_clouds, partial(progress, "samplers"))
@@ -187,6 +196,10 @@ def _read(networks: Networks, part: Part) -> Examples:
 
 def _answer(label: str, networks: Networks, question: Question) -> Answer:
     return answer(networks.estimators[label], networks.trust[label], question)
+
+
+def _fit(_networks: Networks, asked: tuple[Instance, Case | None]) -> exact_shape.Fit:
+    return exact_shape.fit_of(*asked)
 
 
 def _ranked_ap(

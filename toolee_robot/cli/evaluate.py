@@ -71,6 +71,8 @@ class EvaluatePose:
     """Held hammers to look at from five views; they are rendered, about 2 s each."""
     no_tool: _Count = 0
     """Cluttered frames without a tool; those that the data set lacks are rendered."""
+    exact_shape: Flag = False
+    """Also fit each tool's exact shape to its cloud, from the true pose: what the depth images allow."""
     device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
     """Where the networks run: cpu or cuda."""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
@@ -96,6 +98,7 @@ class EvaluatePose:
             self.samplers,
             device=self.device,
             workers=self.workers,
+            exact_shape=self.exact_shape,
         )
         ledger = Ledger.of(self.data)
         evaluation = _evaluated(console, plan)
@@ -103,7 +106,7 @@ class EvaluatePose:
             weights = plan.weights if self.true_masks_only else {**plan.weights, "detector": self.detector}
             ledger.enter("pose", weights, pose_figures(evaluation.report), self.limit)
         if self.out is not None:
-            from toolee_robot.perception.evaluation.report import page, pictures
+            from toolee_robot.perception.evaluation.report.pages import page, pictures
 
             images = pictures(evaluation)
             _write(console, self.out, evaluation.report, images, page(evaluation, images, _subtitle()))
@@ -152,8 +155,8 @@ class EvaluateSamplers:
             ledger.enter("samplers", {"ours": self.weights}, {r["sampler"]: r["average"] for r in rows}, self.clouds)
         record = {"machine": asdict(describe_machine()), "samplers": rows}
         if self.out is not None:
-            from toolee_robot.perception.evaluation.figures import sampler_figure
-            from toolee_robot.perception.evaluation.report import sampler_page
+            from toolee_robot.perception.evaluation.report.figures import sampler_figure
+            from toolee_robot.perception.evaluation.report.pages import sampler_page
 
             images = {"samplers.png": sampler_figure(rows, "Samplers, one cloud at a time: RK45, and numbers of steps")}
             _write(console, self.out, record, images, sampler_page(rows, images, _subtitle()))
@@ -196,7 +199,7 @@ class EvaluateSegmentation:
         rows = segmentation_rows(found)
         record = {"machine": asdict(describe_machine()), "data": self.data.name, **found}
         if self.out is not None:
-            from toolee_robot.perception.evaluation.report import segmentation_page
+            from toolee_robot.perception.evaluation.report.pages import segmentation_page
 
             _write(console, self.out, record, {}, segmentation_page(found, rows, STATISTICS, _subtitle()))
         console.print(text_table("Segmentation, COCO mask AP [%]", ("class", "n", *STATISTICS), rows))

@@ -46,6 +46,12 @@ def pose_tables(report: dict[str, Any]) -> Iterator[Table]:
             if rows:
                 title = f"{group} instances, {'true' if masks == 'truth' else masks} masks"
                 yield text_table(title, ("category", "estimator", "n", *_SHOWN), rows, left=2)
+    for group, found in report.get("exact_shape", {}).items():
+        rows = [
+            [label_of(category), str(row["instances"]), *(f"{row[k]:.3f}" for k in _SHOWN)]
+            for category, row in found.items()
+        ]
+        yield text_table(f"{group} instances, exact shapes fitted from the true pose", ("category", "n", *_SHOWN), rows)
     label, record = next(iter(report["estimators"].items()))
     masks = "predicted" if "predicted" in record else "truth"
     rows = []

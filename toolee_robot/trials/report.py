@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.html_page import Page
 from toolee_robot.trials.panels import BLUE, errors, panels, png, rates
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.report_attended import agreement, attended_section

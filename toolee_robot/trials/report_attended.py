@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.perception.evaluation.html import Page
+from toolee_robot.runtime.html_page import Page
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.results import Event, Happened, Record
 

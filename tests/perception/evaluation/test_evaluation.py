@@ -30,9 +30,8 @@ from toolee_robot.perception.evaluation import metrics, pose, views
 from toolee_robot.perception.evaluation.breakdown import held_out_breakdown
 from toolee_robot.perception.evaluation.estimates import Ranked, answer, load_estimator, questions, summary
 from toolee_robot.perception.evaluation.examples import collect, of_role
-from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.perception.evaluation.records import Examples
-from toolee_robot.perception.evaluation.report import page, pictures
+from toolee_robot.perception.evaluation.report.pages import page, pictures
 from toolee_robot.perception.evaluation.run import Evaluation
 from toolee_robot.perception.evaluation.samplers import sampler_table
 from toolee_robot.perception.evaluation.segmentation import STATISTICS, CocoTask, coco_task, statistics
@@ -40,6 +39,7 @@ from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.trust import Trust
+from toolee_robot.runtime.html_page import Page
 
 pytestmark = pytest.mark.sim(seconds=40)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from toolee_robot.end_effectors import label_of
-from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.perception.evaluation.metrics import THRESHOLDS
+from toolee_robot.runtime.html_page import Page
 
 NAMES = {
     "5deg2cm": "5° 2 cm", "5deg5cm": "5° 5 cm", "10deg5cm": "10° 5 cm", "10deg2cm": "10° 2 cm",

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from toolee_robot.end_effectors import CATEGORIES
-from toolee_robot.perception.evaluation import figures
-from toolee_robot.perception.evaluation.html import Page
+from toolee_robot.end_effectors import CATEGORIES, label_of
 from toolee_robot.perception.evaluation.metrics import THRESHOLDS
 from toolee_robot.perception.evaluation.pose import GROUPS
-from toolee_robot.perception.evaluation.report_tables import (
+from toolee_robot.perception.evaluation.report import figures
+from toolee_robot.perception.evaluation.report.tables import (
     MASKS,
     NAMES,
     accuracy_table,
@@ -22,6 +21,7 @@ from toolee_robot.perception.evaluation.report_tables import (
     ranking_tables,
 )
 from toolee_robot.perception.evaluation.run import Evaluation
+from toolee_robot.runtime.html_page import Page
 
 _DEFINITIONS = {
     "n° m cm": "share of instances whose rotation error, modulo the category's symmetry group, and position error are "
@@ -189,6 +189,22 @@ def _extras(out: Page, report: dict[str, Any], images: dict[str, bytes]) -> None
             for k, text in names.items()
         ]
         out.table([f"{f['hammers']} hammers", *(NAMES[k] for k in THRESHOLDS), "median mm"], rows)
+    for group, found in report.get("exact_shape", {}).items():
+        out.section(f"{group.capitalize()} instances, exact shapes")
+        rows = [
+            [
+                label_of(category),
+                row["instances"],
+                *(format_share(row[t]) for t in THRESHOLDS),
+                *(format_number(row[median], 2) for median in ("median_mm", "median_deg")),
+            ]
+            for category, row in found.items()
+        ]
+        out.table(["category", "instances", *(NAMES[k] for k in THRESHOLDS), "median mm", "median °"], rows)
+        out.paragraph(
+            "Each tool's exact shape, fitted to its cloud from the true pose: what the depth images allow. No "
+            "estimator has this shape, or this beginning."
+        )
     if "no_tool" in report:
         n = report["no_tool"]
         out.section("Frames without a tool")
