@@ -17,7 +17,7 @@ from toolee_robot.types import Trajectory
 class Mode(StrEnum):
     """Modes of operation.
 
-    HANDOVER: slow; a person may be in reach and holds the enabling switch. UNATTENDED: fast; nobody is in reach.
+    HANDOVER: slow; a person may be in reach and holds the hold-to-run switch. UNATTENDED: fast; nobody is in reach.
     """
 
     HANDOVER = "handover"

@@ -1,7 +1,7 @@
 """The supervisor: checks every command before it reaches the arm, and monitors every motion.
 
     arm = Supervisor(station.arm, station.person, robot, config, world=lambda: CollisionWorld(robot, config, q_hand))
-    arm.execute(trajectory)                          # HANDOVER: slow, a person holds the enabling switch
+    arm.execute(trajectory)                          # HANDOVER: slow, a person holds the hold-to-run switch
     arm.mode = Mode.UNATTENDED                       # refused while a person is in reach
     arm.permit_swings(timeout=30.0)                  # a person confirms that strikes may begin
     report, verdict = arm.swing(strike, guard, ExpectedContact(q_contact, direction, contact_time))
@@ -212,7 +212,7 @@ class Supervisor:
         Raises:
             LatchedError: A fault has not been reset.
             NotReadyError: The robot is not ready or moves.
-            PersonNearError: The mode is not HANDOVER, or the person does not hold the enabling switch at the beginning.
+            PersonNearError: The mode is not HANDOVER, or the person does not hold the switch at the beginning.
             DeviceError: The arm cannot be moved by hand, or refuses.
         """
         self._check_at_rest()

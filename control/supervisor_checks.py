@@ -145,5 +145,5 @@ def why_person_forbids(person: Person, mode: Mode) -> str:
         if person.enabling_switch_held():
             return ""
         who = "the person at the station does not hold" if certain else "nobody is known to hold"
-        reason = f"{who} the enabling switch"
+        reason = f"{who} the hold-to-run switch"
     return reason if certain else f"{reason}, as the readings of their inputs are late or have not settled"

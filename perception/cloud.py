@@ -81,7 +81,8 @@ def check_depth_unit(depth: NDArray[np.floating]) -> None:
     median = float(np.median(known[:: max(1, known.size // 20000)]))
     if median > FARTHEST:
         raise UserError(
-            f"median depth is {median:.0f} m: it looks like millimetres, pass --depth-scale 0.001",
+            f"median depth is {median:.0f} m: the depth scale is too large, pass the metres of one unit (--depth-scale "
+            "0.001 for millimetres, 0.0001 for tenths)",
             code="user.depth_unit",
         )
     if median < 0.01:

@@ -201,6 +201,73 @@ def test_a_size_in_another_unit_is_noticed(tmp_path: Path, section: str, name: s
     assert f"looks like {unit}" in str(caught.value)
 
 
+LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
+
+
+@pytest.mark.parametrize(
+    ("section", "name", "value", "words"),
+    [
+        ("camera", "fx", 0.4, "camera.fx: 0.4 px"),
+        ("arm", "acceleration", 400.0, "arm.acceleration: 400.0 is more"),
+        ("hand", "yield_torque", 330.0, "hand.yield_torque: 330.0 is more"),
+        ("tool", "mass", 5.0, "tool.mass: 5.0 kg"),
+        ("work", "nail_length", 30.0, "looks like millimetres"),
+    ],
+)
+def test_a_value_that_nothing_has_is_noticed(tmp_path: Path, section: str, name: str, value: float, words: str) -> None:
+    data = yaml.safe_load(LAB.read_text())
+    data[section][name] = value
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(data))
+    for load in (load_station, load_lab_station):
+        with raises(ConfigError, "config.unit") as caught:
+            load(path)
+        assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"work": {"nail_lenght": 0.05}}, "work.nail_lenght: there is no such field: did you mean nail_length?"),
+        ({"work": {"nail_length": "2,2 mm"}}, "a number is needed, '2,2 mm' is none"),
+        (
+            {"camera": {"device": {"driver": "realsense", "serial": 832112070123, "least_range": 0.28}}},
+            "put it in quotes",
+        ),
+        ({"tool": {"name": "claw"}}, "tool.grip_radius: is missing"),
+        ({"arm": [1, 2]}, "arm: fields with their values are needed"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_said_in_words(tmp_path: Path, change: dict[str, Any], words: str) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(change))
+    with raises(ConfigError, "config.invalid") as caught:
+        load_station(path)
+    assert words in str(caught.value)
+    assert "Value error" not in str(caught.value)
+
+
+def test_a_head_beside_the_handle_is_refused(tmp_path: Path) -> None:
+    data = yaml.safe_load(LAB.read_text())
+    x, y, z = data["tool"]["face"]
+    data["tool"]["face"] = [x, z, y]
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(data))
+    with raises(ConfigError, "config.invalid") as caught:
+        load_station(path)
+    assert "z along the handle" in str(caught.value)
+
+
+def test_a_file_that_is_not_there_names_the_interview(tmp_path: Path) -> None:
+    with raises(ConfigError, "config.unreadable") as caught:
+        load_station(tmp_path / "lab.yaml")
+    assert "toolee station new" in str(caught.value)
+    (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n")
+    with raises(ConfigError, "config.unreadable") as caught:
+        load_station(tmp_path / "picture.png")
+    assert "is no text" in str(caught.value)
+
+
 def test_a_calibration_by_another_program_is_written_into_the_file(tmp_path: Path) -> None:
     data = _documented_station()
     told = {"measured_on": "2026-11-20", "robot_serial": "20185500001", "camera_serial": "17", "residual": 0.0012}

@@ -49,7 +49,7 @@ class SimPerson:
         center: Middle of the body, (3,) in `base` [m].
         visible_arm: Shoulder and hand, (3,) each in `base` [m], while the person holds the tool, else None.
         confirms: Whether the person confirms a swing.
-        holds_switch: Whether the person takes the enabling switch when asked to.
+        holds_switch: Whether the person takes the hold-to-run switch when asked to.
         stays: Whether the person stays within reach when asked to step back.
         lingers: Time that passes before the person steps back [s].
         intended_X_hand_tool: Pose at which the person places the tool in the open hand, 4x4; ground truth.
@@ -152,7 +152,7 @@ class SimPerson:
         return True
 
     def enabling_switch_held(self) -> bool:
-        """Whether the person holds the enabling switch."""
+        """Whether the person holds the hold-to-run switch."""
         return self.holds_switch and self._switch_taken
 
     def _walk(self, to: Array) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA, draw_session, picture
@@ -82,6 +83,27 @@ def test_a_record_does_not_hold_for_other_intrinsics(calibrated: Path, tmp_path:
     with pytest.raises(ConfigError) as error:
         load_station(path)
     assert error.value.code == "config.calibration_intrinsics"
+    assert "with fx " in str(error.value)
+    assert "(the file's: 370)" in str(error.value)
+    assert "cx" not in str(error.value), "only what differs is named"
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        (("frame: base_link", "frame: pendant_base"), "config.calibration_half_turn", "half a turn"),
+        (("[0.93, -0.60, 0.86]", "[0.60, 0.93, 0.86]"), "config.calibration_place", "x, y, z in this order"),
+    ],
+)
+def test_a_record_of_another_place_than_the_file_s_camera_is_refused(
+    calibrated: Path, tmp_path: Path, change: tuple[str, str], code: str, words: str
+) -> None:
+    path = _station(tmp_path, calibrated)
+    path.write_text(path.read_text().replace(*change))
+    with pytest.raises(ConfigError) as error:
+        load_station(path)
+    assert error.value.code == code
+    assert words in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -97,6 +119,18 @@ def test_a_wrong_station_file_is_refused(calibrated: Path, tmp_path: Path, line:
     with pytest.raises(ConfigError) as error:
         load_station(tmp_path / "station.yaml")
     assert error.value.code == code
+
+
+def test_joints_in_degrees_are_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    draw_session(tmp_path, 4, BaseFrame.BASE_LINK, lambda X: X)
+    poses = yaml.safe_load((tmp_path / "poses.json").read_text())
+    for pose in poses["poses"]:
+        pose.pop("X_base_flange", None)
+        pose["q"] = [0.0, -90.0, 90.0, -90.0, -90.0, 0.0]
+    (tmp_path / "poses.json").write_text(json.dumps(poses))
+    code = run(["calibrate", "camera", "--images", str(tmp_path), "--bars-mm", *BARS])
+    assert code == 2
+    assert "looks like degrees" in " ".join(capsys.readouterr().err.split())
 
 
 def test_poses_in_the_other_frame_of_the_base_are_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -56,6 +56,31 @@ def test_an_interview_that_breaks_off_loses_nothing_and_goes_on_later(tmp_path: 
     assert load_lab_station(path).tool == load_lab_station(LAB).tool
 
 
+def test_an_answer_is_taken_back_and_one_that_contradicts_another_is_refused(tmp_path: Path) -> None:
+    path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
+    lines = _answers(said)
+    at = lines.index("0.95 -0.62 0.85")
+    # Another nail's place is given first, and the door's two contacts on one input.
+    door = lines.index(str(said["person"]["door_open_input"]), lines.index(str(said["work"]["pilot_hole_diameter"])))
+    changed = [*lines[:at], "0.5 -0.5 0.5", "<", *lines[at:]]
+    first = _new(path, changed)
+    assert first.returncode == 0, first.stdout
+    assert yaml.safe_load(path.read_text())["camera"]["position"] == [0.95, -0.62, 0.85]
+    twice = lines.copy()
+    twice[door] = str(said["person"]["door_closed_input"])
+    path.unlink()
+    second = _new(path, twice)
+    assert "name one input twice" in second.stdout
+    assert second.returncode == 1
+
+
+def test_an_interview_says_at_once_where_it_cannot_write(tmp_path: Path) -> None:
+    told = _new(tmp_path / "nowhere" / "lab.yaml", ["base_link"])
+    assert told.returncode == 2
+    assert "nowhere" in told.stderr
+    assert "Frame of the positions" not in told.stdout
+
+
 def test_what_a_job_needs_is_named_before_any_device_is_asked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -43,7 +43,7 @@ class Rig(ABC):
 
     @abstractmethod
     def stick_switch(self) -> None:
-        """The enabling switch reads held, whatever they do; or they leave it."""
+        """The hold-to-run switch reads held, whatever they do; or they leave it."""
 
     def elapsed(self, question: Callable[[], bool], answer: bool) -> float:
         """Ask; how long it took [s]."""

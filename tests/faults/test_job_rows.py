@@ -28,7 +28,7 @@ _QUICK = {
     ("finger stalled", Phase.REST),
     ("camera repeats a frame", Phase.REST),
     ("camera has no depth", Phase.REST),
-    ("enabling switch not held", Phase.REST),
+    ("hold-to-run switch not held", Phase.REST),
     ("hold-to-run switch stuck", Phase.REST),
     ("door contact stuck closed", Phase.REST),
     ("one bad reading of the grip", Phase.REST),

@@ -15,6 +15,8 @@ from toolee_robot.types import CameraIntrinsics, DhCalibration
 
 FORMAT = "toolee camera calibration 1"
 """Name and version of the format."""
+ELSEWHERE = 0.3
+"""Distance of a calibrated camera from where a person has measured it over which one of the two is wrong [m]."""
 Row = tuple[float, ...]
 Rows = tuple[Row, ...]
 """A matrix, row by row."""

@@ -28,6 +28,8 @@ FILE = "poses.json"
 """The file in the folder."""
 DISAGREEING = 0.02, float(np.deg2rad(2.0))
 """Difference between a given pose and that by the joint positions above which one of them is wrong [m], [rad]."""
+LARGEST_JOINT = 2.0 * np.pi + 0.1
+"""Largest position of a joint of a UR [rad]: two turns, and a little for its encoder."""
 _STRICT = {"extra": "forbid", "allow_inf_nan": False}
 
 
@@ -53,6 +55,8 @@ class SessionPose:
             raise ValueError(f"{self.image}: give q, the joint positions, or X_base_flange")
         if self.q is not None and len(self.q) != 6:
             raise ValueError(f"{self.image}: q has {len(self.q)} numbers, an arm has 6 joints")
+        if self.q is not None and max(map(abs, self.q)) > LARGEST_JOINT:
+            raise ValueError(f"{self.image}: q looks like degrees, as the teach pendant shows them: give radians")
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.calibration.record import CalibrationRecord, read_record
+import numpy as np
+
+from toolee_robot.calibration.record import ELSEWHERE, CalibrationRecord, read_record
 from toolee_robot.errors import ConfigError
+from toolee_robot.frames import HALF_TURN, BaseFrame
 from toolee_robot.types import CameraIntrinsics, DhCalibration
 
 SECTION, FIELD = "calibration", "record"
@@ -68,8 +72,8 @@ def check_record(
     """
     if not record.intrinsics.agrees(intrinsics):
         raise ConfigError(
-            f"{path}: the calibration is of {record.intrinsics}, the file's camera is {intrinsics}: the camera's pose "
-            "holds with its own intrinsics only; enter those, or calibrate again",
+            f"{path}: the calibration is of a camera with {_differing(record.intrinsics, intrinsics)}: the camera's "
+            "pose holds with its own intrinsics only; enter those, or calibrate again",
             code="config.calibration_intrinsics",
         )
     computed = any(pose.q is not None for pose in record.poses)
@@ -79,3 +83,48 @@ def check_record(
             "restore the arm's",
             code="config.calibration_kinematics",
         )
+
+
+def check_place(record: CalibrationRecord, expected: Sequence[float], frame: BaseFrame, path: Path) -> None:
+    """Refuse a record whose camera stands far from the station file's `camera.position`.
+
+    Args:
+        record: The record.
+        expected: The camera's place by the file, in `base`, (3,) [m].
+        frame: The frame that the file names, in which the message tells places.
+        path: The station file, for the errors.
+
+    Raises:
+        ConfigError: They differ by half a turn of the base (`config.calibration_half_turn`), or otherwise
+            (`config.calibration_place`).
+    """
+    place, by_file = record.pose[:3, 3], np.asarray(expected, float)
+    off = float(np.linalg.norm(place - by_file))
+    if off <= ELSEWHERE:
+        return
+    calibrated, typed = (_told(p, frame) for p in (place, by_file))
+    if np.linalg.norm(HALF_TURN[:3, :3] @ place - by_file) <= ELSEWHERE:
+        raise ConfigError(
+            f"{path}: half a turn about the base's z lies between the calibrated camera, {calibrated} m in {frame}, "
+            f"and camera.position, {typed} m: the file's `frame` names the other base, or its positions are of the "
+            "other",
+            code="config.calibration_half_turn",
+        )
+    raise ConfigError(
+        f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from camera.position, {typed} "
+        "m: measure that again (x, y, z in this order), or calibrate again if the camera was moved",
+        code="config.calibration_place",
+    )
+
+
+def _told(place: Any, frame: BaseFrame) -> list[float]:
+    """A point of `base` in a frame, rounded for people."""
+    turned = HALF_TURN[:3, :3] @ place if frame is BaseFrame.PENDANT_BASE else place
+    return [0.0 + round(float(x), 2) for x in turned]
+
+
+def _differing(record: CameraIntrinsics, file: CameraIntrinsics) -> str:
+    """Which intrinsics of the record's camera the file has otherwise."""
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    pairs = [(name, getattr(record, name), getattr(file, name)) for name in names]
+    return ", ".join(f"{name} {a:.6g} (the file's: {b:.6g})" for name, a, b in pairs if abs(a - b) > 0.01)

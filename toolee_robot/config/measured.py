@@ -7,9 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.config.field_docs import field_docs
 from toolee_robot.config.station import StationConfig, read_station, to_station
-from toolee_robot.config.units import wrong_unit
 from toolee_robot.config.work import SIZES
 from toolee_robot.errors import ConfigError
 from toolee_robot.types import MOUNT
@@ -82,31 +80,7 @@ def load_lab_station(path: Path) -> StationConfig:
             f"measure and give {', '.join(missing)}",
             code="config.unmeasured",
         )
-    check_units(config, path)
     return config if data.get("calibration") else replace(config, calibration=None)
-
-
-def check_units(config: StationConfig, path: Path) -> None:
-    """Refuse sizes that are in another unit, such as a camera at 950 m.
-
-    Args:
-        config: What a station file says.
-        path: The file, for the message.
-
-    Raises:
-        ConfigError: A size is (`config.unit`); the message names it.
-    """
-    records = [(name, getattr(config, name)) for name in (*MEASURED, "tool") if getattr(config, name) is not None]
-    records += [(f"work.nails {nail.name}", nail) for nail in config.work.nails]
-    records += [(f"scene.obstacles {obstacle.name}", obstacle) for obstacle in config.scene.obstacles]
-    wrong = [
-        f"{section}.{name}: {text}"
-        for section, record in records
-        for name, description in field_docs(type(record)).items()
-        if (text := wrong_unit(name, description, getattr(record, name)))
-    ]
-    if wrong:
-        raise ConfigError(f"{path}: {'; '.join(wrong)}", code="config.unit")
 
 
 def _missing(data: Any) -> list[str]:

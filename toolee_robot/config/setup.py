@@ -8,9 +8,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from toolee_robot.config.measured import check_units
 from toolee_robot.config.station import StationConfig
 from toolee_robot.config.tool import ToolData
+from toolee_robot.config.units import check_units
 from toolee_robot.config.values import STRICT, NotNegative, Positive
 from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.yaml_files import read_record

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.config.calibration import SIMULATED_CALIBRATION, CalibrationConfig
-from toolee_robot.config.calibration_record import check_record, take_record
+from toolee_robot.config.calibration_record import check_place, check_record, take_record
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.person import PersonConfig
@@ -17,8 +17,10 @@ from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig
 from toolee_robot.config.station_frame import take_frame, to_base
 from toolee_robot.config.tool import ToolData
+from toolee_robot.config.units import check_units
 from toolee_robot.config.values import STRICT
 from toolee_robot.config.work import WorkConfig
+from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.yaml_files import read_yaml, to_record
 
 
@@ -87,8 +89,13 @@ def read_station(path: Path) -> Any:
         Its mapping, empty for an empty file.
 
     Raises:
-        ConfigError: The file cannot be read.
+        ConfigError: The file is missing, or cannot be read.
     """
+    if not path.exists():
+        raise ConfigError(
+            f"there is no station file {path}: `toolee station new {path}` asks for what it needs",
+            code="config.unreadable",
+        )
     return read_yaml(path, "station's file") or {}
 
 
@@ -104,7 +111,7 @@ def load_station(path: Path) -> StationConfig:
 
     Raises:
         ConfigError: The file cannot be read, or a field is invalid (the message lists every one), or positions are
-            given and no frame is named.
+            given and no frame is named, or a size is in another unit, or the calibration is of another place.
     """
     return to_station(read_station(path), path)
 
@@ -130,9 +137,12 @@ def to_station(data: Any, path: Path) -> StationConfig:
     config = to_record(data, path, StationConfig, what)
     if (converted := to_base(data, frame)) is not data:
         config = to_record(converted, path, StationConfig, what)
+    check_units(config, path)
     if record is None:
         return config
     check_record(record, config.camera.intrinsics, config.arm.calibration, path)
+    if "position" in (data.get("camera") or {}):
+        check_place(record, config.camera.position, frame, path)
     return replace(config, camera=replace(config.camera, pose=record.X_base_camera))
 
 

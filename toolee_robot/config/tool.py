@@ -36,6 +36,12 @@ class ToolData:
         normal = np.asarray(self.face_normal)
         if np.linalg.norm(normal[:2]) < 1e-6:
             raise ValueError("face_normal is no direction beside the handle: a hammer strikes to the side, such as x")
+        x, y, z = self.face
+        if z <= np.hypot(x, y):
+            raise ValueError(
+                f"face {list(self.face)} is not at the end of the handle, which is the z axis: x to the side that "
+                "strikes, z along the handle towards the head"
+            )
 
     @property
     def X_tool_face(self) -> Array:

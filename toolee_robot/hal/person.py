@@ -19,7 +19,7 @@ class Person(Protocol):
 
     Every question waits up to `timeout` [s] for its answer; no answer counts as a refusal. `zone_occupied` and
     `enabling_switch_held` answer at once, from any thread, and are polled throughout a motion and a question; their
-    sources are a guarded door, a light barrier, a scanner, an enabling switch or a key that is held down.
+    sources are a guarded door, a light barrier, a scanner, an hold-to-run switch or a key that is held down.
     `tests/contract/test_person_contract.py` checks an implementation.
     """
 
@@ -82,7 +82,7 @@ class Person(Protocol):
         """
 
     def hold_switch(self, prompt: str, timeout: float) -> bool:
-        """Ask the person to take the enabling switch anew: to release it, and to hold it from then on.
+        """Ask the person to take the hold-to-run switch anew: to release it, and to hold it from then on.
 
         Asked before every motion near a person, so that a switch that is stuck or tied down moves nothing.
 
@@ -101,7 +101,7 @@ class Person(Protocol):
         """
 
     def enabling_switch_held(self) -> bool:
-        """Whether the person holds the enabling switch, which lets the arm move slowly while they are near."""
+        """Whether the person holds the hold-to-run switch, which lets the arm move slowly while they are near."""
 
     def readings_certain(self) -> bool:
         """Whether both readings are known, and not assumed for want of data or of time to settle.

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
@@ -41,7 +44,11 @@ def read_yaml(path: Path, what: str) -> Any:
     """
     try:
         return yaml.load(path.read_text(), _UniqueKeys)  # a SafeLoader
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except FileNotFoundError:
+        raise ConfigError(f"there is no {what} {path}", code="config.unreadable") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"the {what} {path} is no text: give a YAML file", code="config.unreadable") from None
+    except (OSError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read the {what} {path}: {error}", code="config.unreadable") from error
 
 
@@ -80,5 +87,38 @@ def to_record(data: Any, path: Path, kind: type[T], what: str) -> T:
     try:
         return TypeAdapter(kind).validate_python(data)
     except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
+        lines = [f"  {_said(kind, e['loc'], e)}" for e in error.errors()]
         raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(lines), code="config.invalid") from error
+
+
+def _said(kind: type[Any], loc: Sequence[int | str], error: Any) -> str:
+    """An error of pydantic in words for the person who wrote the file."""
+    match error["type"]:
+        case "missing":
+            text = "is missing"
+        case "unexpected_keyword_argument":
+            near = difflib.get_close_matches(str(loc[-1]), _names_at(kind, loc[:-1]), 1)
+            text = "there is no such field" + (f": did you mean {near[0]}?" if near else "")
+        case "string_type":
+            text = f"a text is needed, {error['input']!r} is none: put it in quotes"
+        case "float_parsing" | "int_parsing":
+            text = f"a number is needed, {error['input']!r} is none: digits, a point for decimals, no unit"
+        case "dataclass_type":
+            text = "fields with their values are needed, such as `name: value`"
+        case "value_error":
+            text = str(error["ctx"]["error"])
+        case _:
+            text = error["msg"]
+    name = ".".join(map(str, loc))
+    return f"{name}: {text}" if name else text
+
+
+def _names_at(kind: Any, loc: Sequence[int | str]) -> list[str]:
+    """Names of the fields of the record at a place in another."""
+    for step in loc:
+        hint = get_type_hints(kind).get(step) if is_dataclass(kind) and isinstance(step, str) else None
+        inner = [part for part in (hint, *get_args(hint)) if is_dataclass(part)]
+        if not inner:
+            return []
+        kind = inner[0]
+    return [field.name for field in fields(kind)] if is_dataclass(kind) else []

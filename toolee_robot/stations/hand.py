@@ -6,6 +6,7 @@ with open_hand(load_lab_station(Path("lab.yaml")).hand, HostClock()) as hand:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -176,6 +177,9 @@ def _kind(config: HandConfig) -> WiredHandKind:
             raise ConfigError(message, code="config.hand_port")
         if is_tcp(config.port):
             tcp_address(config.port)
+    elif config.port is not None and kind.scheme is not None and re.fullmatch(r"[\w.-]+:\d+", config.port):
+        message = f"hand.port {config.port!r} is no serial port: write {kind.scheme}://{config.port}"
+        raise ConfigError(message, code="config.hand_port")
     return kind
 
 

@@ -19,6 +19,7 @@ from toolee_robot.config import (
     HandConfig,
     PersonConfig,
     SceneConfig,
+    StationConfig,
     ToolData,
     WorkConfig,
 )
@@ -86,7 +87,9 @@ class Question:
             if numbers := _count(self.hint):
                 value = tuple(float(part) for part in parts)
                 if len(value) != numbers:
-                    raise UserError(f"{numbers} numbers are needed, {len(value)} were given", code="user.answer")
+                    commas = "; a comma parts numbers, decimals have a point" if "," in answer else ""
+                    text = f"{numbers} numbers are needed, {len(value)} were given{commas}"
+                    raise UserError(text, code="user.answer")
             elif not self.choices and "str" not in hint:
                 value = float(answer)
                 value = int(value) if value.is_integer() else value
@@ -133,6 +136,39 @@ def put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
     for section in sections:
         data = data.setdefault(section, {})
     data[name] = value
+
+
+def contradiction(data: dict[str, Any], section: str) -> str:
+    """Tell what in a section cannot be together, or is no such thing at all.
+
+    Args:
+        data: What the file says so far.
+        section: The section that was answered last.
+
+    Returns:
+        What is wrong, of the records of which every field is there; empty for nothing.
+    """
+    probe = {name: value for name, value in data.items() if name not in ("frame", "calibration")}
+    try:
+        TypeAdapter(StationConfig).validate_python(probe)
+    except ValidationError as error:
+        return "; ".join(
+            str(e["ctx"]["error"]) for e in error.errors() if e["type"] == "value_error" and e["loc"][:1] == (section,)
+        )
+    return ""
+
+
+def take(data: dict[str, Any], path: tuple[str, ...]) -> None:
+    """Take an answer back.
+
+    Args:
+        data: What the file says so far; changed.
+        path: Sections and name.
+    """
+    *sections, name = path
+    for section in sections:
+        data = data[section]
+    del data[name]
 
 
 def _given(data: Any, path: tuple[str, ...]) -> bool:

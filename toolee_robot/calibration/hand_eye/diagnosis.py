@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.hand_eye.closed_form import closed_forms
 from toolee_robot.calibration.hand_eye.refinement import Refined
+from toolee_robot.calibration.record import ELSEWHERE
 from toolee_robot.errors import UserError
 from toolee_robot.frames import HALF_TURN, Array, inverse, is_rigid, transform
 from toolee_robot.types import CameraIntrinsics
@@ -22,8 +23,6 @@ SCALE = 0.004
 """Deviation of the board's scale that the touchdown of a ruler explains."""
 SIGMAS = 4.0
 """Standard deviations by which the scale must deviate to be believed."""
-ELSEWHERE = 0.3
-"""Distance from where a person has measured the camera above which one of the two is wrong [m]."""
 LARGEST_REACH = 3.0
 """Distance of a flange from the base above which its unit is not the metre [m]."""
 _BETTER = 0.2
@@ -136,8 +135,8 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
     if turned <= ELSEWHERE:
         raise UserError(
             f"the camera comes out at {_text(place)} m, and the station file has it at {_text(expected)} m: half a "
-            "turn about the base's z. The arm's poses are in the pendant's Base: say so with `frame: pendant_base`. If "
-            "they are not, the station file's camera is",
+            "turn about the base's z. Either poses of the flange are in the pendant's Base: say so in their file with "
+            "`frame: pendant_base` (joint angles have no frame). Or the station file's `frame` names the other base",
             code="user.calibration_half_turn",
         )
     raise UserError(
@@ -166,8 +165,8 @@ def check_depths(depths: Array, expected: Array) -> None:
         return
     if ratio > 100.0 or ratio < 0.02:
         raise UserError(
-            f"the depth at the board is {ratio:.3g} times what the colour image says: it is not in metres; multiply it "
-            "by the camera's depth scale",
+            f"the depth at the board is {ratio:.3g} times what the colour image says: it is not in metres: "
+            "depth_unit, the length of one step of the depth images, is wrong, such as 0.001 for millimetres",
             code="user.calibration_depth_unit",
         )
     raise UserError(

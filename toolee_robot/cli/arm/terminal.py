@@ -15,7 +15,7 @@ from toolee_robot.errors import PersonNearError, UserError
 
 
 class TerminalPerson:
-    """A `hal.Person` at the terminal: the enabling switch counts as held from a confirmation until any key is pressed.
+    """A `hal.Person` at the terminal: the switch counts as held from a confirmation until any key is pressed.
 
     A terminal is no enabling switch. Nothing here notices that the person has gone, and a key takes part in no safety
     function: the person needs the robot's own emergency stop in the hand. The person counts as within reach, so that
@@ -55,7 +55,7 @@ class TerminalPerson:
 
     @contextmanager
     def attending(self) -> Iterator[None]:
-        """Context of what was confirmed: the enabling switch counts as held until a key is pressed."""
+        """Context of what was confirmed: the hold-to-run switch counts as held until a key is pressed."""
         if self._absent:
             self._enabled = True
             try:

@@ -29,8 +29,10 @@ class Check:
 
     def run(self) -> int:
         config = load_lab_station(self.file)
+        from toolee_robot.robots import hand_model
         from toolee_robot.stations.lab import check_purpose
 
         check_purpose(config)
+        hand_model(config.hand)
         Console(stderr=self.json, highlight=False).print("Nothing is missing in the file. Whether it is right:")
         return Doctor(config=self.file, json=self.json).run()

@@ -11,12 +11,14 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.config.station import read_station
-from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.config.station import read_station, to_station
+from toolee_robot.errors import ConfigError, TooleeError, UserError
 
 if TYPE_CHECKING:
     from toolee_robot.stations.interview import Question
 
+BACK = "<"
+"""The answer that takes the one before back."""
 HEAD = "# Station file, docs/reference/station_file.md. Lengths in metres, angles in radians.\n"
 
 
@@ -26,7 +28,8 @@ class New:
 
     Example: toolee station new lab.yaml
 
-    Enter leaves a field open; called again, the open ones are asked. Nothing is lost by Ctrl-C. Nothing is moved.
+    Enter leaves a field open; called again, the open ones are asked. "<" takes the answer before back. Every answer is
+    written at once. Nothing is moved.
 
     Exit code 0: the file is complete but for the calibration; 1: fields are open; they are listed.
     """
@@ -43,9 +46,14 @@ class New:
             data = read_station(self.file)
             if not isinstance(data, dict):
                 raise UserError(f"{self.file} is no station file: give another name", code="user.not_a_station")
-        console.print("Enter leaves a field open. Lengths in metres, angles in radians, masses in kilograms.\n")
+        _write(self.file, data)  # before the questions: the place may be none
+        console.print(
+            'Enter leaves a field open, "<" takes the answer before back. Lengths in metres, angles in radians, masses '
+            "in kilograms; decimals with a point.\n",
+            soft_wrap=True,
+        )
         try:
-            _interview(data, console)
+            _interview(self.file, data, console)
         except (EOFError, KeyboardInterrupt):
             console.print()
         _write(self.file, data)
@@ -53,6 +61,11 @@ class New:
         console.print(f"Written to [bold]{escape(str(self.file))}[/bold].")
         if left:
             console.print(f"Still open: {', '.join(left)}. `toolee station new {self.file}` asks for them again.")
+            return 1
+        try:
+            to_station(data, self.file)
+        except ConfigError as error:
+            console.print(f"[yellow]{escape(str(error))}[/yellow]\nCorrect it in the file.")
             return 1
         console.print(
             f"Next: `toolee station show {self.file}`, then rehearse, which moves nothing: "
@@ -62,20 +75,25 @@ class New:
         return 0
 
 
-def _interview(data: dict[str, Any], console: Console) -> None:
-    from toolee_robot.stations.interview import put, questions
+def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
+    from toolee_robot.stations.interview import contradiction, put, questions, take
 
     skipped: set[str] = set()
+    answered: list[tuple[str, ...]] = []
     section, asked_camera = "", False
     while question := next((q for q in questions(data) if q.name not in skipped), None):
         if question.path[0] != section:
             section = question.path[0]
-            console.print(f"[bold]{section}[/bold]")
+            console.print(f"[bold]{section}[/bold]  [dim]{len(list(questions(data)))} fields to go[/dim]")
         if question.path[:1] == ("camera",) and question.path[-1] == "fx" and not asked_camera:
             asked_camera = True
             if _told_by_the_camera(data, console):
                 continue
         answer = _ask(question, console)
+        if answer == BACK:
+            if answered:
+                take(data, answered.pop())
+            continue
         if not answer:
             skipped.add(question.name)
             continue
@@ -83,6 +101,14 @@ def _interview(data: dict[str, Any], console: Console) -> None:
             put(data, question.path, question.parse(answer))
         except UserError as error:
             console.print(f"  [yellow]{escape(str(error))}[/yellow]")
+            continue
+        whole = all(q.path[0] != section for q in questions(data))
+        if whole and (wrong := contradiction(data, section)):
+            take(data, question.path)
+            console.print(f'  [yellow]{escape(wrong)}[/yellow]; "<" leads to the answer before', soft_wrap=True)
+            continue
+        answered.append(question.path)
+        _write(file, data)
 
 
 def _ask(question: Question, console: Console) -> str:

@@ -20,7 +20,7 @@ class People:
         confirms: Answer to `confirm_swing`.
         inspects: Answer to `confirm_inspection`.
         is_inside: Whether the person is within the arm's reach although nothing asks them to be there.
-        holds_switch: Whether the person takes the enabling switch when asked to.
+        holds_switch: Whether the person takes the hold-to-run switch when asked to.
         on_release: Called at `release`.
         asked: The questions so far.
     """

@@ -87,7 +87,8 @@ def check(report: UrReport, expected: UrExpected) -> list[Finding]:
     state, quality = report.state, report.quality
     if state is None:
         why = "; ".join(p for p in report.problems if p.startswith("RTDE")) or "no data came"
-        return [*findings, fail("RTDE", why, f"check that port {RTDE_PORT} is open on the robot (Settings, Security)")]
+        hint = f"check that nothing blocks port {RTDE_PORT}; an e-Series enables it under Settings, Security"
+        return [*findings, fail("RTDE", why, hint)]
     offset = np.zeros(6) if state.tcp_offset is None else state.tcp_offset
     if not all(np.all(np.abs(v) < IMPLAUSIBLE) for v in (state.q, state.qd, state.tcp_pose, offset)):
         return [*findings, fail("RTDE", "joints or TCP are not finite, or implausible", "restart the controller")]

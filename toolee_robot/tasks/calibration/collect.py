@@ -26,7 +26,7 @@ SETTLING = 0.4
 """Time for which the arm stands still before an image is taken [s]."""
 STILL = 1e-3
 """Turn of a joint between before and after the image up to which the arm stood still [rad]."""
-HOLD_SWITCH = "Release the enabling switch, then hold it: the arm moves slowly to the next view of the board."
+HOLD_SWITCH = "Release the hold-to-run switch, then hold it: the arm moves slowly to the next view of the board."
 """Prompt before every motion."""
 
 
@@ -84,7 +84,7 @@ class Collector:
             The images, as they are taken.
 
         Raises:
-            PersonNearError: The enabling switch was not taken, or was released.
+            PersonNearError: The hold-to-run switch was not taken, or was released.
             DeviceError: The arm was stopped, or a device does not answer.
         """
         self.arm.set_payload(self._robot.description.hand_payload(self._robot.description.hand_open))
@@ -103,7 +103,7 @@ class Collector:
         way = slowed_to(way, self._world, Mode.HANDOVER.speed(self._config.supervisor))
         if not self._station.person.hold_switch(HOLD_SWITCH, self._config.task.handover_timeout):
             raise PersonNearError(
-                "the enabling switch was not taken: no motion; release it, then hold it",
+                "the hold-to-run switch was not taken: no motion; release it, then hold it",
                 code="person_near.switch_not_taken",
             )
         report = self.arm.execute(way)

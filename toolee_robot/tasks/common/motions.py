@@ -39,7 +39,7 @@ READINGS_PATIENCE = 1.0
 no person, and would end a job."""
 RETREAT, RETREAT_SPEED = 0.20, 0.15
 """Length [m] and speed [m/s] of the retreat after the tool has dropped."""
-HOLD_SWITCH = "Release the enabling switch, then hold it: the arm moves slowly."
+HOLD_SWITCH = "Release the hold-to-run switch, then hold it: the arm moves slowly."
 """Prompt before every motion in HANDOVER mode."""
 
 
@@ -130,7 +130,7 @@ class Motions:
     ) -> MotionReport:
         """Execute a trajectory; the arm brakes at once when the hand doubts its grip or reports a fault.
 
-        In HANDOVER mode the person first takes the enabling switch anew.
+        In HANDOVER mode the person first takes the hold-to-run switch anew.
 
         Args:
             name: Name of the motion in the recording and in messages.
@@ -144,7 +144,7 @@ class Motions:
         Raises:
             GripError: The tool was lost before or during the motion.
             GripDoubtError: The hand doubted its grip during the motion, and holds the tool after all.
-            PersonNearError: The person did not take the enabling switch, or a person is where they must not be.
+            PersonNearError: The person did not take the hold-to-run switch, or a person is where they must not be.
             DeviceError: The hand reports a fault or does not answer, or the arm was stopped.
             TooleeError: What `Supervisor.execute` raises.
         """
@@ -221,7 +221,7 @@ class Motions:
     def retreat(self) -> bool:
         """After the tool has dropped, move slowly up and away from the person's place, else up, else not at all.
 
-        For a person who has asked for it: the arm is in HANDOVER mode, and they hold the enabling switch.
+        For a person who has asked for it: the arm is in HANDOVER mode, and they hold the hold-to-run switch.
 
         Returns:
             Whether the arm has moved away.
@@ -301,7 +301,7 @@ class Motions:
             HOLD_SWITCH, self._config.task.handover_timeout
         ):
             raise PersonNearError(
-                f"the enabling switch was not taken anew before {name!r}: no motion; release it, then hold it, and "
+                f"the hold-to-run switch was not taken anew before {name!r}: no motion; release it, then hold it, and "
                 "look for a stuck switch",
                 code="person_near.switch_not_taken",
             )

@@ -13,8 +13,8 @@ PERIOD = 0.05
 MISSING = {
     ("zone", True): "nobody was ever seen within reach, although a tool was handed over there",
     ("zone", False): "the zone was never seen empty",
-    ("switch", True): "the enabling switch was never seen held",
-    ("switch", False): "the enabling switch was never seen released",
+    ("switch", True): "the hold-to-run switch was never seen held",
+    ("switch", False): "the hold-to-run switch was never seen released",
 }
 """What an input has not shown yet, by the input and the reading that is missing."""
 
@@ -23,7 +23,7 @@ class PersonProof:
     """A `hal.Person` around another one, which reports an empty zone only once both inputs have been seen to change.
 
     A door contact that is bridged, a plug that was pulled and a driver that always answers `False` look like an empty
-    zone. A handover makes every input change: somebody is within reach and then not, and the enabling switch is
+    zone. A handover makes every input change: somebody is within reach and then not, and the hold-to-run switch is
     released and then held. Until each of the four readings was seen, `zone_occupied` refuses to answer "no", and with
     it the supervisor UNATTENDED mode. Simulated persons are no exception.
 

@@ -266,7 +266,7 @@ class HammeringTask:
         """Once a person has looked, and asked for it, move the arm away from where the tool may lie."""
         prompt = (
             "The hand reports that it has lost the hammer; the arm stands still. Look for it. Confirm, and the arm "
-            "moves up and away slowly while you hold the enabling switch."
+            "moves up and away slowly while you hold the hold-to-run switch."
         )
         if not self._motions.person.confirm_inspection(prompt, self._config.task.handover_timeout):
             return f"nobody confirmed that the arm may move away: {PUT_AWAY}"
