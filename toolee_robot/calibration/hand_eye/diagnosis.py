@@ -134,13 +134,14 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
     turned = float(np.linalg.norm((HALF_TURN @ X_base_camera)[:3, 3] - expected))
     if turned <= ELSEWHERE:
         raise UserError(
-            f"the camera comes out at {_text(place)} m, and the station file has it at {_text(expected)} m: half a "
-            "turn about the base's z. Either poses of the flange are in the pendant's Base: say so in their file with "
-            "`frame: pendant_base` (joint angles have no frame). Or the station file's `frame` names the other base",
+            f"the camera comes out at {_text(place)} m in base_link, and the station file has it at {_text(expected)} "
+            "m: half a turn about the base's z. Either poses of the flange are in the pendant's Base: say so in their "
+            "file with `frame: pendant_base` (joint angles have no frame). Or the station file's `frame` names the "
+            "other base",
             code="user.calibration_half_turn",
         )
     raise UserError(
-        f"the camera comes out at {_text(place)} m, {off:.2f} m from where the station file has it, {_text(expected)} "
+        f"the camera comes out at {_text(place)} m in base_link, {off:.2f} m from the station file's {_text(expected)} "
         "m: measure that again, look for another station's poses, or for the board on another robot",
         code="user.calibration_place",
     )

@@ -89,7 +89,7 @@ def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
             asked_camera = True
             if _told_by_the_camera(data, console):
                 continue
-        answer = _ask(question, console)
+        answer = _ask(question, str(data.get("frame", "base")), console)
         if answer == BACK:
             if answered:
                 take(data, answered.pop())
@@ -111,10 +111,11 @@ def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
         _write(file, data)
 
 
-def _ask(question: Question, console: Console) -> str:
+def _ask(question: Question, frame: str, console: Console) -> str:
     more = f" [dim]({question.form})[/dim]" if question.form else ""
     none = " [dim](or: none)[/dim]" if question.optional else ""
-    console.print(f"  [cyan]{question.name}[/cyan]  {escape(question.text)}{more}{none}", soft_wrap=True)
+    text = question.text.replace("in `base`", f"in {frame}")
+    console.print(f"  [cyan]{question.name}[/cyan]  {escape(text)}{more}{none}", soft_wrap=True)
     if not sys.stdin.isatty():  # no echo: show what was read
         line = sys.stdin.readline()
         if not line:

@@ -26,7 +26,7 @@ SETTLING = 0.4
 """Time for which the arm stands still before an image is taken [s]."""
 STILL = 1e-3
 """Turn of a joint between before and after the image up to which the arm stood still [rad]."""
-HOLD_SWITCH = "Release the hold-to-run switch, then hold it: the arm moves slowly to the next view of the board."
+HOLD_SWITCH = "Release the hold-to-run switch, then hold it: the arm moves slowly to {}."
 """Prompt before every motion."""
 
 
@@ -89,7 +89,7 @@ class Collector:
         """
         self.arm.set_payload(self._robot.description.hand_payload(self._robot.description.hand_open))
         for number, q in enumerate(poses, 1):
-            if self._move(q, f"pose {number}"):
+            if self._move(q, f"pose {number} of {len(poses)}"):
                 yield self._take(number)
         self._move(np.array(self._config.scene.home), "home")
 
@@ -101,7 +101,7 @@ class Collector:
             self._skipped(f"{name} is left out: {error}")
             return False
         way = slowed_to(way, self._world, Mode.HANDOVER.speed(self._config.supervisor))
-        if not self._station.person.hold_switch(HOLD_SWITCH, self._config.task.handover_timeout):
+        if not self._station.person.hold_switch(HOLD_SWITCH.format(name), self._config.task.handover_timeout):
             raise PersonNearError(
                 "the hold-to-run switch was not taken: no motion; release it, then hold it",
                 code="person_near.switch_not_taken",
