@@ -74,6 +74,14 @@ def test_an_answer_is_taken_back_and_one_that_contradicts_another_is_refused(tmp
     assert second.returncode == 1
 
 
+def test_a_file_to_which_nothing_is_added_stays_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_bytes(LAB.read_bytes())
+    told = _new(path, [])
+    assert told.returncode == 0, told.stdout
+    assert path.read_bytes() == LAB.read_bytes(), "its comments, too"
+
+
 def test_an_interview_says_at_once_where_it_cannot_write(tmp_path: Path) -> None:
     told = _new(tmp_path / "nowhere" / "lab.yaml", ["base_link"])
     assert told.returncode == 2
@@ -108,6 +116,7 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
         (["calibrate", "camera", "--station", str(LAB)], "measure the two scale bars"),
         (["calibrate", "camera", "--station", str(LAB), "--bars-mm", "360", "257"], "--plate-distance"),
         (["calibrate", "camera", "--write"], "--write needs --station"),
+        (["calibrate", "nail", "--camera", "--station", str(LAB), "--rehearse", "--write"], "leave --write out"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(

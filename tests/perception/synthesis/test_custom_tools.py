@@ -199,7 +199,7 @@ def ee(**change: Any) -> dict[str, Any]:
         ({"scale": 1}, "with scale 1 the tool is 269 m long; scale: 0.001 would make it 0.27 m"),
         ({"scale": -1}, "scale: Input should be greater than 0"),
         ({"ees": []}, "ees: Tuple should have at least 1 item"),
-        ({"mass": 0.3}, "mass: Unexpected keyword"),
+        ({"mass": 0.3}, "mass: there is no such field"),
         ({"mesh": "none.stl"}, "cannot read the mesh"),
         ({"mesh": "tool.yaml"}, "cannot read the mesh"),
         (ee(category="spoon"), "ees.0.category: Input should be 'hammer_head'"),

@@ -66,7 +66,7 @@ class Nail:
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
     """With --rehearse: rate of the station's time relative to wall-clock time."""
     write: Flag = False
-    """Enter the place in the station file of --station or --config; the rest of it stays."""
+    """Enter the place in the station file of --station or --config; the rest of it stays. Not of a simulated nail."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -144,6 +144,11 @@ class Nail:
             )
         if self.write and (self.station or self.config) is None:
             raise UserError("--write needs --station or --config: the file to write to", code="user.option")
+        if self.write and self.camera and not real:
+            raise UserError(
+                "--write with a simulated camera: a simulated nail would take the place of yours; leave --write out",
+                code="user.option",
+            )
         if self.thickness_mm is not None and not 0.0 <= self.thickness_mm <= 50.0:
             raise UserError(f"--thickness-mm {self.thickness_mm}: give 0 to 50", code="user.option")
         if not (0.01 <= self.placing_mm <= 10.0 and 0.01 <= self.touch_mm <= 10.0) or self.seed < 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +47,9 @@ class New:
             data = read_station(self.file)
             if not isinstance(data, dict):
                 raise UserError(f"{self.file} is no station file: give another name", code="user.not_a_station")
-        _write(self.file, data)  # before the questions: the place may be none
+        else:
+            _write(self.file, data)  # before the questions: the place may be none
+        before = copy.deepcopy(data)
         console.print(
             'Enter leaves a field open, "<" takes the answer before back. Lengths in metres, angles in radians, masses '
             "in kilograms; decimals with a point.\n",
@@ -56,9 +59,13 @@ class New:
             _interview(self.file, data, console)
         except (EOFError, KeyboardInterrupt):
             console.print()
-        _write(self.file, data)
+        name = f"[bold]{escape(str(self.file))}[/bold]"
+        if data != before:  # else its comments stay
+            _write(self.file, data)
+            console.print(f"Written to {name}.")
+        else:
+            console.print(f"Nothing new for {name}.")
         left = [question.name for question in questions(data)]
-        console.print(f"Written to [bold]{escape(str(self.file))}[/bold].")
         if left:
             console.print(f"Still open: {', '.join(left)}. `toolee station new {self.file}` asks for them again.")
             return 1
