@@ -134,6 +134,30 @@ def test_a_nail_that_no_strike_was_felt_to_meet_is_not_called_flush(
     assert nail.protrusion > config.task.flush_protrusion
 
 
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_nail_that_a_noisy_force_tells_to_be_flush_is_struck_once_more(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, noisy: bool
+) -> None:
+    nail, work = bench.sim.world.nail, replace(CONFIG.work, nail_protrusion=0.004)
+    pb.resetJointState(nail.body, SLIDE, nail.protrusion - 0.004, physicsClientId=bench.sim.world.client)
+    config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=12), work=work)
+    measure = NailGauge.measure
+
+    def too_high(gauge: NailGauge, expected: float, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED) -> float:
+        return max(measure(gauge, expected, strikes, missed), 0.0004)
+
+    monkeypatch.setattr(NailGauge, "measure", too_high)
+    monkeypatch.setattr(NailGauge, "noisy", property(lambda _: noisy))
+    result = bench.blind_task(Log(), config).run()
+    assert result.outcome is Outcome.FLUSH, result.reason
+    *_, before, last = result.strikes
+    if noisy:
+        assert (before.protrusion, last.protrusion) == (0.0004, None)
+        assert "before the last strike" in result.reason
+    else:
+        assert last.protrusion == 0.0004
+
+
 class FarSighted(PerfectPerception):
     """Sees the face too far out along its normal, by the same in every look: as a camera that stands elsewhere does."""
 

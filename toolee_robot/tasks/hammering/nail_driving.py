@@ -121,15 +121,19 @@ class NailDriving:
         self._begin()
         stalled = flush = missed = 0
         progress = np.inf
-        doubted = False
+        doubted = home = False
         while True:
             height = forecast.height
             # Another strike confirms it: after slip a measurement is accurate only to half a millimetre.
             flush = flush + 1 if height <= task.flush_protrusion and not forecast.unmeasured else 0
             sure = forecast.finished and height <= SURELY_FLUSH * task.flush_protrusion
-            if flush > 2 or (flush and sure) or (flush == 2 and progress < CONFIRMED):
+            done = flush > 2 or (flush and sure) or (flush == 2 and progress < CONFIRMED)
+            out_of_strikes = len(self.strikes) >= task.max_strikes
+            # Where touches are good for half a millimetre, so much may be left: one more strike, not measured.
+            if done and (home or out_of_strikes or not self._gauge.noisy or height <= 0.0):
                 return self._flush(f"the head stands {height * 1e3:.1f} mm over the wood")
-            if len(self.strikes) >= task.max_strikes:
+            home = done
+            if out_of_strikes:
                 end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
                 return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if flush else end
             self._check_load()
@@ -140,8 +144,11 @@ class NailDriving:
             before, measured = height, None
             missed += 1
             with self._check_missed(missed):
-                measured = self._strike_nail(plan, before)
+                measured = self._strike_nail(plan, before, home=home)
                 missed = 0
+            home = home and not missed
+            if home and measured is None:
+                return self._flush(f"the head stood {before * 1e3:.1f} mm over the wood before the last strike")
             if not missed:
                 self._motions.X_hand_ee = self._holding.struck(self._motions.X_hand_ee)
             if missed or measured is None:
@@ -210,10 +217,15 @@ class NailDriving:
             self._motions.X_hand_ee = self._motions.X_hand_ee @ transform(p=[0.0, 0.0, self._seen_too_near])
         self._strikes_seen = len(self.strikes)
 
-    def _strike_nail(self, plan: StrikePlan, before: float) -> float | None:
+    def _strike_nail(self, plan: StrikePlan, before: float, *, home: bool = False) -> float | None:
         """Strike a nail that protrudes by `before` [m], as far as is known.
 
         The strike is recorded in every case.
+
+        Args:
+            plan: The strike.
+            before: Protrusion before it [m].
+            home: Whether it is the last one, of a nail that was measured to be flush.
 
         Returns:
             The protrusion measured after it [m]; None where the forecast is good enough.
@@ -226,7 +238,7 @@ class NailDriving:
             met = verdict.meeting is Meeting.EXPECTED
             load = self._striking.load(report)
             last = len(self.strikes) + 1 >= self._config.task.max_strikes or bool(load.excess(self._config.strike))
-            measure = self._forecast.struck(verdict, plan.speed) or last if met else True
+            measure = (self._forecast.struck(verdict, plan.speed) or last) and not home if met else True
             if verdict.meeting in (Meeting.LATE, Meeting.NONE):
                 self._forecast.unfelt(f"{verdict}: measuring whether the nail was hit")
             look_due = self._look_due(self.strikes_since_look + 1)

@@ -52,6 +52,11 @@ class NailGauge:
         self._reference = 0.0
         self._corrected: Array | None = None  # the face's place in the hand as the last measurement has left it
 
+    @property
+    def noisy(self) -> bool:
+        """Whether a measurement may be off by half a millimetre, see `Touch.noisy`."""
+        return self._touch.noisy
+
     def begin(self, plan: StrikePlan) -> None:
         """Touch a nail of known height, and the wood, to find the offset of the face along its normal.
 

@@ -59,6 +59,11 @@ class Touch:
         self._settings: TouchSettings | None = None
         self._stiffnesses: list[float] = []  # that releases have told [N/m]
 
+    @property
+    def noisy(self) -> bool:
+        """Whether the force is so noisy that a touch tells a height to some tenths of a millimetre only."""
+        return self._settings is not None and self._settings.release is not None
+
     def prepare(self) -> bool:
         """Zero the force at rest, before a touch, unless it still is zero; the first time, measure its noise.
 
