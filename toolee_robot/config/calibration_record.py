@@ -73,14 +73,15 @@ def check_record(
     if not record.intrinsics.agrees(intrinsics):
         raise ConfigError(
             f"{path}: the calibration is of a camera with {_differing(record.intrinsics, intrinsics)}: the camera's "
-            "pose holds with its own intrinsics only; enter those, or calibrate again",
+            "pose holds with its own intrinsics only; enter those, or take `calibration` out of the file and calibrate "
+            "again",
             code="config.calibration_intrinsics",
         )
     computed = any(pose.q is not None for pose in record.poses)
     if computed and record.kinematics != kinematics:
         raise ConfigError(
-            f"{path}: the calibration was made with another arm.calibration than the file's: calibrate again, or "
-            "restore the arm's",
+            f"{path}: the calibration was made with another arm.calibration than the file's: restore the arm's, or "
+            "take `calibration` out of the file and calibrate again",
             code="config.calibration_kinematics",
         )
 
@@ -112,7 +113,8 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], frame: Bas
         )
     raise ConfigError(
         f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from camera.position, {typed} "
-        "m: measure that again (x, y, z in this order), or calibrate again if the camera was moved",
+        "m: measure that again (x, y, z in this order); if the camera was moved, take `calibration` out of the file "
+        "and calibrate again",
         code="config.calibration_place",
     )
 
