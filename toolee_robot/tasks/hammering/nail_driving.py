@@ -26,6 +26,9 @@ from toolee_robot.types import Payload
 SURELY_FLUSH = 0.5
 """Share of `flush_protrusion` up to which one measurement is enough, after a strike at a nail that was flush before it
 by forecast; more needs another strike, since after slip a measurement is accurate to half a millimetre."""
+SURE_IN_NOISE = 0.3
+"""The same share where touches are noisy, and good for half a millimetre. Over it one more strike follows; under it
+none, because a strike on a flush nail is the hardest that an arm gets."""
 FLUSH_WHEN_STALLED = 0.0015
 """Protrusion up to which a nail that no longer moves counts as flush [m]; after slip a measurement is accurate to half
 a millimetre."""
@@ -129,8 +132,8 @@ class NailDriving:
             sure = forecast.finished and height <= SURELY_FLUSH * task.flush_protrusion
             done = flush > 2 or (flush and sure) or (flush == 2 and progress < CONFIRMED)
             out_of_strikes = len(self.strikes) >= task.max_strikes
-            # Where touches are good for half a millimetre, so much may be left: one more strike, not measured.
-            if done and (home or out_of_strikes or not self._gauge.noisy or height <= 0.0):
+            surely = not self._gauge.noisy or height <= SURE_IN_NOISE * task.flush_protrusion
+            if done and (surely or home or out_of_strikes):
                 return self._flush(f"the head stands {height * 1e3:.1f} mm over the wood")
             home = done
             if out_of_strikes:
