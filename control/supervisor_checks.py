@@ -142,7 +142,7 @@ def why_person_forbids(person: Person, mode: Mode) -> str:
         who = "somebody is" if certain else "somebody may be"
         reason = f"{who} within the arm's reach"
     else:
-        if person.enabling_switch_held():
+        if person.hold_to_run_held():
             return ""
         who = "the person at the station does not hold" if certain else "nobody is known to hold"
         reason = f"{who} the hold-to-run switch"

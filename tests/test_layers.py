@@ -80,7 +80,7 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
             "hold_switch",
             "readings_certain",
             "zone_occupied",
-            "enabling_switch_held",
+            "hold_to_run_held",
         },
         "Clock": {"now", "sleep"},
     }

@@ -6,18 +6,21 @@ image does not hold the pose.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.evaluation import metrics
+from toolee_robot.perception.evaluation.pose import GROUPS, by_category
 from toolee_robot.perception.evaluation.records import Case, Instance
 
 SAMPLES = 20_000
@@ -49,21 +52,43 @@ class Surface:
     tree: KDTree
 
 
-@dataclass(frozen=True)
-class Fit:
-    """Result for one end effector.
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """One row per end effector, N in all; without a cloud the errors are infinite.
 
     Attributes:
-        category: Its category.
-        held_out: Whether training never showed the tool.
-        angle: Rotation error modulo the symmetry group; infinite without a cloud [rad].
-        position: Position error; infinite likewise [m].
+        category: Index of its category, (N,).
+        held_out: Whether training never showed the tool, (N,) bool.
+        angle: Rotation error modulo the symmetry group, (N,) [rad].
+        position: Position error, (N,) [m].
     """
 
-    category: Category
-    held_out: bool
-    angle: float
-    position: float
+    category: NDArray[np.int64]
+    held_out: NDArray[np.bool_]
+    angle: Array
+    position: Array
+
+    @classmethod
+    def of(cls, instances: Sequence[Instance], errors: Sequence[tuple[float, float]]) -> Fits:
+        """Join the fits of several end effectors.
+
+        Args:
+            instances: The end effectors.
+            errors: Of each what `errors_of` gave [rad], [m].
+
+        Returns:
+            The fits.
+        """
+        angle, position = np.array(errors).reshape(-1, 2).T
+        category = np.array([CATEGORIES.index(i.category) for i in instances], int)
+        return cls(category, np.array([i.held_out for i in instances], bool), angle, position)
+
+    def __len__(self) -> int:
+        return len(self.category)
+
+    def rows(self, chosen: NDArray[np.bool_]) -> Fits:
+        """The rows of a mask (N,) bool."""
+        return Fits(self.category[chosen], self.held_out[chosen], self.angle[chosen], self.position[chosen])
 
 
 def fit_exact_shape(points: Array, surface: Surface, X_camera_ee: Array) -> Array:
@@ -97,7 +122,7 @@ def fit_exact_shape(points: Array, surface: Surface, X_camera_ee: Array) -> Arra
     return inverse(X_ee_camera)
 
 
-def fit_of(instance: Instance, case: Case | None) -> Fit:
+def errors_of(instance: Instance, case: Case | None) -> tuple[float, float]:
     """Fit the exact shape to the cloud of an end effector and of the rest of its tool, from the true pose.
 
     Args:
@@ -105,36 +130,38 @@ def fit_of(instance: Instance, case: Case | None) -> Fit:
         case: Its true mask with the cloud; None: it has none.
 
     Returns:
-        The errors of the fit.
+        Rotation error modulo the symmetry group [rad] and position error [m] of the fit; infinite without a cloud.
     """
     if case is None or not case.cloud.usable:
-        return Fit(instance.category, instance.held_out, float("inf"), float("inf"))
+        return float("inf"), float("inf")
     surface = _surface(instance.catalogue, instance.tool, instance.ee)
     points = np.concatenate([case.cloud.points, case.cloud.rest])
     X, X_true = fit_exact_shape(points, surface, instance.X_camera_ee), instance.X_camera_ee
     angle = instance.category.symmetry.rotation_error(X[:3, :3], X_true[:3, :3])
-    return Fit(instance.category, instance.held_out, float(angle), float(np.linalg.norm(X[:3, 3] - X_true[:3, 3])))
+    return float(angle), float(np.linalg.norm(X[:3, 3] - X_true[:3, 3]))
 
 
-def table(fits: list[Fit]) -> dict[str, dict[str, Any]]:
-    """Accuracy of the fits, by category.
+def tables(fits: Fits) -> dict[str, Any]:
+    """Accuracy of the fits, for held-out and for seen instances, by category.
 
     Args:
         fits: The fits.
 
     Returns:
-        The shares under each of `metrics.THRESHOLDS` and the medians of each category that occurs, and as "average" the
-        mean over the categories.
+        For each group that occurs the shares under each of `metrics.THRESHOLDS`, and the medians of those with a
+        cloud.
     """
-    rows = {}
-    for category in CATEGORIES:
-        angle, position = np.array([(f.angle, f.position) for f in fits if f.category is category]).reshape(-1, 2).T
-        if len(angle):
-            medians = {"median_mm": 1e3 * float(np.median(position)), "median_deg": np.rad2deg(float(np.median(angle)))}
-            rows[category.value] = {"instances": len(angle), **metrics.shares(angle, position), **medians}
-    keys = [key for key in next(iter(rows.values()), {}) if key != "instances"]
-    average = {key: float(np.mean([row[key] for row in rows.values()])) for key in keys}
-    return {**rows, "average": {"instances": len(fits), **average}} if rows else {}
+    parts = zip(GROUPS, (fits.rows(fits.held_out), fits.rows(~fits.held_out)), strict=True)
+    return {group: by_category(part, _row) for group, part in parts if len(part)}
+
+
+def _row(fits: Fits) -> dict[str, Any]:
+    made = np.isfinite(fits.position)
+    return {
+        **metrics.shares(fits.angle, fits.position),
+        "median_mm": metrics.quantiles(1e3 * fits.position[made])["median"],
+        "median_deg": metrics.quantiles(np.rad2deg(fits.angle[made]))["median"],
+    }
 
 
 @lru_cache(maxsize=64)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,23 +40,39 @@ def tables(estimates: Estimates) -> dict[str, Any]:
     return result
 
 
-def by_category(estimates: Estimates, row: Any) -> dict[str, dict[str, Any]]:
+class Results(Protocol):
+    """One row per instance."""
+
+    @property
+    def category(self) -> NDArray[np.int64]:
+        """Index of the category, (N,)."""
+
+    def __len__(self) -> int: ...
+
+    def rows(self, chosen: NDArray[np.bool_]) -> Self:
+        """The rows of a mask (N,) bool."""
+
+
+R = TypeVar("R", bound=Results)
+
+
+def by_category(results: R, row: Callable[[R], dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """A table by category.
 
     Args:
-        estimates: All estimates.
-        row: Makes the row of a category of its estimates.
+        results: All results, such as `Estimates`.
+        row: Makes the row of a category of its results.
 
     Returns:
         The row of each category that occurs, and as "average" the mean over the categories.
     """
     table = {}
     for i, category in enumerate(CATEGORIES):
-        part = estimates.rows(estimates.category == i)
+        part = results.rows(results.category == i)
         if len(part):
             table[category.value] = {"instances": len(part), **row(part)}
     rows = list(table.values())
-    average: dict[str, Any] = {"instances": len(estimates)}
+    average: dict[str, Any] = {"instances": len(results)}
     for key in (k for k in rows[0] if k != "instances") if rows else ():
         known = [r[key] for r in rows if r[key] is not None and np.isfinite(r[key])]
         average[key] = float(np.mean(known)) if known else None

@@ -171,11 +171,9 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
             report["estimators"][label] = record
         if plan.exact_shape:
             best = examples.of("truth")
-            asked_of = [(i, best.get(k)) for k, i in enumerate(examples.instances) if i.target]
-            found_fits = processes.map(_fit, asked_of)
-            fits = list(_counted(found_fits, partial(progress, "exact shapes"), len(asked_of)))
-            groups = {"held-out": [f for f in fits if f.held_out], "seen": [f for f in fits if not f.held_out]}
-            report["exact_shape"] = {group: exact_shape.table(some) for group, some in groups.items() if some}
+            targets = [(i, best.get(k)) for k, i in enumerate(examples.instances) if i.target]
+            errors = _counted(processes.map(_fit, targets), partial(progress, "exact shapes"), len(targets))
+            report["exact_shape"] = exact_shape.tables(exact_shape.Fits.of([i for i, _ in targets], list(errors)))
         if plan.sampler_clouds:
             first = next(iter(networks.estimators.values()))
             report["samplers"] = sampler_table(first, examples, plan.sampler_clouds, partial(progress, "samplers"))
@@ -198,8 +196,8 @@ def _answer(label: str, networks: Networks, question: Question) -> Answer:
     return answer(networks.estimators[label], networks.trust[label], question)
 
 
-def _fit(_networks: Networks, asked: tuple[Instance, Case | None]) -> exact_shape.Fit:
-    return exact_shape.fit_of(*asked)
+def _fit(_networks: Networks, asked: tuple[Instance, Case | None]) -> tuple[float, float]:
+    return exact_shape.errors_of(*asked)
 
 
 def _ranked_ap(

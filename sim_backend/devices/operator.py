@@ -141,7 +141,7 @@ class SimPerson:
         self._switch_taken = False
         self._world.advance(TICK)
         self._switch_taken = self.holds_switch
-        return self.enabling_switch_held()
+        return self.hold_to_run_held()
 
     def zone_occupied(self) -> bool:
         """Whether the person is nearer than half a step to their place at the arm."""
@@ -151,7 +151,7 @@ class SimPerson:
         """See `hal.Person`."""
         return True
 
-    def enabling_switch_held(self) -> bool:
+    def hold_to_run_held(self) -> bool:
         """Whether the person holds the hold-to-run switch."""
         return self.holds_switch and self._switch_taken
 

@@ -117,9 +117,9 @@ class RemotePerson:
         """See `hal.Person`."""
         return True
 
-    def enabling_switch_held(self) -> bool:
+    def hold_to_run_held(self) -> bool:
         """See `hal.Person`."""
-        return bool(self._world.call("person.enabling_switch_held"))
+        return bool(self._world.call("person.hold_to_run_held"))
 
 
 class RemoteJudge:

@@ -76,7 +76,7 @@ class WorldService:
             "fingers.follow": fingers.follow,
             "fingers.let_go": fingers.let_go,
             "person.zone_occupied": person.zone_occupied,
-            "person.enabling_switch_held": person.enabling_switch_held,
+            "person.hold_to_run_held": person.hold_to_run_held,
             "scene": lambda: scene_state(world, person),
             "judge.strikes": lambda: judge.strikes,
             "judge.X_hand_ee": judge.X_hand_ee,

@@ -234,18 +234,18 @@ def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 def test_a_persons_key_or_a_closed_terminal_takes_the_confirmation_back(keyboard: int) -> None:
     person = TerminalPerson(Console(file=io.StringIO()))
-    assert not person.enabling_switch_held(), "nothing was confirmed yet"
+    assert not person.hold_to_run_held(), "nothing was confirmed yet"
     os.write(keyboard, b"\n")
     person.confirm("Move?")
     with person.attending():
-        assert person.enabling_switch_held()
+        assert person.hold_to_run_held()
         os.write(keyboard, b"x")
         time.sleep(0.05)
-        assert not person.enabling_switch_held()
-        assert not person.enabling_switch_held()
-    assert not person.enabling_switch_held()
+        assert not person.hold_to_run_held()
+        assert not person.hold_to_run_held()
+    assert not person.hold_to_run_held()
     with person.attending():
-        assert person.enabling_switch_held(), "the key belonged to the motion that it stopped"
+        assert person.hold_to_run_held(), "the key belonged to the motion that it stopped"
 
 
 @pytest.mark.parametrize("answer", [b"n\n", b"yes\n", b"\x04"])

@@ -188,7 +188,7 @@ def test_no_answer_in_time_is_a_refusal(rig: Rig) -> None:
 
 def test_the_switch_is_taken_anew(rig: Rig) -> None:
     assert rig.person.hold_switch(HOLD_SWITCH, rig.patience)
-    assert rig.person.enabling_switch_held()
+    assert rig.person.hold_to_run_held()
 
 
 def test_a_switch_that_does_not_change_is_not_taken(rig: Rig) -> None:

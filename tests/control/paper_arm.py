@@ -140,5 +140,5 @@ class Bystander:
         """See `hal.Person`."""
         return not self.late
 
-    def enabling_switch_held(self) -> bool:
+    def hold_to_run_held(self) -> bool:
         return self.holds and not self.late

@@ -85,7 +85,7 @@ def test_somebody_steps_in_during_a_swing(desk: Desk, plan: StrikePlan) -> None:
     refused(desk, LatchedError, lambda: desk.supervisor.execute(desk.slow()), "latched")
 
 
-def test_the_enabling_switch_stops_a_slow_motion_and_does_not_latch(desk: Desk) -> None:
+def test_the_hold_to_run_switch_stops_a_slow_motion_and_does_not_latch(desk: Desk) -> None:
     desk.person.holds = False
     refused(desk, PersonNearError, lambda: desk.supervisor.execute(desk.slow()), "person_near.before_motion")
     desk.person.holds = True
@@ -128,7 +128,7 @@ def test_a_person_sensor_that_fails_stops_the_arm(desk: Desk) -> None:
             raise OSError("scanner unplugged")
         return True
 
-    desk.person.enabling_switch_held = broken  # type: ignore[method-assign]
+    desk.person.hold_to_run_held = broken  # type: ignore[method-assign]
     with pytest.raises(PersonNearError, match="scanner unplugged"):
         desk.supervisor.execute(desk.slow(0.5))
 

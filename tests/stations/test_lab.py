@@ -121,11 +121,11 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
         assert np.mean(frame.depth > 0.0) > 0.8
         assert station.clock.now() - frame.stamp < 0.5
         assert station.person.zone_occupied(), "the door is open"
-        assert not station.person.enabling_switch_held()
+        assert not station.person.hold_to_run_held()
         assert station.person.hold_switch("hold it", 10.0)
-        assert station.person.enabling_switch_held()
+        assert station.person.hold_to_run_held()
         assert station.person.confirm_swing("is everybody out?", 10.0)
-        assert not station.person.enabling_switch_held(), "both hands were needed"
+        assert not station.person.hold_to_run_held(), "both hands were needed"
         assert station.person.release("step back", 10.0)
         assert not station.person.zone_occupied(), "the door is closed"
         np.testing.assert_allclose(station.arm.state().joints.q, config.scene.home, atol=0.01)

@@ -10,7 +10,7 @@ import numpy as np
 
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.signed import read_signed, write_signed
-from toolee_robot.frames import Array, is_rigid
+from toolee_robot.frames import HALF_TURN, Array, is_rigid
 from toolee_robot.types import CameraIntrinsics, DhCalibration
 
 FORMAT = "toolee camera calibration 1"
@@ -190,3 +190,29 @@ def read_record(path: Path) -> CalibrationRecord:
         ConfigError: As `read_signed`.
     """
     return read_signed(path, CalibrationRecord, "camera calibration")
+
+
+def camera_is_elsewhere(place: Array, expected: Array) -> bool:
+    """Whether a calibrated camera stands too far from where a person has measured it.
+
+    Args:
+        place: The calibrated camera's place in `base`, (3,) [m].
+        expected: Its place as measured by hand, in `base`, (3,) [m].
+
+    Returns:
+        True over `ELSEWHERE`.
+    """
+    return float(np.linalg.norm(place - expected)) > ELSEWHERE
+
+
+def half_a_turn_apart(place: Array, expected: Array) -> bool:
+    """Whether half a turn of the base explains that a camera is elsewhere.
+
+    Args:
+        place: The calibrated camera's place in `base`, (3,) [m].
+        expected: Its place as measured by hand, in `base`, (3,) [m].
+
+    Returns:
+        True if after half a turn about z they agree.
+    """
+    return not camera_is_elsewhere(HALF_TURN[:3, :3] @ place, expected)

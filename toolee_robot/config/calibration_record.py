@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.calibration.record import ELSEWHERE, CalibrationRecord, read_record
+from toolee_robot.calibration.record import CalibrationRecord, camera_is_elsewhere, half_a_turn_apart, read_record
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import HALF_TURN, BaseFrame
 from toolee_robot.types import CameraIntrinsics, DhCalibration
@@ -100,17 +100,17 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], frame: Bas
             (`config.calibration_place`).
     """
     place, by_file = record.pose[:3, 3], np.asarray(expected, float)
-    off = float(np.linalg.norm(place - by_file))
-    if off <= ELSEWHERE:
+    if not camera_is_elsewhere(place, by_file):
         return
     calibrated, typed = (_told(p, frame) for p in (place, by_file))
-    if np.linalg.norm(HALF_TURN[:3, :3] @ place - by_file) <= ELSEWHERE:
+    if half_a_turn_apart(place, by_file):
         raise ConfigError(
             f"{path}: half a turn about the base's z lies between the calibrated camera, {calibrated} m in {frame}, "
             f"and camera.position, {typed} m: the file's `frame` names the other base, or its positions are of the "
             "other",
             code="config.calibration_half_turn",
         )
+    off = float(np.linalg.norm(place - by_file))
     raise ConfigError(
         f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from camera.position, {typed} "
         "m: measure that again (x, y, z in this order); if the camera was moved, take `calibration` out of the file "

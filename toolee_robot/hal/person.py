@@ -18,7 +18,7 @@ class Person(Protocol):
     """The person at the station, who hands over the tool and confirms what software must not decide.
 
     Every question waits up to `timeout` [s] for its answer; no answer counts as a refusal. `zone_occupied` and
-    `enabling_switch_held` answer at once, from any thread, and are polled throughout a motion and a question; their
+    `hold_to_run_held` answer at once, from any thread, and are polled throughout a motion and a question; their
     sources are a guarded door, a light barrier, a scanner, an hold-to-run switch or a key that is held down.
     `tests/contract/test_person_contract.py` checks an implementation.
     """
@@ -100,7 +100,7 @@ class Person(Protocol):
         A station that cannot determine it must return True: then nothing fast moves.
         """
 
-    def enabling_switch_held(self) -> bool:
+    def hold_to_run_held(self) -> bool:
         """Whether the person holds the hold-to-run switch, which lets the arm move slowly while they are near."""
 
     def readings_certain(self) -> bool:

@@ -50,12 +50,12 @@ def test_door_and_switch_read_as_they_are(config: PersonConfig) -> None:
         assert person.zone_occupied(), "nothing was read yet"
         panel.closed = True
         assert eventually(lambda: not person.zone_occupied())
-        assert not person.enabling_switch_held()
+        assert not person.hold_to_run_held()
         panel.held = True
-        assert eventually(person.enabling_switch_held)
+        assert eventually(person.hold_to_run_held)
         panel.closed = panel.held = False
         assert eventually(person.zone_occupied, 0.2)
-        assert eventually(lambda: not person.enabling_switch_held(), 0.2)
+        assert eventually(lambda: not person.hold_to_run_held(), 0.2)
     assert person.zone_occupied()
 
 
@@ -72,9 +72,9 @@ def test_broken_wiring_reads_as_occupied_and_not_held(break_it: Callable[[Panel]
     panel = Panel()
     panel.closed = panel.held = True
     with at(panel) as person:
-        assert eventually(lambda: person.enabling_switch_held() and not person.zone_occupied())
+        assert eventually(lambda: person.hold_to_run_held() and not person.zone_occupied())
         break_it(panel)
-        assert eventually(lambda: person.zone_occupied() and not person.enabling_switch_held(), 0.3)
+        assert eventually(lambda: person.zone_occupied() and not person.hold_to_run_held(), 0.3)
         assert eventually(lambda: len(person.faults) == (2 if fault else 0))
         assert all(fault in text for text in person.faults)
         panel.high = panel.low = 0
@@ -118,11 +118,11 @@ def test_a_stuck_switch_is_not_taken_anew() -> None:
     panel = Panel()
     panel.held = True
     with at(panel) as person:
-        assert eventually(person.enabling_switch_held)
+        assert eventually(person.hold_to_run_held)
         assert not person.hold_switch("hold it", 0.4)
         later(panel.hold)
         assert person.hold_switch("hold it", 2.0)
-        assert person.enabling_switch_held()
+        assert person.hold_to_run_held()
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_a_single_contact_that_is_stuck_never_proves_itself(stuck: int, missing:
     with at(panel, ONE_CONTACT) as person:
         proof = PersonProof(person)
         assert eventually(lambda: not person.zone_occupied())
-        proof.enabling_switch_held()
+        proof.hold_to_run_held()
         with raises(PersonNearError, "person_near.inputs_not_proven"):
             proof.zone_occupied()
         assert any(missing in text for text in proof.missing)
@@ -180,7 +180,7 @@ def test_what_is_assumed_for_want_of_data_is_no_change_that_was_seen() -> None:
     with at(panel, ONE_CONTACT) as person:
         proof = PersonProof(person)
         assert proof.zone_occupied()
-        assert not proof.enabling_switch_held()
+        assert not proof.hold_to_run_held()
         panel.dead = False
         assert eventually(person.readings_certain)
         later(panel.hold)

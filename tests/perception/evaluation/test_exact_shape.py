@@ -11,11 +11,11 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.cli.app import run
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, inverse, rotation_angle, transform, transform_points
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
-from toolee_robot.perception.evaluation.exact_shape import Fit, Surface, fit_exact_shape, table
+from toolee_robot.perception.evaluation.exact_shape import Fits, Surface, fit_exact_shape, tables
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.tools import Tool, ToolKind, make_tool
 
@@ -68,13 +68,15 @@ def test_what_another_thing_s_points_say_is_left_out() -> None:
 
 def test_an_end_effector_without_a_cloud_counts_as_missed() -> None:
     head, claw = Category.HAMMER_HEAD, Category.HAMMER_GRIP
-    there, none = Fit(head, True, 0.01, 0.001), Fit(head, True, float("inf"), float("inf"))
-    rows = table([there, there, there, none, Fit(claw, True, 0.2, 0.001)])
+    category = np.array([CATEGORIES.index(c) for c in (head, head, head, head, claw)])
+    angle, position = np.array([0.01, 0.01, 0.01, np.inf, 0.2]), np.array([0.001, 0.001, 0.001, np.inf, 0.001])
+    rows = tables(Fits(category, np.full(5, True), angle, position))["held-out"]
     assert rows[head.value]["instances"] == 4
     assert rows[head.value]["5deg2cm"] == 0.75
     assert rows[claw.value]["5deg2cm"] == 0.0
     assert rows["average"]["5deg2cm"] == pytest.approx(0.375)
-    assert table([]) == {}
+    assert rows[head.value]["median_mm"] == pytest.approx(1.0), "of those that have a cloud"
+    assert tables(Fits.of([], [])) == {}
 
 
 def test_the_command_reports_it_beside_the_estimator(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -114,7 +114,7 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
     assert np.mean(np.abs(frame.rgb.astype(float) - expected.rgb)) < 5.0
     hand.open()
     assert person.zone_occupied()
-    assert not person.enabling_switch_held()
+    assert not person.hold_to_run_held()
     assert person.request_handover("", 5.0)
     hand.close()
     assert hand.state().holding

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.hand_eye.closed_form import closed_forms
 from toolee_robot.calibration.hand_eye.refinement import Refined
-from toolee_robot.calibration.record import ELSEWHERE
+from toolee_robot.calibration.record import camera_is_elsewhere, half_a_turn_apart
 from toolee_robot.errors import UserError
-from toolee_robot.frames import HALF_TURN, Array, inverse, is_rigid, transform
+from toolee_robot.frames import Array, inverse, is_rigid, transform
 from toolee_robot.types import CameraIntrinsics
 
 ARM_POSITION, ARM_ROTATION = 0.005, float(np.deg2rad(0.7))
@@ -128,11 +128,9 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
             (`user.calibration_place`).
     """
     place = X_base_camera[:3, 3]
-    off = float(np.linalg.norm(place - expected))
-    if off <= ELSEWHERE:
+    if not camera_is_elsewhere(place, expected):
         return
-    turned = float(np.linalg.norm((HALF_TURN @ X_base_camera)[:3, 3] - expected))
-    if turned <= ELSEWHERE:
+    if half_a_turn_apart(place, expected):
         raise UserError(
             f"the camera comes out at {_text(place)} m in base_link, and the station file has it at {_text(expected)} "
             "m: half a turn about the base's z. Either poses of the flange are in the pendant's Base: say so in their "
@@ -140,6 +138,7 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
             "other base",
             code="user.calibration_half_turn",
         )
+    off = float(np.linalg.norm(place - expected))
     raise UserError(
         f"the camera comes out at {_text(place)} m in base_link, {off:.2f} m from the station file's {_text(expected)} "
         "m: measure that again, look for another station's poses, or for the board on another robot",

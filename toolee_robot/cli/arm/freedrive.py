@@ -42,7 +42,7 @@ class Freedrive(ArmOptions):
             robot.person.confirm("Freedrive: hold the arm, a wrong payload lets it sink or rise. Begin?")
             end = np.inf if self.seconds is None else time.monotonic() + self.seconds
             with robot.person.attending(), robot.arm.freedrive(), Live(console=console, auto_refresh=False) as live:
-                while robot.person.enabling_switch_held() and time.monotonic() < end:
+                while robot.person.hold_to_run_held() and time.monotonic() < end:
                     q = robot.arm.state().joints.q
                     joints = "  ".join(f"{value:8.4f}" for value in q)
                     place = place_text(robot.slow.robot.arm.fk(q))

@@ -73,7 +73,7 @@ class TerminalPerson:
             self._enabled = False
             termios.tcsetattr(fd, termios.TCSAFLUSH, before)
 
-    def enabling_switch_held(self) -> bool:
+    def hold_to_run_held(self) -> bool:
         """Whether a motion was confirmed and no key was pressed since; also false once the terminal is closed."""
         if self._enabled and not self._absent and select.select([sys.stdin], [], [], 0.0)[0]:
             self._enabled = False

@@ -64,7 +64,7 @@ class People:
         """See `hal.Person`."""
         return True
 
-    def enabling_switch_held(self) -> bool:
+    def hold_to_run_held(self) -> bool:
         """See `hal.Person`."""
         return self.holds_switch and self._switch_taken
 

@@ -31,9 +31,9 @@ def check_inputs(
         ("open the door again", person.zone_occupied, True, "the door was opened, and the input still reads closed"),
     )
     switch = (
-        ("release the hold-to-run switch", person.enabling_switch_held, False, "the released switch reads held"),
-        ("hold the hold-to-run switch", person.enabling_switch_held, True, "the held switch reads released"),
-        ("release it again", person.enabling_switch_held, False, "the released switch reads held"),
+        ("release the hold-to-run switch", person.hold_to_run_held, False, "the released switch reads held"),
+        ("hold the hold-to-run switch", person.hold_to_run_held, True, "the held switch reads released"),
+        ("release it again", person.hold_to_run_held, False, "the released switch reads held"),
     )
     for name, steps in (("door", door), ("hold-to-run switch", switch)):
         for prompt, reading, wanted, otherwise in steps:

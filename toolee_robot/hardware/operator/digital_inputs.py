@@ -99,14 +99,14 @@ class DigitalInputPerson:
         """See `hal.Person`."""
         self._tell(prompt)
         end = self._clock.now() + timeout
-        return self._wait(self._switch_released, end) and self._wait(self.enabling_switch_held, end)
+        return self._wait(self._switch_released, end) and self._wait(self.hold_to_run_held, end)
 
     def zone_occupied(self) -> bool:
         """Whether the door is open, or not closed for certain."""
         with self._lock:
             return not (self._fresh() and self._door.made)
 
-    def enabling_switch_held(self) -> bool:
+    def hold_to_run_held(self) -> bool:
         """Whether the hold-to-run switch is pressed for certain."""
         with self._lock:
             return self._fresh() and self._switch.made
@@ -128,7 +128,7 @@ class DigitalInputPerson:
         """Whether the switch was released, pressed and released before `end` [s], and nothing made it void."""
         return all(
             self._wait(condition, end, given_up)
-            for condition in (self._switch_released, self.enabling_switch_held, self._switch_released)
+            for condition in (self._switch_released, self.hold_to_run_held, self._switch_released)
         )
 
     def _stays_clear(self, end: float) -> bool:

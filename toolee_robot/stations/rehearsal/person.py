@@ -41,7 +41,7 @@ class RehearsedPerson:
         self._driver, self._config, self._wire = driver, config, wire
         self._world, self._clock, self._clamps = world, clock, clamps
         self.zone_occupied: Callable[[], bool] = driver.zone_occupied
-        self.enabling_switch_held: Callable[[], bool] = driver.enabling_switch_held
+        self.hold_to_run_held: Callable[[], bool] = driver.hold_to_run_held
         self.readings_certain: Callable[[], bool] = driver.readings_certain
         self._door(closed=False)
         self._switch(held=False)

@@ -80,9 +80,9 @@ class PersonProof:
             )
         return occupied
 
-    def enabling_switch_held(self) -> bool:
+    def hold_to_run_held(self) -> bool:
         """See `hal.Person`."""
-        return self._read("switch", self._person.enabling_switch_held)
+        return self._read("switch", self._person.hold_to_run_held)
 
     def readings_certain(self) -> bool:
         """See `hal.Person`."""
@@ -98,7 +98,7 @@ class PersonProof:
     def _look(self) -> str:
         try:
             self._read("zone", self._person.zone_occupied)
-            self._read("switch", self._person.enabling_switch_held)
+            self._read("switch", self._person.hold_to_run_held)
         except DeviceError:
             pass  # an input that cannot be read proves nothing
         return ""
