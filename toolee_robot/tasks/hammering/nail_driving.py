@@ -29,9 +29,6 @@ by forecast; more needs another strike, since after slip a measurement is accura
 SURE_IN_NOISE = 0.3
 """The same share where touches are noisy, and good for half a millimetre. Over it one more strike follows; under it
 none, because a strike on a flush nail is the hardest that an arm gets."""
-FLUSH_WHEN_STALLED = 0.0015
-"""Protrusion up to which a nail that no longer moves counts as flush [m]; after slip a measurement is accurate to half
-a millimetre."""
 BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
 CONFIRMED = 0.0005
@@ -167,7 +164,7 @@ class NailDriving:
             stalled = stalled + struck if progress < task.min_progress else 0
             if stalled < 2:
                 continue
-            if height <= FLUSH_WHEN_STALLED:
+            if height <= task.flush_protrusion:
                 return self._flush(f"two strikes moved it no further, {height * 1e3:.1f} mm over the wood")
             if doubted or not self._correction:
                 return Outcome.STUCK, f"two strikes moved the head under {task.min_progress * 1e3:.1f} mm"
