@@ -17,7 +17,7 @@ import yaml
 from toolee_robot.cli.app import run
 from toolee_robot.config import load_lab_station
 from toolee_robot.stations.interview import put, questions
-from toolee_robot.viewer.station_scene import named_frames
+from toolee_robot.viewer.station_page import named_frames
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
