@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.perception.cloud import check_depth_unit
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
@@ -97,12 +97,14 @@ def _read_array(path: Path, what: str) -> NDArray[Any]:
             return np.asarray(np.load(path, allow_pickle=False))
         except (OSError, ValueError) as error:
             raise UserError(
-                f"{what} file {path} is not a readable .npy array: {error}", code="user.file_unreadable"
+                f"{what} file {path} is not a readable .npy array: {words_of(error)}", code="user.file_unreadable"
             ) from error
     try:
         data = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
     except (OSError, cv2.error) as error:
-        raise UserError(f"cannot read the {what} file {path}: {error}", code="user.file_unreadable") from error
+        raise UserError(
+            f"cannot read the {what} file {path}: {words_of(error)}", code="user.file_unreadable"
+        ) from error
     if data is None:
         raise UserError(
             f"{what} file {path} is not a readable image: use {', '.join(IMAGE_SUFFIXES)} or .npy",

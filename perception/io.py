@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.image_files import IMAGE_SUFFIXES, read_depth, read_rgb
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
@@ -106,9 +106,7 @@ def read_pose(path: Path) -> Array:
             values = [float(v) for v in path.read_text().replace(",", " ").replace("[", " ").replace("]", " ").split()]
         flat = np.asarray(values, dtype=np.float64).reshape(-1)
     except OSError as error:
-        raise UserError(
-            f"cannot read the pose file {path}: {error.strerror or error}", code="user.pose_unreadable"
-        ) from error
+        raise UserError(f"cannot read the pose file {path}: {words_of(error)}", code="user.pose_unreadable") from error
     except (ValueError, TypeError, UnicodeDecodeError) as error:
         raise UserError(
             f"{path} is not a pose: give 16 numbers, a row-major 4x4 matrix in metres ({error})",

@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, words_of
 from toolee_robot.frames import Array
 from toolee_robot.perception import weight_files
 from toolee_robot.perception.detection.detector_weights import WEIGHTS_NAME as DETECTOR
@@ -120,7 +120,7 @@ class Trust:
             model, fitted_for = ConfidenceModel.from_dict(card["model"], FEATURES), card["fitted_for"]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise AssetError(
-                f"{path} is unreadable: fetch it again, or fit it anew ({error!r})", code="asset.unreadable"
+                f"{path} is unreadable: fetch it again, or fit it anew ({words_of(error)})", code="asset.unreadable"
             ) from error
         if fitted_for != _fingerprints(folder, folder):
             raise AssetError(

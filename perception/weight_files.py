@@ -15,7 +15,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, words_of
 from toolee_robot.runtime.files import sha256
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
@@ -94,7 +94,7 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
             tensors.update(load_file(shard))
         except (SafetensorError, OSError) as error:
             raise AssetError(
-                f"weight file {shard} is unreadable: fetch the file again ({error})", code="asset.unreadable"
+                f"weight file {shard} is unreadable: fetch the file again ({words_of(error)})", code="asset.unreadable"
             ) from error
     return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}, description
 

@@ -10,6 +10,7 @@ messages are for people and may change.
 
 from __future__ import annotations
 
+import os
 import re
 from typing import TYPE_CHECKING
 
@@ -149,3 +150,22 @@ class EmergencyStopError(MotionFaultError):
 
 class ServoCrashError(MotionFaultError):
     """The servo process died or hangs."""
+
+
+def words_of(error: BaseException) -> str:
+    """Put in words what went wrong, for a message that names the file, address or port itself.
+
+    Args:
+        error: An error of the operating system, in any of the forms in which libraries wrap it, or another one.
+
+    Returns:
+        The operating system's words without number and path, such as "No such file or directory"; of other errors
+        their text, or their name where they have none.
+    """
+    if isinstance(error, KeyError) and error.args:
+        return f"{error.args[0]!r} is missing"
+    number, text, *_ = (*error.args, None, None)
+    if isinstance(number, int) and isinstance(text, str):  # OSError, and termios.error, which is none
+        text = getattr(error, "strerror", text)
+        return os.strerror(number) if "[Errno" in text else text  # pyserial puts one error's text into the next one's
+    return re.sub(r"\[Errno -?\d+\] ", "", str(error)) or type(error).__name__

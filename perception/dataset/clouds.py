@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, words_of
 from toolee_robot.perception.dataset.encoding.masks import pixels_of
 from toolee_robot.perception.dataset.records import Example, FloatArray
 from toolee_robot.types import CameraIntrinsics
@@ -107,7 +107,9 @@ def read_clouds(scene: Path) -> Clouds:
         with np.load(path, allow_pickle=False) as file:
             clouds = Clouds(file["image"], file["gt"], file["count"], file["ends"], file["points"])
     except Exception as error:
-        raise AssetError(f"cannot read {path}: {error!r}; delete its scene and generate the data set again") from error
+        raise AssetError(
+            f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"
+        ) from error
     lengths = {len(clouds.image), len(clouds.gt), len(clouds.count), len(clouds.ends)}
     if (
         len(lengths) != 1

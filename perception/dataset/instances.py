@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import AssetError, UserError
+from toolee_robot.errors import AssetError, UserError, words_of
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.tools import ToolShape
@@ -138,7 +138,7 @@ def read_ply(path: Path) -> tuple[Array, NDArray[np.int64]]:
         vertices = np.frombuffer(data, "<f4", 3 * V, end).reshape(V, 3).astype(np.float64)
         rows = np.frombuffer(data, np.dtype([("n", "u1"), ("v", "<i4", 3)]), F, end + 12 * V)
     except (OSError, ValueError, StopIteration, IndexError) as error:
-        raise AssetError(f"cannot read {path}: {error!r}; delete it and generate the data set again") from error
+        raise AssetError(f"cannot read {path}: {words_of(error)}; delete it and generate the data set again") from error
     faces = rows["v"].astype(np.int64)
     if not np.all(np.isfinite(vertices)) or (F and (faces.min() < 0 or faces.max() >= V)):
         raise AssetError(f"{path} is no mesh: delete it and generate the data set again")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, words_of
 from toolee_robot.perception.dataset.encoding.checksums import SUMS
 from toolee_robot.perception.dataset.records import HEIGHT, POSES, SCENES, WIDTH, EeTable, FloatArray
 from toolee_robot.types import CameraIntrinsics
@@ -144,7 +144,9 @@ def read_image(path: Path) -> NDArray[Any]:
         with Image.open(path) as image:
             pixels = np.asarray(image)
     except (OSError, ValueError, SyntaxError) as error:
-        raise AssetError(f"cannot read {path}: {error}; delete its scene and generate the data set again") from error
+        raise AssetError(
+            f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"
+        ) from error
     if pixels.shape[:2] != (HEIGHT, WIDTH):
         raise AssetError(
             f"{path} is {pixels.shape[1]}x{pixels.shape[0]}, not {WIDTH}x{HEIGHT}", code="asset.image_size"
@@ -236,4 +238,6 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        raise AssetError(f"cannot read {path}: {error}; delete its scene and generate the data set again") from error
+        raise AssetError(
+            f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"
+        ) from error

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot import __version__
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, CustomTools
 from toolee_robot.perception.dataset.custom_tools import CustomToolRecord
 from toolee_robot.sensor_kinds import KINDS, SensorKind
@@ -163,7 +163,7 @@ class DatasetSpec:
                 f"{root} holds no data set ({path} is missing): make one with `toolee dataset generate`"
             ) from error
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UserError(f"{path} cannot be read ({error!r}): generate the data set again") from error
+            raise UserError(f"{path} cannot be read ({words_of(error)}): generate the data set again") from error
         if data.get("format") != FORMAT:
             raise UserError(f"{path} is of format {data.get('format')}, this program reads {FORMAT}: generate it again")
         return spec

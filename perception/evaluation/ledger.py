@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import toolee_robot
-from toolee_robot.errors import AssetError, UserError
+from toolee_robot.errors import AssetError, UserError, words_of
 from toolee_robot.perception.dataset.encoding.checksums import SUMS
 from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
@@ -93,7 +93,7 @@ class Ledger:
                 file.write(json.dumps(entry) + "\n")
         except OSError as error:
             raise UserError(
-                f"cannot enter the scoring in {self.path}: {error.strerror or error}; make it writable",
+                f"cannot enter the scoring in {self.path}: {words_of(error)}; make it writable",
                 code="user.not_writable",
             ) from error
 

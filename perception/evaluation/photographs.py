@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array
 from toolee_robot.perception.annotation.poses import Box
 from toolee_robot.perception.image_files import read_depth, read_rgb
@@ -96,7 +96,8 @@ def read_photographs(folder: Path, limit: int | None = None) -> list[Photograph]
         return found
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise UserError(
-            f"{path} is no set of photographs ({error!r}): make one as docs/dataset.md says", code="user.photographs"
+            f"{path} is no set of photographs ({words_of(error)}): make one as docs/dataset.md says",
+            code="user.photographs",
         ) from error
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import ConfigError
+from toolee_robot.errors import ConfigError, words_of
 from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse, transform_points
 from toolee_robot.perception.dataset.custom_tools import MATERIALS, CustomMesh, CustomToolRecord, cut_at_parts
 from toolee_robot.perception.dataset.instances import ply_bytes
@@ -144,7 +144,7 @@ def _read_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:
     try:
         mesh = trimesh.load(path, force="mesh")
     except Exception as error:  # each format's reader has its own
-        raise ConfigError(f"cannot read the mesh {path}: {error}") from error
+        raise ConfigError(f"cannot read the mesh {path}: {words_of(error)}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
         raise ConfigError(f"{path} holds no triangles: give a surface, not a cloud of points")
     if mesh.volume < 0:

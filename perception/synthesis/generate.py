@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator, Sequence
 from functools import partial
 from pathlib import Path
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.perception.dataset.catalogue import GENERATED
 from toolee_robot.perception.dataset.custom_tools import CustomMesh
 from toolee_robot.perception.dataset.encoding.checksums import SUMS
@@ -112,7 +112,7 @@ def begin(spec: DatasetSpec, out: Path, custom_tools: Sequence[CustomMesh] = ())
         for split in SPLITS:
             (out / split).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"cannot make the folder {out}: {error}") from error
+        raise UserError(f"cannot make the folder {out}: {words_of(error)}") from error
     path = out / DESCRIPTION
     wanted = spec.to_json()
     if path.exists():

@@ -8,7 +8,7 @@ import time
 import tty
 from abc import ABC, abstractmethod
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 
 _CHUNK = 4096
 _SEND_TIME = 1.0
@@ -31,7 +31,7 @@ def listener(address: tuple[str, int]) -> socket.socket:
         return socket.create_server(address, backlog=1)
     except (OSError, OverflowError) as error:
         host, port = address
-        raise UserError(f"cannot listen at {host}:{port}: {error}", code="user.address") from error
+        raise UserError(f"cannot listen at {host}:{port}: {words_of(error)}", code="user.address") from error
 
 
 class Wire(ABC):

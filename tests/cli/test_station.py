@@ -17,7 +17,7 @@ import yaml
 from toolee_robot.cli.app import run
 from toolee_robot.config import load_lab_station
 from toolee_robot.stations.interview import put, questions
-from toolee_robot.viewer.station_scene import named_frames
+from toolee_robot.viewer.station_page import named_frames
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
@@ -48,7 +48,9 @@ def test_an_interview_that_breaks_off_loses_nothing_and_goes_on_later(tmp_path: 
     first = _new(path, [*lines[:millimetres], "950 -620 850"])
     assert first.returncode == 1
     assert "that looks like millimetres" in first.stdout
-    assert "Still open: camera.position, camera.target" in " ".join(first.stdout.split())
+    open_ones = first.stdout[first.stdout.index("Still open") :].splitlines()
+    assert "  camera: position, target  (tape measure)" in open_ones
+    assert not any(line.lstrip().startswith(("arm: host", "hand")) for line in open_ones), "these were answered"
     assert yaml.safe_load(path.read_text())["arm"] == {"model": "UR10", "host": "192.168.1.10"}
     second = _new(path, lines[millimetres:])
     assert second.returncode == 0, second.stdout
@@ -82,6 +84,31 @@ def test_a_file_to_which_nothing_is_added_stays_as_it_is(tmp_path: Path) -> None
     assert path.read_bytes() == LAB.read_bytes(), "its comments, too"
 
 
+def test_an_answer_adds_one_line_to_a_file_and_taking_it_back_removes_it(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    lines = LAB.read_text().splitlines(keepends=True)
+    rest = [line for line in lines if not line.lstrip().startswith(("nail_length:", "host:"))]
+    path.write_text("".join(rest))
+    back = _new(path, ["192.168.1.10", "<"])
+    assert "Nothing new" in back.stdout
+    assert path.read_text() == "".join(rest)
+    told = _new(path, ["192.168.1.10", "0.030"])
+    assert told.returncode == 0, told.stdout
+    after = path.read_text().splitlines(keepends=True)
+    added = ['  host: "192.168.1.10"\n', "  nail_length: 0.03\n"]
+    assert [line for line in after if line not in added] == rest, "comments and order stay"
+    assert yaml.safe_load(path.read_text()) == yaml.safe_load(LAB.read_text())
+
+
+def test_a_layout_that_is_not_edited_loses_no_answer(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text("frame: base_link\narm: &arm {model: UR10}\nother: *arm\n")
+    told = _new(path, ["192.168.1.10"])
+    assert told.returncode == 2
+    assert 'arm:\n  host: "192.168.1.10"' in told.stderr
+    assert "other: *arm" in path.read_text()
+
+
 def test_an_interview_says_at_once_where_it_cannot_write(tmp_path: Path) -> None:
     told = _new(tmp_path / "nowhere" / "lab.yaml", ["base_link"])
     assert told.returncode == 2
@@ -96,9 +123,12 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
     del said["tool"], said["calibration"]
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(said))
-    for command in (["station", "check", str(path)], ["hammer", "--station", str(path)]):
-        assert run([*command]) == 2
-        assert "give calibration, tool;" in " ".join(capsys.readouterr().err.split())
+    assert run(["hammer", "--station", str(path)]) == 2
+    assert "give calibration, tool;" in " ".join(capsys.readouterr().err.split())
+    assert run(["station", "check", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert "  tool: name, grip_radius, face, face_normal, mass, center_of_mass  (ruler and scales)" in told
+    assert f"toolee calibrate camera --station {path} --bars-mm" in told
     del said["work"]["nail_xy"]
     path.write_text(yaml.safe_dump(said))
     assert run(["hammer", "--station", str(path), "--rehearse"]) == 2

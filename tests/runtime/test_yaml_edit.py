@@ -22,6 +22,11 @@ VALUES = {"gain": 800.0, "lookahead": 0.06, "lag": 0.071}
         "",
         "# a lab\narm:\n  model: UR10e  # the new one\n",
         "arm: {model: UR10e}",
+        "{arm: {model: UR10e}}",
+        "servo:  # none measured yet\narm: {model: UR10e}\n",
+        "servo: null  # none\n",
+        "servo:\n  gain:   # to do\n  lag: 0.1",
+        "servo:\n  poles:  # of the filter\n    - 1.0\n    - 2.0  # the slow one\n\n# the arm\narm: {model: UR10e}\n",
         "servo:\n  # measured in May\n  gain: 300   # gentle\n  watchdog: 5.0\narm: {model: UR10e}  # new\n",
         "servo: {gain: 300}  # gentle\n",
         "servo: {}\n",
@@ -32,21 +37,23 @@ def test_the_fields_are_set_and_the_rest_stays(tmp_path: Path, text: str) -> Non
     path = tmp_path / "lab.yaml"
     path.write_text(text)
     before = yaml.safe_load(text) or {}
-    set_fields(path, "servo", VALUES)
+    set_fields(path, ("servo",), VALUES)
     after = path.read_text()
     assert yaml.safe_load(after) == {**before, "servo": {**(before.get("servo") or {}), **VALUES}}
     for comment in (line.partition("#")[2] for line in text.splitlines()):
         assert comment in after
-    set_fields(path, "servo", VALUES)
+    set_fields(path, ("servo",), VALUES)
     assert path.read_text() == after
 
 
-@pytest.mark.parametrize("text", ["{arm: {model: UR10e}}", "servo: fast\n", "servo: &a {gain: 1}\nother: *a\n"])
+@pytest.mark.parametrize(
+    "text", ["servo: fast\n", "- servo\n", "arm: {model: UR10e}\n...\n", "servo: &a {gain: 1}\nother: *a\n"]
+)
 def test_a_layout_that_cannot_be_edited_is_left_alone(tmp_path: Path, text: str) -> None:
     path = tmp_path / "lab.yaml"
     path.write_text(text)
     with raises(ConfigError, code="config.not_editable"):
-        set_fields(path, "servo", VALUES)
+        set_fields(path, ("servo",), VALUES)
     assert path.read_text() == text
 
 
@@ -54,7 +61,7 @@ def test_a_layout_that_cannot_be_edited_is_left_alone(tmp_path: Path, text: str)
 def test_any_numbers_are_read_back(tmp_path_factory: pytest.TempPathFactory, values: dict[str, float]) -> None:
     path = tmp_path_factory.mktemp("edit") / "lab.yaml"
     path.write_text("servo:\n  gain: 300  # gentle\n")
-    set_fields(path, "servo", values)
+    set_fields(path, ("servo",), values)
     assert yaml.safe_load(path.read_text()) == {"servo": {"gain": 300, **values}}
 
 
@@ -70,7 +77,7 @@ def test_a_field_is_set_in_the_record_of_that_name(tmp_path: Path, text: str) ->
     path = tmp_path / "lab.yaml"
     path.write_text(text)
     left, right = yaml.safe_load(text)["work"]["nails"]
-    set_fields(path, "work", {"xy": [0.75, -0.125]}, ("nails", "right"))
+    set_fields(path, ("work",), {"xy": [0.75, -0.125]}, ("nails", "right"))
     after = path.read_text()
     assert yaml.safe_load(after) == {"work": {"nails": [left, {**right, "xy": [0.75, -0.125]}]}}
     for comment in (line.partition("#")[2] for line in text.splitlines()):
@@ -82,5 +89,64 @@ def test_a_record_that_is_not_there_is_not_added(tmp_path: Path, text: str) -> N
     path = tmp_path / "lab.yaml"
     path.write_text(text)
     with raises(ConfigError, code="config.not_editable"):
-        set_fields(path, "work", {"xy": [0.75, -0.125]}, ("nails", "right"))
+        set_fields(path, ("work",), {"xy": [0.75, -0.125]}, ("nails", "right"))
     assert path.read_text() == text
+
+
+LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
+
+
+def test_added_lines_are_the_only_change_and_stand_at_the_end_of_their_section(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    before = (
+        "# Ours\narm:\n    model: UR10e   # new\n    # host: 192.168.1.9, the old one\n\n"
+        "# The hand\nhand: {model: mount,\n       port: x}  # tight\n"
+    )
+    path.write_text(before)
+    set_fields(path, ("arm",), {"host": "192.168.1.10"})
+    set_fields(path, ("camera", "device"), {"driver": "realsense", "serial": "832112070123"})
+    set_fields(path, ("camera", "device"), {"least_range": 0.28})
+    set_fields(path, ("camera",), {"fx": 383.0})
+    lines = path.read_text().splitlines()
+    host = lines.index('    host: "192.168.1.10"')
+    assert lines[host - 1] == "    # host: 192.168.1.9, the old one"
+    new = [
+        "camera:",
+        "  device:",
+        "    driver: realsense",
+        '    serial: "832112070123"',
+        "    least_range: 0.28",
+        "  fx: 383",
+    ]
+    assert [*lines[:host], *lines[host + 1 : -len(new)]] == before.splitlines()
+    assert lines[-len(new) :] == new
+
+
+@pytest.mark.parametrize(
+    "value", ["on", "1:30", "2026-11-20", "007", "null", "a: b", "x # y", "é ✓ 𝛼", "", 1e-05, -2.5e-7, None]
+)
+def test_a_value_is_read_back_as_itself(tmp_path: Path, value: str | float | None) -> None:
+    path = tmp_path / "lab.yaml"
+    for text in ("", "a: {b: 1}\n", "a:\n  b: 1\n"):
+        path.write_text(text)
+        set_fields(path, ("a",), {"b": value, "c": value})
+        assert yaml.safe_load(path.read_text()) == {"a": {"b": value, "c": value}}
+
+
+@given(st.data())
+def test_a_field_that_was_taken_out_of_an_example_is_set_again(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.mktemp("edit") / "lab.yaml"
+    lines = LAB.read_text().splitlines(keepends=True)
+    said = yaml.safe_load(LAB.read_text())
+    section = data.draw(st.sampled_from(["arm", "scene", "work", "person", "tool"]))
+    fields = {n: v for n, v in said[section].items() if isinstance(v, int | float | str | list) and n != "obstacles"}
+    name = data.draw(st.sampled_from(sorted(fields)))
+    at = next(i for i, line in enumerate(lines) if line.startswith(f"  {name}:"))
+    rest = [*lines[:at], *lines[at + 1 :]]
+    path.write_text("".join(rest))
+    set_fields(path, (section,), {name: fields[name]})
+    after = path.read_text().splitlines(keepends=True)
+    assert yaml.safe_load(path.read_text()) == said
+    assert any([*after[:i], *after[i + 1 :]] == rest for i in range(len(after))), "one line more, no other one changed"

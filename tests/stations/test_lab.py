@@ -13,7 +13,16 @@ from tests.errors import raises
 from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import ConfigError, DeviceError, NotReadyError
+from toolee_robot.errors import (
+    ConfigError,
+    DeviceError,
+    LinkLostError,
+    NotReadyError,
+    OverrunError,
+    PersonNearError,
+    ProtectiveStopError,
+    StaleDataError,
+)
 from toolee_robot.frames import angle_between, rotation_angle
 from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
@@ -23,6 +32,7 @@ from toolee_robot.sim_backend.cell_errors import NOMINAL
 from toolee_robot.stations.hand import WIRED_HANDS
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
+from toolee_robot.stations.rehearsal.emulated_lab import late_because
 from toolee_robot.types import HandWeight
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -82,6 +92,43 @@ def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(
     monkeypatch.delitem(WIRED_HANDS, cell.measured.hand.model)  # as a hand for which a lab brought the driver alone
     with raises(ConfigError, "config.no_emulator"):
         EmulatedLab(cell, print, FACTOR, "ideal")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        StaleDataError("the arm's newest state is 0.31 s old", code="stale_data.arm"),
+        LinkLostError("the robot's data were late", code="link_lost.data"),
+        OverrunError("commands were sent late, by up to 31 ms,"),
+        NotReadyError("the readings are late", code="not_ready.timing"),
+        PersonNearError("the hold-to-run switch was not taken", code="person_near.switch_not_taken"),
+    ],
+    ids=lambda error: str(error.code),
+)
+def test_what_comes_late_in_a_rehearsal_is_put_down_to_this_machine(config: StationConfig, error: DeviceError) -> None:
+    lab, what, code = EmulatedLab(job_cell(config, LAB, 7401), print, 0.5, "harsh"), str(error), error.code
+    with raises(type(error), code) as caught, lab.blaming_the_machine():
+        raise error
+    told = str(caught.value)
+    assert caught.value is error, "with its report"
+    assert told.startswith("data came late, because this machine is busy")
+    assert "Close other programs, or give a --real-time-factor under 0.5" in told
+    assert told.endswith(what)
+
+
+def test_what_is_no_matter_of_time_is_not_put_down_to_this_machine(config: StationConfig) -> None:
+    lab = EmulatedLab(job_cell(config, LAB, 7401), print, 0.5, "harsh")
+    with raises(ProtectiveStopError, "protective_stop") as caught, lab.blaming_the_machine():
+        raise ProtectiveStopError("it hit something")
+    assert str(caught.value) == "it hit something"
+
+
+def test_how_busy_the_machine_is_is_told() -> None:
+    assert "other programs took 83% of its cores" in late_because(0.83, 1.0)
+    alone = late_because(0.01, 1.0)
+    assert "this machine alone is too slow" in alone
+    assert "other programs" not in alone
+    assert "took" not in late_because(None, 0.5), "where nothing is known"
 
 
 def test_the_rehearsed_cell_is_off_by_what_a_person_measures(config: StationConfig) -> None:

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any, TypeVar
 
-from toolee_robot.errors import ConfigError
+from toolee_robot.errors import ConfigError, words_of
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import to_record
 
@@ -55,7 +55,7 @@ def read_signed(path: Path, kind: type[T], what: str) -> T:
     try:
         data = json.loads(path.read_text())
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        message = f"cannot read the {what} {path} that `toolee calibrate` writes: {error}"
+        message = f"cannot read the {what} {path} that `toolee calibrate` writes: {words_of(error)}"
         raise ConfigError(message, code="config.unreadable") from error
     if not isinstance(data, dict) or SIGNATURE not in data:
         raise ConfigError(f"{path} is no {what}: name a file that `toolee calibrate` wrote", code="config.invalid")

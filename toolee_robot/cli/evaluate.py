@@ -25,7 +25,7 @@ from toolee_robot.cli.host_info import describe_machine
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import write_atomic
 
 if TYPE_CHECKING:
@@ -302,7 +302,7 @@ def _make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(
-            f"cannot make the folder {out}: {error.strerror or error}; choose another place",
+            f"cannot make the folder {out}: {words_of(error)}; choose another place",
             code="user.folder_not_writable",
         ) from error
 

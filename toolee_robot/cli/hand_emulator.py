@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 
 _HANDS = {"inspire": ("inspire_rh56", 1000.0), "ability": ("ability_hand", 100.0), "shadow": ("shadow_right", 90.0)}
 """What is emulated -> what a station file calls it, largest angle."""
@@ -97,7 +97,7 @@ class HandEmulator:
         try:
             self.link.symlink_to(port)
         except OSError as error:
-            raise UserError(f"--link {self.link}: {error.strerror}", code="user.option") from error
+            raise UserError(f"--link {self.link}: {words_of(error)}", code="user.option") from error
         try:
             yield
         finally:

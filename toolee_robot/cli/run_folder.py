@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 
 RECORDING = "recording.mcap"
 """Name of the recording in a run's folder."""
@@ -65,7 +65,7 @@ def run_folder(out: Path, name: str) -> Iterator[RunFolder]:
         path.mkdir(parents=True, exist_ok=False)
     except OSError as error:
         raise UserError(
-            f"cannot write runs to {out}: {error.strerror or error}; choose another --out",
+            f"cannot write runs to {out}: {words_of(error)}; choose another --out",
             code="user.runs_not_writable",
         ) from error
     folder = RunFolder(path, final)

@@ -88,12 +88,25 @@ def _missing(data: Any) -> list[str]:
     missing = [f"{section}.{name}" for section, name in wanted if _field(data, section, name) is None]
     if _field(data, "hand", "model") == MOUNT and "hand.weighed" in missing:
         missing.remove("hand.weighed")  # a mount's data say what it weighs
-    nails = _field(data, "work", "nails") or ()
+    of_nails = given_by_nails(_field(data, "work", "nails"))
+    return [name for name in missing if name not in of_nails]
+
+
+def given_by_nails(nails: Any) -> set[str]:
+    """Tell which measured fields a list of nails makes unnecessary.
+
+    Args:
+        nails: The station file's `work.nails`; None or empty for none.
+
+    Returns:
+        Names of the fields that every nail of the list gives for itself, such as `work.nail_xy`.
+    """
     of_each = {"nail_xy": "xy", "pilot_hole_diameter": "pilot_hole_diameter"} | {f"nail_{n}": n for n in SIZES}
-    for name, field in of_each.items():
-        if nails and all(isinstance(nail, dict) and nail.get(field) is not None for nail in nails):
-            missing = [other for other in missing if other != f"work.{name}"]
-    return missing
+    return {
+        f"work.{name}"
+        for name, field in of_each.items()
+        if nails and all(isinstance(nail, dict) and nail.get(field) is not None for nail in nails)
+    }
 
 
 def _field(data: Any, section: str, name: str) -> Any:

@@ -125,6 +125,8 @@ class MotionReport:
         collision_ratios: See `ArmState`, (N,), likewise.
         commands: Number of commands that were sent, at most N: a robot that has stopped by itself is sent none. None
             where every sample has one.
+        lateness: Largest delay of a command behind its cycle [s].
+        data_age: Largest age of the newest reading when a command was sent [s].
     """
 
     outcome: MotionOutcome
@@ -137,6 +139,8 @@ class MotionReport:
     position_deviation_ratios: Array | None = None
     collision_ratios: Array | None = None
     commands: int | None = None
+    lateness: float = 0.0
+    data_age: float = 0.0
 
 
 @runtime_checkable

@@ -15,7 +15,7 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 import toolee_robot
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.recording.messages import nanoseconds
 
 FLUSH_PERIOD = 1.0
@@ -143,7 +143,7 @@ class McapFile:
 
     def _not_writable(self, error: OSError) -> UserError:
         return UserError(
-            f"cannot write the recording {self._path}: {error.strerror or error}", code="user.recording_not_writable"
+            f"cannot write the recording {self._path}: {words_of(error)}", code="user.recording_not_writable"
         )
 
 

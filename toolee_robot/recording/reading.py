@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.recording.history import RunHistory
 
 
@@ -115,4 +115,6 @@ def _records(path: Path) -> Iterator[Any]:
                 first = False
                 yield record
     except (OSError, McapError, struct.error, EOFError) as error:
-        raise UserError(f"cannot read the recording {path}: {error}", code="user.recording_unreadable") from error
+        raise UserError(
+            f"cannot read the recording {path}: {words_of(error)}", code="user.recording_unreadable"
+        ) from error

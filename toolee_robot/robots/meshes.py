@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, words_of
 from toolee_robot.robots.tree import Link, Shape
 
 
@@ -70,6 +70,6 @@ def _shape_mesh(shape: Shape) -> trimesh.Trimesh:
     try:
         mesh: trimesh.Trimesh = trimesh.load_mesh(shape.mesh)
     except (OSError, ValueError) as error:
-        raise AssetError(f"cannot read the mesh {shape.mesh}: {error}; put the model's files back") from error
+        raise AssetError(f"cannot read the mesh {shape.mesh}: {words_of(error)}; put the model's files back") from error
     mesh.vertices *= shape.scale
     return mesh

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, words_of
 from toolee_robot.frames import Array, transform
 from toolee_robot.robots.tree import Inertial, Link, Shape, Tree
 
@@ -46,7 +46,7 @@ def _parse(path: Path) -> tuple[dict[str, Element], dict[str, Element]]:
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError) as error:
-        raise AssetError(f"cannot read {path}: {error}; put the model's files back") from error
+        raise AssetError(f"cannot read {path}: {words_of(error)}; put the model's files back") from error
     links = {link.get("name", ""): link for link in root.findall("link")}
     return links, {_require(joint, "child").get("link", ""): joint for joint in root.findall("joint")}
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 
 
 @contextmanager
@@ -35,7 +35,7 @@ def written_whole(path: Path) -> Iterator[Path]:
             raise
     except OSError as error:
         raise UserError(
-            f"cannot write {path}: {error.strerror or error}; choose another place", code="user.not_writable"
+            f"cannot write {path}: {words_of(error)}; choose another place", code="user.not_writable"
         ) from error
 
 

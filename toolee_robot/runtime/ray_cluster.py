@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, TypeVar
 
-from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.errors import TooleeError, UserError, words_of
 from toolee_robot.runtime.clock import is_loopback
 from toolee_robot.runtime.process_pool import ONE_THREAD
 
@@ -136,6 +136,6 @@ def _knock(address: str) -> None:
         socket.create_connection((host, int(port)), _PATIENCE).close()
     except (OSError, OverflowError) as error:
         raise UserError(
-            f"no Ray cluster answers at RAY_ADDRESS={address} ({error}): start one there (ray start --head), or unset "
-            "RAY_ADDRESS to use this machine alone"
+            f"no Ray cluster answers at RAY_ADDRESS={address} ({words_of(error)}): start one there (ray start --head), "
+            "or unset RAY_ADDRESS to use this machine alone"
         ) from error

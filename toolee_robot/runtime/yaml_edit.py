@@ -1,9 +1,14 @@
-"""Fields of a section of a YAML file, replaced in its text so that comments and layout stay."""
+"""Fields of a YAML file, set in its text: everything else stays as it was written, to the byte.
+
+A library that reads a file with its comments and writes it anew would do less: ruamel.yaml 0.19 puts a field that is
+added to a section under the heading comment of the next one, drops comments inside flow mappings of several lines,
+indents the file in its own way, and writes the text `on` and the number 1e-05 so that YAML 1.1 reads something else.
+"""
 
 from __future__ import annotations
 
-import copy
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,81 +19,141 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
 
-Value = float | str | Sequence[float]
+Value = float | str | None | Sequence[float]
 """What a field may be set to."""
+_PLAIN = re.compile(r"[A-Za-z][\w./-]*( [\w./-]+)*")
+_NULL = "tag:yaml.org,2002:null"
 
 
-def set_fields(path: Path, section: str, values: Mapping[str, Value], item: tuple[str, str] | None = None) -> None:
-    """Set fields of a section of a YAML file; the section is added at its end where there is none.
+def set_fields(
+    path: Path, section: tuple[str, ...], values: Mapping[str, Value], item: tuple[str, str] | None = None
+) -> None:
+    """Set fields of a section of a YAML file; where there is none, it is added after what is there.
 
     Args:
-        path: The file; its top level is a mapping in block style, or empty.
-        section: Name of the section, a mapping.
-        values: Numbers, texts or lists of numbers of the fields by name; other fields of the section stay.
+        path: The file; its top level is a mapping, or empty.
+        section: Names of the section and of those around it, the outermost first; empty for the top level.
+        values: Numbers, texts, lists of numbers or None, of the fields by name; other fields of the section stay.
         item: Set them in a record of a list of the section instead: the list's name, and the record's `name`.
 
     Raises:
         ConfigError: The file cannot be read, or has a layout that cannot be edited safely; nothing was written.
         UserError: The file cannot be written.
     """
-    before = read_yaml(path, "file") or {}
-    text = path.read_text()
-    wanted = copy.deepcopy(before)
+    before = read_yaml(path, "file")
     try:
-        if item is None:
-            wanted[section] = {**(wanted.get(section) or {}), **values}
-        else:
-            next(record for record in wanted[section][item[0]] if record["name"] == item[1]).update(values)
-        edited = _edited(text, section, values, item)
+        wanted = part = {**(before or {})}
+        for name in section:  # copies: what is shared by an alias stays as it is elsewhere
+            part[name] = {**(part.get(name) or {})}
+            part = part[name]
+        if item is not None:
+            part[item[0]] = [{**record} for record in part[item[0]]]
+            part = next(record for record in part[item[0]] if record["name"] == item[1])
+        part.update(values)
+        edited = _edited(path.read_bytes().decode(), section, values, item)
         done = bool(yaml.safe_load(edited) == wanted)
     except (yaml.YAMLError, AttributeError, KeyError, StopIteration, TypeError, ValueError):
         done = False
     if not done:
-        lines = "\n".join(f"  {name}: {_text(value)}" for name, value in values.items())
-        where = section if item is None else f"{section}.{item[0]}, {item[1]}"
-        message = f"{path} has a layout that is not edited here: enter it by hand:\n{where}:\n{lines}"
+        message = f"{path} has a layout that is not edited here: enter it by hand:\n{_by_hand(section, values, item)}"
         raise ConfigError(message, code="config.not_editable")
     write_atomic(path, edited.encode())
 
 
-def _edited(text: str, section: str, values: Mapping[str, Value], item: tuple[str, str] | None) -> str:
-    root = yaml.compose(text, yaml.SafeLoader)
-    node = None if root is None else _fields(root).get(section)
+def _by_hand(section: tuple[str, ...], values: Mapping[str, Value], item: tuple[str, str] | None) -> str:
     if item is not None:
-        records = _fields(node)[item[0]].value
-        node = next(record for record in records if _fields(record)["name"].value == item[1])
-    if node is None:
-        body = "".join(f"  {name}: {_text(value)}\n" for name, value in values.items())
-        return f"{text}{'' if text.endswith(chr(10)) or not text else chr(10)}{section}:\n{body}"
+        return f"{'.'.join(section)}.{item[0]}, {item[1]}:\n{_block(values, '  ')}"
+    return _block(_nested(section, values), "")
+
+
+def _nested(section: Sequence[str], values: Mapping[str, Value]) -> dict[str, Any]:
+    nested: dict[str, Any] = dict(values)
+    for name in reversed(section):
+        nested = {name: nested}
+    return nested
+
+
+def _edited(text: str, section: tuple[str, ...], values: Mapping[str, Value], item: tuple[str, str] | None) -> str:
+    root = node = yaml.compose(text, yaml.SafeLoader)
+    key, rest = None, list(section)
+    while node is not None and rest and rest[0] in (fields := _fields(node)):
+        key, node = fields[rest.pop(0)]
+    if item is not None:
+        records = _fields(node)[item[0]][1].value
+        node = next(record for record in records if _fields(record)["name"][1].value == item[1])
+    new = _nested(rest, values)
+    if node is None:  # an empty file
+        return _inserted(text, len(text), _block(new, ""))
+    if node.tag == _NULL and key is not None:  # a section without fields
+        begin, end = node.start_mark.index, node.end_mark.index
+        if begin < end:
+            return f"{text[:begin]}{_text(new)}{text[end:]}"
+        return _inserted(text, _line_end(text, begin), _block(new, " " * (key.start_mark.column + 2)))
     if not isinstance(node, yaml.MappingNode):
-        raise ValueError(section)
+        raise TypeError(section)
     fields = _fields(node)
-    edits: list[tuple[int, int, str]] = []
-    missing = {name: value for name, value in values.items() if name not in fields}
-    for name in values.keys() - missing.keys():
-        scalar = fields[name]
-        edits.append((scalar.start_mark.index, scalar.end_mark.index, f"{_text(values[name])}"))
-    if missing and node.flow_style:
-        at, new = node.end_mark.index - 1, ", ".join(f"{name}: {_text(value)}" for name, value in missing.items())
-        edits.append((at, at, f", {new}" if node.value else new))
-    elif missing:
-        first = node.value[0][0].start_mark
-        new = "".join(f"{name}: {_text(value)}\n{' ' * first.column}" for name, value in missing.items())
-        edits.append((first.index, first.index, new))
-    for begin, end, new in sorted(edits, key=lambda edit: edit[0], reverse=True):
-        text = text[:begin] + new + text[end:]
-    return text
+    missing = {name: value for name, value in new.items() if name not in fields}
+    edited = text if not missing else _added(text, node, missing, outermost=node is root)
+    for name in sorted(new.keys() & fields.keys(), key=lambda name: fields[name][1].start_mark.index, reverse=True):
+        begin, end = fields[name][1].start_mark.index, _end(fields[name][1])
+        edited = f"{edited[:begin]}{' ' if begin == end else ''}{_text(new[name])}{edited[end:]}"
+    return edited
 
 
-def _fields(node: Any) -> dict[str, Any]:
-    """The values of a mapping node, by their keys."""
-    return {key.value: value for key, value in node.value}
+def _added(text: str, node: yaml.MappingNode, missing: dict[str, Any], *, outermost: bool) -> str:
+    """Add fields after the last one of a mapping that has none of them."""
+    if node.flow_style:
+        at = node.end_mark.index - 1
+        return f"{text[:at]}{', ' if node.value else ''}{_text(missing)[1:-1]}{text[at:]}"
+    column = node.value[0][0].start_mark.column
+    at = len(text) if outermost else _line_end(text, _end(node))
+    while not outermost and re.match(rf"\n {{{column},}}#", text[at:]):  # comments of this section's own
+        at = _line_end(text, at + 1)
+    return _inserted(text, at, _block(missing, " " * column))
 
 
-def _text(value: Value) -> str:
-    """A number as YAML 1.1 reads it, which wants a point before an exponent; a text in quotes, as in JSON."""
+def _fields(node: Any) -> dict[str, tuple[Any, Any]]:
+    """The nodes of a mapping's keys and values, by key."""
+    return {key.value: (key, value) for key, value in node.value} if isinstance(node, yaml.MappingNode) else {}
+
+
+def _end(node: Any) -> int:
+    """Where a node's own text ends; the end that the parser tells of a block is where the next one begins."""
+    if isinstance(node, yaml.ScalarNode) or node.flow_style:
+        return int(node.end_mark.index)
+    last = node.value[-1]
+    return _end(last[1] if isinstance(last, tuple) else last)
+
+
+def _line_end(text: str, at: int) -> int:
+    end = text.find("\n", at)
+    return len(text) if end < 0 else end
+
+
+def _inserted(text: str, at: int, lines: str) -> str:
+    """Text with whole lines after the one that ends, or begins, at a place."""
+    before, after = text[:at], text[at:]
+    return f"{before}{'' if before.endswith(chr(10)) or not before else chr(10)}{lines}{after or chr(10)}"
+
+
+def _block(values: Mapping[str, Any], indent: str) -> str:
+    """Fields in block style, without the last line's end."""
+    lines = []
+    for name, value in values.items():
+        inner = f"\n{_block(value, indent + '  ')}" if isinstance(value, dict) else f" {_text(value)}"
+        lines.append(f"{indent}{name}:{inner}")
+    return "\n".join(lines)
+
+
+def _text(value: Any) -> str:
+    """A value as YAML 1.1 reads it, in flow style: a number has a point before its exponent."""
+    if value is None:
+        return "null"
     if isinstance(value, str):
-        return json.dumps(value)
+        plain = _PLAIN.fullmatch(value) and yaml.safe_load(value) == value
+        return value if plain else json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{name}: {_text(v)}' for name, v in value.items())}}}"
     if isinstance(value, Sequence):
         return f"[{', '.join(_text(v) for v in value)}]"
     text = str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))

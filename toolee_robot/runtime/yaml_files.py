@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
-from toolee_robot.errors import ConfigError
+from toolee_robot.errors import ConfigError, words_of
 
 T = TypeVar("T")
 
@@ -49,7 +49,7 @@ def read_yaml(path: Path, what: str) -> Any:
     except UnicodeDecodeError:
         raise ConfigError(f"the {what} {path} is no text: give a YAML file", code="config.unreadable") from None
     except (OSError, yaml.YAMLError) as error:
-        raise ConfigError(f"cannot read the {what} {path}: {error}", code="config.unreadable") from error
+        raise ConfigError(f"cannot read the {what} {path}: {words_of(error)}", code="config.unreadable") from error
 
 
 def read_record(path: Path, kind: type[T], what: str) -> T:

@@ -22,6 +22,7 @@ from toolee_robot.config import (
     StationConfig,
     ToolData,
     WorkConfig,
+    given_by_nails,
 )
 from toolee_robot.config.field_docs import field_docs
 from toolee_robot.config.units import wrong_unit
@@ -192,7 +193,8 @@ def _all(data: dict[str, Any]) -> Iterator[Question]:
     yield from _of(CameraDevice, device, _DEVICE[1:])
     yield from _of(CameraConfig, ("camera",), MEASURED["camera"])
     yield from _of(SceneConfig, ("scene",), MEASURED["scene"])
-    yield from _of(WorkConfig, ("work",), MEASURED["work"])
+    of_nails = given_by_nails((data.get("work") or {}).get("nails"))
+    yield from _of(WorkConfig, ("work",), [name for name in MEASURED["work"] if f"work.{name}" not in of_nails])
     for question in _of(PersonConfig, ("person",), [field.name for field in fields(PersonConfig)]):
         optional = type(None) in get_args(question.hint)
         yield Question(question.path, question.hint, question.text, optional=optional)

@@ -44,7 +44,7 @@ class RunScene:
     def __init__(self, history: RunHistory, config: StationConfig, port: int) -> None:
         self._history, self._config = history, config
         self.states = RunStates(history, config)
-        self.picture = StationPicture(config, port, (BodyId.TOOL, BodyId.PERSON), annotated=False)
+        self.picture = StationPicture(config, port, (BodyId.TOOL, BodyId.PERSON))
         self._scene = self.picture.server.scene
         self._nail = {body.name: body.X_base_body for body in bodies(config) if body.body_id is BodyId.NAIL}
         self._tool: Any = None

@@ -12,38 +12,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
-from toolee_robot.control import RobotModel
 from toolee_robot.errors import UserError
-from toolee_robot.frames import Array, frame_from_axes, transform
+from toolee_robot.frames import Array
+from toolee_robot.sim_backend.physics.bodies import OBSTACLE_COLOR
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.sim_backend.visuals.scene import BodyId, SceneVisuals, scene_state
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 
-WORKSPACE, CAMERA_BOX, TABLE = (60, 120, 200), (220, 120, 40), (200, 200, 195)
-"""Colours of the workspace's edges, of the camera's box and of the table."""
+CAMERA_BOX, TABLE = (220, 120, 40), (200, 200, 195)
+"""Colours of the camera's box and of the table."""
 AXES = 0.12
 """Length of a frame's axes [m]."""
-
-
-def named_frames(config: StationConfig) -> dict[str, Array]:
-    """The frames that a station file determines.
-
-    Args:
-        config: What the file says.
-
-    Returns:
-        Poses in `base` by name, (4, 4).
-    """
-    scene, robot = config.scene, RobotModel.of_station(config)
-    palm = frame_from_axes(z=np.array([0.0, 0.0, 1.0]), x=np.asarray(scene.handover_facing), p=scene.handover_position)
-    return {
-        "base_link": np.eye(4),
-        "pendant_base": transform(np.diag([-1.0, -1.0, 1.0])),
-        "flange at home": robot.arm.fk(np.array(scene.home)),
-        "camera": config.camera.X_base_camera,
-        **{name if len(work.names) == 1 else f"nail {name}": work.X_base_nail() for name, work in config.work.each()},
-        "handover, x faces the person": palm,
-    }
 
 
 def bodies(config: StationConfig) -> list[VisualBody]:
@@ -68,7 +47,6 @@ class StationPicture:
         config: What the station file says.
         port: Port of the page; the next free one is taken where it is in use.
         hidden: Bodies that are not drawn.
-        annotated: Whether frames with their names and the workspace are drawn.
 
     Attributes:
         server: The `viser.ViserServer`.
@@ -77,9 +55,7 @@ class StationPicture:
         UserError: viser is not installed.
     """
 
-    def __init__(
-        self, config: StationConfig, port: int, hidden: Collection[BodyId] = (), *, annotated: bool = True
-    ) -> None:
+    def __init__(self, config: StationConfig, port: int, hidden: Collection[BodyId] = ()) -> None:
         try:
             import viser
         except ImportError as error:
@@ -93,10 +69,6 @@ class StationPicture:
         self.server.scene.set_up_direction("+z")
         self._draw_bodies(config, hidden)
         self._draw_camera(config)
-        if annotated:
-            self._draw_workspace(config)
-            for name, X in named_frames(config).items():
-                self.frame(name, X)
         self.server.initial_camera.position = (2.1, 1.3, 1.5)
         self.server.initial_camera.look_at = (0.4, -0.2, 0.4)
 
@@ -109,17 +81,19 @@ class StationPicture:
         """Stop serving."""
         self.server.stop()
 
-    def frame(self, name: str, X: Array) -> None:
-        """Draw a frame, or move it.
+    def frame(self, name: str, X: Array, label: str, above: float = 0.0) -> None:
+        """Draw a frame.
 
         Args:
             name: Its name.
             X: Its pose in `base`, (4, 4).
+            label: What is written beside it.
+            above: Height of the label over the frame's x axis [m].
         """
         position, wxyz = position_wxyz(X)
         scene, path = self.server.scene, f"/frames/{name}"
         scene.add_frame(path, position=position, wxyz=wxyz, axes_length=AXES, axes_radius=AXES / 30.0)
-        scene.add_label(f"{path}/name", name, position=(AXES, 0.0, 0.0))  # base_link's and pendant_base's apart
+        scene.add_label(f"{path}/name", label, position=(AXES, 0.0, above))  # base_link's and pendant_base's apart
 
     def move(self, name: str, X: Array) -> None:
         """Move a body; one that is not drawn is left out.
@@ -148,7 +122,7 @@ class StationPicture:
                 f"/bodies/{body.name}",
                 body.mesh.vertices,
                 body.mesh.faces,
-                color=_rgb(body.color),
+                color=rgb(body.color),
                 opacity=0.3 if body.body_id == BodyId.PERSON else None,
                 flat_shading=True,
                 position=position,
@@ -173,17 +147,17 @@ class StationPicture:
             wxyz=wxyz,
         )
 
-    def _draw_workspace(self, config: StationConfig) -> None:
-        lower, upper = np.array(config.scene.workspace_lower), np.array(config.scene.workspace_upper)
-        middle, size = tuple((lower + upper) / 2.0), tuple(upper - lower)
-        self.server.scene.add_box("/workspace", color=WORKSPACE, dimensions=size, position=middle, wireframe=True)
-
 
 def position_wxyz(X: Array) -> tuple[Array, Array]:
     """Position (3,) and quaternion (4,), w first, of a pose (4, 4)."""
     return X[:3, 3], np.asarray(Rotation.from_matrix(X[:3, :3]).as_quat(scalar_first=True))
 
 
-def _rgb(color: tuple[float, float, float]) -> tuple[int, int, int]:
+def rgb(color: tuple[float, float, float]) -> tuple[int, int, int]:
+    """Colour of 0 to 1 as bytes."""
     r, g, b = (round(255 * channel) for channel in color)
     return r, g, b
+
+
+OBSTACLE = rgb(OBSTACLE_COLOR[:3])
+"""Colour of the boxes that are kept clear of."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, words_of
 from toolee_robot.runtime.files import write_atomic
 
 SUMS = "SHA256SUMS"
@@ -36,7 +36,7 @@ def read_sums(folder: Path) -> dict[str, str]:
     try:
         lines = (folder / SUMS).read_text().splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise AssetError(f"cannot read {folder / SUMS}: {error}") from error
+        raise AssetError(f"cannot read {folder / SUMS}: {words_of(error)}") from error
     sums = {line[66:]: line[:64] for line in lines if len(line) > 66 and line[64:66] == "  "}
     if len(sums) != len(lines) or not sums:
         raise AssetError(f"{folder / SUMS} is not a list of checksums")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import AssetError, UserError
+from toolee_robot.errors import AssetError, UserError, words_of
 from toolee_robot.perception.pose.canonical import (
     MIN_KEPT,
     MIN_POINTS,
@@ -117,7 +117,8 @@ class RenderedClouds:
                 return cls(*(data[f.name] for f in fields(cls)))
         except (OSError, ValueError, KeyError) as error:
             raise AssetError(
-                f"{path} holds no clouds: make them with `toolee train clouds` ({error})", code="asset.unreadable"
+                f"{path} holds no clouds: make them with `toolee train clouds` ({words_of(error)})",
+                code="asset.unreadable",
             ) from error
 
 

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from toolee_robot.errors import DeviceError, UserError
+from toolee_robot.errors import DeviceError, UserError, words_of
 from toolee_robot.frames import Array
 
 FAULT_PORT = 30020
@@ -56,7 +56,7 @@ class FaultClient:
             self._socket = socket.create_connection((host, port), timeout)
         except OSError as error:
             raise DeviceError(
-                f"no controller stand-in answers on {self._address} ({error}): start one with "
+                f"no controller stand-in answers on {self._address} ({words_of(error)}): start one with "
                 f"`toolee ur-controller --host {host}`",
                 code="device.no_controller",
             ) from error
@@ -85,7 +85,7 @@ class FaultClient:
                     raise ConnectionError("closed")
                 self._buffer += data
         except OSError as error:
-            message = f"the controller stand-in on {self._address} does not answer: {error}"
+            message = f"the controller stand-in on {self._address} does not answer: {words_of(error)}"
             raise DeviceError(message, code="device.no_controller") from error
         line, self._buffer = self._buffer.split(b"\n", 1)
         answer: dict[str, Any] = json.loads(line)

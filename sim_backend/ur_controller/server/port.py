@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.sim_backend.ur_controller.server.link import Connection, LinkFaults
 
 CLIENTS = 16  # connections of a port at once; further ones are closed
@@ -75,7 +75,7 @@ class Port:
         except OSError as error:
             listener.close()
             raise UserError(
-                f"cannot listen on {self.host}:{self.number} ({self.name}): {error.strerror}. Is another controller "
+                f"cannot listen on {self.host}:{self.number} ({self.name}): {words_of(error)}. Is another controller "
                 "running there? End it, or choose another address, for example --host 127.0.0.3.",
                 code="user.port_taken",
             ) from error

@@ -84,7 +84,7 @@ class Lag(MotionOptions):
                 soft_wrap=True,
             )
         if best is not None and self.write and self.config is not None:
-            set_fields(self.config, "servo", asdict(best))
+            set_fields(self.config, ("servo",), asdict(best))
             console.print(f"Written to {self.config}.")
         if self.json:
             told = [{"gain": t.gain, "lookahead": t.lookahead, **asdict(t.figures)} for t in trials]

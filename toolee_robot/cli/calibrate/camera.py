@@ -94,7 +94,7 @@ class Camera:
         if self.write:
             assert self.station is not None
             record = os.path.relpath(place / RECORD, self.station.parent)
-            set_fields(self.station, "calibration", {"record": record})
+            set_fields(self.station, ("calibration",), {"record": record})
         job.conclude(place, self.station if self.write else None, self.json)
         return 0
 

@@ -231,7 +231,7 @@ class NailJob:
         if write:
             assert path is not None
             for item, values in reversed(places):
-                set_fields(path, "work", values, item)
+                set_fields(path, ("work",), values, item)
         if "true_lateral_mm" in self.figures:
             lines += ["", "[dim]* measured by the simulation; whoever looks cannot see it[/dim]"]
         title = "[bold]the nail is located[/bold]"

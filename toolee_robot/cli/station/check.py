@@ -7,10 +7,12 @@ from pathlib import Path
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import load_lab_station
+from toolee_robot.config import load_lab_station, load_station, read_station
+from toolee_robot.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -28,11 +30,27 @@ class Check:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        config = load_lab_station(self.file)
         from toolee_robot.robots import hand_model
         from toolee_robot.stations.lab import check_purpose
+        from toolee_robot.stations.open_fields import open_fields, told
 
+        console = Console(stderr=self.json, highlight=False)
+        fields = open_fields(read_station(self.file), self.file)
+        if any(not entry.note for entry in fields):
+            raise ConfigError(_wrong(self.file) + told(fields, self.file), code="config.unmeasured")
+        config = load_lab_station(self.file)
         check_purpose(config)
         hand_model(config.hand)
-        Console(stderr=self.json, highlight=False).print("Nothing is missing in the file. Whether it is right:")
+        if fields:
+            console.print(escape(told(fields, self.file)), soft_wrap=True)
+        console.print("Nothing that a job needs is missing in the file. Whether it is right:")
         return Doctor(config=self.file, json=self.json).run()
+
+
+def _wrong(file: Path) -> str:
+    """What is wrong in a file that lacks something, too."""
+    try:
+        load_station(file)
+    except ConfigError as error:
+        return f"{error}\n"
+    return f"{file} is not complete\n"

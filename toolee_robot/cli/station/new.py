@@ -14,6 +14,8 @@ from rich.markup import escape
 
 from toolee_robot.config.station import read_station, to_station
 from toolee_robot.errors import ConfigError, TooleeError, UserError
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.yaml_edit import set_fields
 
 if TYPE_CHECKING:
     from toolee_robot.stations.interview import Question
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 BACK = "<"
 """The answer that takes the one before back."""
 HEAD = "# Station file, docs/reference/station_file.md. Lengths in metres, angles in radians.\n"
+"""The first line of a new file."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +43,14 @@ class New:
 
     def run(self) -> int:
         from toolee_robot.stations.interview import questions
+        from toolee_robot.stations.open_fields import open_fields, told
 
         console = Console(highlight=False)
-        data: dict[str, Any] = {}
-        if self.file.exists():
-            data = read_station(self.file)
-            if not isinstance(data, dict):
-                raise UserError(f"{self.file} is no station file: give another name", code="user.not_a_station")
-        else:
-            _write(self.file, data)  # before the questions: the place may be none
+        if not self.file.exists():
+            write_atomic(self.file, HEAD.encode())  # before the questions: the place may be none
+        data = read_station(self.file)
+        if not isinstance(data, dict):
+            raise UserError(f"{self.file} is no station file: give another name", code="user.not_a_station")
         before = copy.deepcopy(data)
         console.print(
             'Enter leaves a field open, "<" takes the answer before back. Lengths in metres, angles in radians, masses '
@@ -60,22 +62,21 @@ class New:
         except (EOFError, KeyboardInterrupt):
             console.print()
         name = f"[bold]{escape(str(self.file))}[/bold]"
-        if data != before:  # else its comments stay
-            _write(self.file, data)
-            console.print(f"Written to {name}.")
-        else:
-            console.print(f"Nothing new for {name}.")
-        left = [question.name for question in questions(data)]
-        if left:
-            console.print(f"Still open: {', '.join(left)}. `toolee station new {self.file}` asks for them again.")
-            return 1
-        try:
-            to_station(data, self.file)
-        except ConfigError as error:
-            console.print(f"[yellow]{escape(str(error))}[/yellow]\nCorrect it in the file.")
+        console.print(f"Nothing new for {name}." if data == before else f"Written to {name}.", soft_wrap=True)
+        wrong = ""
+        if not (unanswered := any(questions(data))):
+            try:
+                to_station(data, self.file)
+            except ConfigError as error:
+                wrong = str(error)
+        if fields := open_fields(data, self.file):
+            console.print(f"\n[bold]Still open[/bold]\n{escape(told(fields, self.file))}", soft_wrap=True)
+        if wrong:
+            console.print(f"\n[yellow]{escape(wrong)}[/yellow]\nCorrect it in the file.", soft_wrap=True)
+        if wrong or unanswered:
             return 1
         console.print(
-            f"Next: `toolee station show {self.file}`, then rehearse, which moves nothing: "
+            f"\nNext: `toolee station show {self.file}`, then rehearse, which moves nothing: "
             f"`toolee calibrate camera --station {self.file} --rehearse --write`.",
             soft_wrap=True,
         )
@@ -86,7 +87,7 @@ def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
     from toolee_robot.stations.interview import contradiction, put, questions, take
 
     skipped: set[str] = set()
-    answered: list[tuple[str, ...]] = []
+    answered: list[tuple[bytes, bytes]] = []  # the file before and after each
     section, asked_camera = "", False
     while question := next((q for q in questions(data) if q.name not in skipped), None):
         if question.path[0] != section:
@@ -94,28 +95,41 @@ def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
             console.print(f"[bold]{section}[/bold]  [dim]{len(list(questions(data)))} fields to go[/dim]")
         if question.path[:1] == ("camera",) and question.path[-1] == "fx" and not asked_camera:
             asked_camera = True
-            if _told_by_the_camera(data, console):
+            if _told_by_the_camera(file, data, console):
                 continue
         answer = _ask(question, str(data.get("frame", "base")), console)
         if answer == BACK:
             if answered:
-                take(data, answered.pop())
+                _take_back(file, data, answered.pop(), console)
+                asked_camera = False
             continue
         if not answer:
             skipped.add(question.name)
             continue
         try:
-            put(data, question.path, question.parse(answer))
+            value = question.parse(answer)
         except UserError as error:
             console.print(f"  [yellow]{escape(str(error))}[/yellow]")
             continue
+        put(data, question.path, value)
         whole = all(q.path[0] != section for q in questions(data))
         if whole and (wrong := contradiction(data, section)):
             take(data, question.path)
             console.print(f'  [yellow]{escape(wrong)}[/yellow]; "<" leads to the answer before', soft_wrap=True)
             continue
-        answered.append(question.path)
-        _write(file, data)
+        was = file.read_bytes()
+        set_fields(file, question.path[:-1], {question.path[-1]: value})
+        answered.append((was, file.read_bytes()))
+
+
+def _take_back(file: Path, data: dict[str, Any], answer: tuple[bytes, bytes], console: Console) -> None:
+    before, after = answer
+    if file.read_bytes() == after:
+        write_atomic(file, before)
+        data.clear()
+        data.update(read_station(file))
+    else:
+        console.print("  [yellow]the file has been changed since that answer: correct it there[/yellow]")
 
 
 def _ask(question: Question, frame: str, console: Console) -> str:
@@ -132,7 +146,7 @@ def _ask(question: Question, frame: str, console: Console) -> str:
     return console.input("  > ").strip()
 
 
-def _told_by_the_camera(data: dict[str, Any], console: Console) -> bool:
+def _told_by_the_camera(file: Path, data: dict[str, Any], console: Console) -> bool:
     """Fill in the intrinsics from the camera itself, if it is connected."""
     from toolee_robot.config import CameraConfig, CameraDevice
     from toolee_robot.runtime.clock import HostClock
@@ -149,17 +163,11 @@ def _told_by_the_camera(data: dict[str, Any], console: Console) -> bool:
     except TooleeError as error:
         console.print(f"  [dim]the camera does not tell its intrinsics: {escape(str(error))}[/dim]", soft_wrap=True)
         return False
-    for name in INTRINSICS:
-        put(data, ("camera", name), getattr(k, name))
-    told = f"{k.width}x{k.height}, fx {k.fx:.2f}, fy {k.fy:.2f}, cx {k.cx:.2f}, cy {k.cy:.2f}"
-    console.print(f"  the camera tells {told}")
+    told = {name: getattr(k, name) for name in INTRINSICS}
+    for name, value in told.items():
+        put(data, ("camera", name), value)
+    set_fields(file, ("camera",), told)
+    console.print(
+        f"  the camera tells {k.width}x{k.height}, fx {k.fx:.2f}, fy {k.fy:.2f}, cx {k.cx:.2f}, cy {k.cy:.2f}"
+    )
     return True
-
-
-def _write(path: Path, data: dict[str, Any]) -> None:
-    import yaml
-
-    from toolee_robot.runtime.files import write_atomic
-
-    text = HEAD + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    write_atomic(path, text.encode())

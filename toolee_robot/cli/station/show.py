@@ -30,14 +30,14 @@ class Show:
     """Port of the page."""
 
     def run(self) -> int:
-        config = load_station(self.file)
+        load_station(self.file)  # before viser is imported
         console = Console(highlight=False)
         with console.status("building the picture"):
-            from toolee_robot.viewer.station_scene import StationPicture
+            from toolee_robot.viewer.station_page import StationPage
 
-            picture = StationPicture(config, self.port)
-        console.print(f"Open [bold]{picture.address}[/bold] in a browser. Ctrl-C ends it.")
+            page = StationPage(self.file, self.port)
+        console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it.")
         with contextlib.suppress(KeyboardInterrupt):
             signal.pause()
-        picture.close()
+        page.close()
         return 0

@@ -12,7 +12,7 @@ import tyro
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
 
@@ -141,5 +141,5 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(
-            f"cannot make the folder {folder}: {error.strerror or error}", code="user.folder_not_writable"
+            f"cannot make the folder {folder}: {words_of(error)}", code="user.folder_not_writable"
         ) from error

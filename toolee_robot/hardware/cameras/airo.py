@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.errors import NoAnswerError
+from toolee_robot.errors import NoAnswerError, words_of
 from toolee_robot.hardware.cameras.lens import Lens
 from toolee_robot.hardware.cameras.stream import CameraProfile, RawImages
 from toolee_robot.types import CameraIntrinsics
@@ -47,7 +47,8 @@ class AiroStream:
             width, height = camera.resolution
             fps = float(camera.fps)
         except Exception as error:  # whatever a maker's library raises
-            message = f"airo-camera-toolkit cannot open the camera {self._serial} ({error}): check cable and settings"
+            what = f"airo-camera-toolkit cannot open the camera {self._serial}"
+            message = f"{what} ({words_of(error)}): check cable and settings"
             raise NoAnswerError(message, code="no_answer.camera_refuses") from error
         self._camera = camera
         lens = Lens(CameraIntrinsics(fx, fy, cx, cy, int(width), int(height)))
@@ -73,7 +74,9 @@ class AiroStream:
             rgb = np.array(self._camera.retrieve_rgb_image_as_int(), np.uint8)
             depth = np.array(self._camera.retrieve_depth_map(), np.float32)
         except Exception as error:  # whatever a maker's library raises
-            message = f"airo-camera-toolkit gave no image of the camera {self._serial} ({error}): plug it in again"
+            message = (
+                f"airo-camera-toolkit gave no image of the camera {self._serial} ({words_of(error)}): plug it in again"
+            )
             raise NoAnswerError(message, code="no_answer.camera_unplugged") from error
         depth[~np.isfinite(depth)] = 0.0
         return RawImages(rgb, depth, stamp, stamp)

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from toolee_robot.errors import DeviceError, NoAnswerError, NotReadyError, TooleeError
+from toolee_robot.errors import DeviceError, NoAnswerError, NotReadyError, TooleeError, words_of
 from toolee_robot.hal import Clock
 from toolee_robot.hardware.cameras.frame_gate import FrameGate, Refusal, stale
 from toolee_robot.hardware.cameras.registration import DepthRegistration
@@ -189,7 +189,9 @@ class StreamedCamera:
         except TooleeError as error:
             self._fail(error)
         except Exception as error:  # noqa: BLE001  # whatever a maker's library raises: the reader must hear of it
-            self._fail(NoAnswerError(f"the camera's driver failed: {error}: open it again", code="no_answer.camera"))
+            self._fail(
+                NoAnswerError(f"the camera's driver failed: {words_of(error)}: open it again", code="no_answer.camera")
+            )
 
     def _fail(self, error: TooleeError) -> None:
         with self._news:

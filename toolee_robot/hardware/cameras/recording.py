@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
@@ -94,7 +94,7 @@ class RecordingWriter:
             for name in ("rgb", "depth"):
                 (self._folder / name).mkdir()
         except OSError as error:
-            message = f"cannot record into {self._folder}: {error.strerror}; name a new folder"
+            message = f"cannot record into {self._folder}: {words_of(error)}; name a new folder"
             raise UserError(message, code="user.not_writable") from error
         return self
 

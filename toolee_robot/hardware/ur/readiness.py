@@ -68,5 +68,7 @@ def require_ready(
     if failed or report.version is None:
         lines = "\n  ".join(map(str, failed))
         message = f"the robot at {config.host} is not ready:\n  {lines}"
+        if failed and load_only:
+            raise NotReadyError(message, code="not_ready.timing")
         raise NotReadyError(message, code="not_ready.checks_failed")
     return Identity(report.version, report.serial)

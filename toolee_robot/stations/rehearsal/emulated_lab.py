@@ -11,11 +11,18 @@ from typing import Any, Self
 
 from toolee_robot.config import HandConfig, StationConfig
 from toolee_robot.control import RobotModel
-from toolee_robot.errors import ConfigError, StaleDataError, UserError
+from toolee_robot.errors import (
+    ConfigError,
+    DeviceError,
+    OverrunError,
+    StaleDataError,
+    UserError,
+)
 from toolee_robot.hal import Station
 from toolee_robot.robots import MOUNT
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
+from toolee_robot.runtime.cpu_load import CpuLoad
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge
 from toolee_robot.sim_backend.remote.world import RemoteWorld
@@ -28,6 +35,13 @@ from toolee_robot.stations.rehearsal.hand import FingerCoupling
 from toolee_robot.stations.rehearsal.person import RehearsedPerson
 from toolee_robot.tools import Tool
 
+NOTHING_ELSE = 0.05
+"""Share of the cores' time that other programs take on a machine that does nothing else."""
+_LATE = (
+    "device.timeout", "motion_fault.task_stalled", "no_answer.hand_silent", "no_answer.timeout",
+    "not_ready.timing", "person_near.switch_not_taken",
+)  # fmt: skip
+"""Codes of further errors that late programs alone explain where every device and the person are emulated."""
 _PORTS = (29999, 30004)
 
 
@@ -92,7 +106,7 @@ class EmulatedLab:
         self._clock, self._host = HostClock(real_time_factor), _free_address()
         self._world = RemoteWorld(cell.true, cell.seed, cell.options, self._host, self._clock, profile)
         self.judge = RemoteJudge(self._world)
-        self._stack = ExitStack()
+        self._load, self._stack = CpuLoad(), ExitStack()
 
     def __enter__(self) -> Self:
         """Start the emulators, and connect the drivers.
@@ -107,6 +121,7 @@ class EmulatedLab:
             stack.callback(sys.setswitchinterval, sys.getswitchinterval())
             sys.setswitchinterval(SWITCH_INTERVAL)
             stack.enter_context(CpuKeepalive())
+            stack.enter_context(self._load)
             self._doing(f"starting the simulated cell behind a controller at {self._host}")
             stack.enter_context(world)
             self._set_up_robot()
@@ -145,19 +160,19 @@ class EmulatedLab:
 
     @contextmanager
     def blaming_the_machine(self) -> Iterator[None]:
-        """Context in which a device whose data are too old is said to be an emulated one, which a busy machine delays.
+        """Context in which late data and commands are said to be late because this machine is busy, with its load.
+
+        Every device is emulated here, so that nothing else delays them.
 
         Raises:
-            StaleDataError: As was raised inside, with that advice.
+            DeviceError: The error that was raised inside, with that said first.
         """
         try:
             yield
-        except StaleDataError as error:
-            raise StaleDataError(
-                f"{error}. In a rehearsal every device is emulated: this machine was too busy; end other programs, or "
-                f"give a --real-time-factor under {self._clock.real_time_factor:g}",
-                code=error.code,
-            ) from error
+        except DeviceError as error:
+            if isinstance(error, StaleDataError | OverrunError) or error.code in _LATE:
+                error.args = (f"{late_because(self._load.others(), self._clock.real_time_factor)}. Late was: {error}",)
+            raise
 
     def _set_up_robot(self) -> None:
         """Set the robot up as at the pendant: the payload that was weighed, and the serial number that is known."""
@@ -180,6 +195,23 @@ class EmulatedLab:
 
     def _set_input(self, index: int, high: bool) -> None:
         self._world.controller.fault("digital_input", index=index, high=high)
+
+
+def late_because(others: float | None, factor: float) -> str:
+    """Say why data come late where every device is emulated, and what to do.
+
+    Args:
+        others: Share of this machine's cores that other programs take, 0 to 1; None where unknown.
+        factor: Rate of the station's time relative to wall-clock time.
+
+    Returns:
+        The words, without a full stop.
+    """
+    less = f"give a --real-time-factor under {factor:g}"
+    if others is not None and others < NOTHING_ELSE:
+        return f"data came late, because this machine alone is too slow for this rehearsal: {less}"
+    took = "" if others is None else f": other programs took {others:.0%} of its cores in the last seconds"
+    return f"data came late, because this machine is busy{took}. Close other programs, or {less}"
 
 
 def _free_address() -> str:

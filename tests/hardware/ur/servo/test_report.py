@@ -70,3 +70,24 @@ def test_a_ratio_that_reached_its_limit_names_the_reason_of_a_protective_stop(
 
 def test_a_protective_stop_at_rest_is_named_by_the_state_alone() -> None:
     assert fault(Cause.STOPPED_BY_ROBOT, arm_state(state((0.0, 2.0))), None).code == "protective_stop.collision"
+
+
+@pytest.mark.parametrize(
+    ("cause", "words"),
+    [(Cause.DATA, "(up to 48 ms old)"), (Cause.OVERRUN, "by up to 31 ms,")],
+)
+def test_what_was_late_is_told_with_the_time(memory: ServoMemory, cause: Cause, words: str) -> None:
+    memory.rows[:3, Column.SENT] = 5.0, 5.008, 5.016
+    memory.rows[:3, Column.SEEN] = 4.996, 4.96, 5.012
+    memory.rows[:3, Column.LATENESS] = 0.0001, 0.0314, 0.0002
+    memory.words[Word.ROWS] = 3
+    report = build_report(memory, cause)
+    assert (report.lateness, report.data_age) == pytest.approx((0.0314, 0.048))
+    assert words in str(fault(cause, arm_state(state((0.0, 0.0))), report))
+    assert "up to" not in str(fault(cause, arm_state(state((0.0, 0.0))), None)), "at rest nothing was measured"
+
+
+def test_a_motion_without_a_command_was_not_late(memory: ServoMemory) -> None:
+    memory.words[Word.ROWS] = 0
+    report = build_report(memory, Cause.OVERRUN)
+    assert (report.lateness, report.data_age) == (0.0, 0.0)

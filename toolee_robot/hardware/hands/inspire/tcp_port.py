@@ -7,7 +7,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from toolee_robot.errors import ConfigError, NoAnswerError
+from toolee_robot.errors import ConfigError, NoAnswerError, words_of
 
 CONNECT_TIME = 1.0
 """Time to connect [s]."""
@@ -62,7 +62,7 @@ class TcpPort:
         try:
             self._socket = socket.create_connection(tcp_address(port), CONNECT_TIME)
         except OSError as error:
-            message = f"cannot connect to the hand at {port}: {error}; check hand.port, its power, the cable"
+            message = f"cannot connect to the hand at {port}: {words_of(error)}; check hand.port, its power, the cable"
             message += ", and that this computer has an address in the hand's network"
             raise NoAnswerError(message, code="no_answer.hand_port") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -128,5 +128,7 @@ class TcpPort:
         try:
             yield
         except (OSError, ValueError) as error:  # ValueError: select, of a socket that was closed meanwhile
-            message = f"the connection to the hand at {self.path} is gone ({error}): check its power and its cable"
+            message = (
+                f"the connection to the hand at {self.path} is gone ({words_of(error)}): check its power and its cable"
+            )
             raise NoAnswerError(f"{message}, then start again", code="no_answer.hand_unplugged") from error

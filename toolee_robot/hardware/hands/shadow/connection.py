@@ -17,7 +17,7 @@ from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 from websockets.uri import parse_uri
 
-from toolee_robot.errors import ConfigError, NoAnswerError
+from toolee_robot.errors import ConfigError, NoAnswerError, words_of
 
 OPEN_TIME, SEND_TIME = 3.0, 0.5
 """Longest time for connecting, and for a message to go out [s]."""
@@ -59,7 +59,7 @@ class Connection:
                 self._socket.close()
                 raise
         except (OSError, InvalidHandshake, EOFError) as error:
-            message = f"no rosbridge answers at {url}: {error}; check hand.port, the network, and that"
+            message = f"no rosbridge answers at {url}: {words_of(error)}; check hand.port, the network, and that"
             message += " rosbridge_websocket runs beside the hand"
             raise NoAnswerError(message, code="no_answer.hand_port") from error
 
@@ -148,8 +148,8 @@ class Connection:
                     self._socket.shutdown(socket.SHUT_WR)
 
     def _gone(self, error: Exception) -> NoAnswerError:
-        message = f"the connection to the hand at {self.url} is gone ({error}): see that rosbridge and the hand run,"
-        return NoAnswerError(f"{message} then start again", code="no_answer.hand_unplugged")
+        message = f"the connection to the hand at {self.url} is gone ({words_of(error)}): see that rosbridge and"
+        return NoAnswerError(f"{message} the hand run, then start again", code="no_answer.hand_unplugged")
 
 
 def _no_address(url: str) -> ConfigError:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import serial
 
-from toolee_robot.errors import NoAnswerError
+from toolee_robot.errors import NoAnswerError, words_of
 
 _READ_TIME = 0.01
 
@@ -33,10 +33,9 @@ class SerialPort:
         try:
             self._serial = serial.Serial(port, baud_rate, timeout=_READ_TIME, write_timeout=write_time, exclusive=True)
         except (OSError, ValueError, termios.error) as error:  # pyserial's errors are OSErrors
-            message = (
-                f"cannot open the hand's port {port}: {error}; check hand.port, the cable, your rights to the port"
-            )
-            raise NoAnswerError(f"{message}, and that no other program uses it", code="no_answer.hand_port") from error
+            message = f"cannot open the hand's port {port}: {words_of(error)}; check hand.port, the cable, your rights"
+            message += " to the port, and that no other program uses it"
+            raise NoAnswerError(message, code="no_answer.hand_port") from error
 
     def close(self) -> None:
         """Release the port; nothing is said to the hand."""
@@ -87,5 +86,5 @@ class SerialPort:
         try:
             yield
         except (OSError, termios.error, TypeError) as error:  # TypeError: pyserial, of a port that was closed meanwhile
-            message = f"the hand's port {self.path} is gone ({error}): plug the cable in, then start again"
+            message = f"the hand's port {self.path} is gone ({words_of(error)}): plug the cable in, then start again"
             raise NoAnswerError(message, code="no_answer.hand_unplugged") from error

@@ -9,7 +9,7 @@ import threading
 import time
 from contextlib import suppress
 
-from toolee_robot.errors import NoAnswerError
+from toolee_robot.errors import NoAnswerError, words_of
 
 _CHUNK = 65536
 _SO_TIMESTAMPNS, _STAMP = 35, struct.Struct("@qq")  # Linux, socket(7); on the wall clock
@@ -71,7 +71,7 @@ def connect(host: str, port: int, deadline: float) -> socket.socket:
     except TimeoutError as error:
         raise NoAnswerError(f"{host}:{port} does not answer", code="no_answer.timeout") from error
     except OSError as error:
-        raise NoAnswerError(f"{host}:{port}: {error.strerror or error}", code="no_answer.connect") from error
+        raise NoAnswerError(f"{host}:{port}: {words_of(error)}", code="no_answer.connect") from error
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
     return sock
@@ -92,7 +92,7 @@ def send(sock: socket.socket, data: bytes, deadline: float) -> None:
         sock.settimeout(remaining(deadline))
         sock.sendall(data)
     except OSError as error:
-        message = f"the connection broke while sending: {error.strerror or error}"
+        message = f"the connection broke while sending: {words_of(error)}"
         raise NoAnswerError(message, code="no_answer.connection_lost") from error
 
 
@@ -113,7 +113,7 @@ def receive(sock: socket.socket, deadline: float) -> bytes:
         ready, _, _ = select.select([sock], [], [], remaining(deadline))
         data = sock.recv(_CHUNK) if ready else None
     except (OSError, ValueError) as error:
-        raise NoAnswerError(f"the connection broke: {error}", code="no_answer.connection_lost") from error
+        raise NoAnswerError(f"the connection broke: {words_of(error)}", code="no_answer.connection_lost") from error
     if data is None:
         raise NoAnswerError("no answer in time", code="no_answer.timeout")
     if not data:
@@ -140,7 +140,7 @@ def receive_now(sock: socket.socket) -> tuple[bytes, float]:
     except BlockingIOError:
         return b"", time.monotonic()
     except OSError as error:
-        raise NoAnswerError(f"the connection broke: {error}", code="no_answer.connection_lost") from error
+        raise NoAnswerError(f"the connection broke: {words_of(error)}", code="no_answer.connection_lost") from error
     if not data:
         raise NoAnswerError("the peer closed the connection", code="no_answer.connection_lost")
     for level, kind, stamp in control:

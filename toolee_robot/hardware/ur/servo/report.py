@@ -69,6 +69,8 @@ def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
         position_deviation_ratios=deviations,
         collision_ratios=collisions,
         commands=min(int(memory.words[Word.COMMANDS]), len(rows)),
+        lateness=float(rows[:, Column.LATENESS].max(initial=0.0)),
+        data_age=float((rows[:, Column.SENT] - rows[:, Column.SEEN]).max(initial=0.0)),
     )
 
 
@@ -99,11 +101,9 @@ def fault(
             message += f". Its code is {explain(told)[0]}"
         return MotionFaultError(message, report, code="motion_fault.robot_status")
     if cause is Cause.DATA:
-        return LinkLostError(
-            "the robot's data were late or implausible, and the arm was stopped: check the network, then reset",
-            report,
-            code="link_lost.data",
-        )
+        old = "" if report is None else f" (up to {report.data_age * 1e3:.0f} ms old)"
+        message = f"the robot's data were late or implausible{old}, and the arm was stopped"
+        return LinkLostError(f"{message}: check the network, then reset", report, code="link_lost.data")
     if cause is Cause.LINK:
         message = "the link to the robot is lost; its watchdog stops it: check the network, then reset"
         return LinkLostError(message, report, code="link_lost.connection")
@@ -122,7 +122,9 @@ def fault(
     if cause is Cause.TRACKING:
         return TrackingError("the arm did not follow its commands and was stopped: look for an obstacle", report)
     if cause is Cause.OVERRUN:
-        return OverrunError("commands were sent late and the arm was stopped: reduce the load on this machine", report)
+        late = "" if report is None else f", by up to {report.lateness * 1e3:.0f} ms,"
+        message = f"commands were sent late{late} and the arm was stopped: reduce the load on this machine"
+        return OverrunError(message, report)
     if cause is Cause.TASK_STALLED:
         message = "the task's process stalled and the arm was stopped: look what blocked it"
         return MotionFaultError(message, report, code="motion_fault.task_stalled")

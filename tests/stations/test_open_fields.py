@@ -1,0 +1,69 @@
+"""What a station file lacks, in the order in which a lab does it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from toolee_robot.cli.app import run
+from toolee_robot.config import MEASURED
+from toolee_robot.stations.interview import questions
+from toolee_robot.stations.open_fields import open_fields, told
+
+LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
+FILE = Path("my lab.yaml")
+
+
+def test_an_empty_file_lacks_everything_once_what_is_typed_first() -> None:
+    found = open_fields({}, FILE)
+    assert [entry.typed for entry in found] == sorted((entry.typed for entry in found), reverse=True)
+    names = [f"{entry.section}.{name}" for entry in found if not entry.note for name in entry.names]
+    assert len(set(names)) == len(names)
+    asked = {question.name for question in questions({})}
+    assert {name.removeprefix(".") for name in names} == asked | {"calibration"}
+    assert {f"{s}.{n}" for s, fields in MEASURED.items() for n in fields} - set(names) == {"hand.weighed"}, (
+        "which is asked of a hand, once its model is known"
+    )
+    commands = [entry.source.split()[:3] for entry in found if not entry.typed]
+    assert [" ".join(words[1:]) for words in commands] == [
+        "camera show", "doctor --config", "arm lag", "calibrate camera", "calibrate nail",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "taken",
+    [("tool", "mass"), ("camera", "fx"), ("calibration",), ("servo", "lag"), ("person", "door_open_input")],
+    ids=".".join,
+)
+def test_a_field_that_is_taken_out_is_on_one_line(taken: tuple[str, ...]) -> None:
+    said: dict[str, Any] = yaml.safe_load(LAB.read_text())
+    before = told(open_fields(said, FILE), FILE).splitlines()
+    part = said
+    for name in taken[:-1]:
+        part = part[name]
+    del part[taken[-1]]
+    new = [line for line in told(open_fields(said, FILE), FILE).splitlines() if line not in before]
+    assert any(line.lstrip().startswith(taken[0]) and taken[-1] in line for line in new)
+    assert all("my lab.yaml'" in line for line in new if "--station" in line), "a command that can be copied"
+
+
+def test_the_commands_are_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    for entry in open_fields({}, FILE):
+        if not entry.typed:
+            words = entry.source.split()[1:]
+            options = [word for word in words if word.startswith("--")]
+            with pytest.raises(SystemExit) as ended:
+                run([*words[: words.index(options[0])], "--help"])
+            assert ended.value.code == 0
+            shown = capsys.readouterr().out
+            assert all(option in shown for option in options), entry.source
+
+
+def test_nails_of_a_list_give_their_own_place() -> None:
+    said = yaml.safe_load((LAB.parent / "nails.yaml").read_text())
+    asked = {question.name for question in questions(said)}
+    assert "work.nail_xy" not in asked
+    assert "work.nail_length" in asked

@@ -1,0 +1,129 @@
+"""What a station file still lacks: who gives it, in the order in which a lab does it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from toolee_robot.stations.interview import INTRINSICS, questions
+
+_SOURCES = {
+    "frame": "the teach pendant, or ROS",
+    "arm": "its name plate, the network",
+    "hand": "its name plate, scales, spring balance",
+    "camera.device": "its label and data sheet",
+    "camera": "tape measure",
+    "scene": "teach pendant, tape measure",
+    "work": "ruler, calliper; the wood's kind",
+    "person": "how door and switch are wired",
+    "tool": "ruler and scales",
+}
+"""Where the numbers of a section come from that a person types in."""
+
+
+@dataclass(frozen=True)
+class OpenFields:
+    """Fields that are open, and what gives them.
+
+    Attributes:
+        section: The section of the file in which they are; empty for the top level.
+        names: Their names in it.
+        source: Where a person reads them, or the command that measures them.
+        typed: Whether a person types them in; `toolee station new` asks for these.
+        note: Why a job could do without; empty where it needs them.
+    """
+
+    section: str
+    names: tuple[str, ...]
+    source: str
+    typed: bool
+    note: str = ""
+
+    @property
+    def fields(self) -> str:
+        """The fields in few words, such as `camera: fx, fy`."""
+        return f"{self.section}: {', '.join(self.names)}" if self.section else ", ".join(self.names)
+
+
+def open_fields(data: dict[str, Any], path: Path) -> list[OpenFields]:
+    """List what a station file lacks.
+
+    Args:
+        data: What the file holds.
+        path: The file, for the commands.
+
+    Returns:
+        What is open, in the order in which a lab does it: first everything that is typed in, then the commands.
+    """
+    by_section: dict[str, list[str]] = {}
+    intrinsics = []
+    for question in questions(data):
+        *sections, name = question.path
+        if question.path[0] == "camera" and name in INTRINSICS:
+            intrinsics.append(name)
+        else:
+            by_section.setdefault(".".join(sections), []).append(name)
+    typed = [
+        OpenFields(section, tuple(names), _source(section or names[0]), typed=True)
+        for section, names in by_section.items()
+    ]
+    return [*typed, *_measured(data, tuple(intrinsics), shlex.quote(str(path)))]
+
+
+def told(fields: list[OpenFields], path: Path) -> str:
+    """What is open in words.
+
+    Args:
+        fields: What is open, at least one.
+        path: The file.
+
+    Returns:
+        A line each, those that are typed in before those that a command measures.
+    """
+    lines = []
+    for typed, head in (
+        (True, f"Type in, as `toolee station new {path}` asks for it:"),
+        (False, "Measure, each by its command, in this order (docs/how-to/run_a_job.md):"),
+    ):
+        group = [entry for entry in fields if entry.typed is typed]
+        if not group:
+            continue
+        if typed:
+            lines += [head, *(f"  {entry.fields}  ({entry.source})" for entry in group)]
+        else:
+            width = max(len(_marked(entry)) for entry in group)
+            lines += [head, *(f"  {_marked(entry):<{width}}  {entry.source}" for entry in group)]
+    return "\n".join(lines)
+
+
+def _marked(entry: OpenFields) -> str:
+    return f"{entry.fields} ({entry.note})" if entry.note else entry.fields
+
+
+def _source(section: str) -> str:
+    while section not in _SOURCES:
+        section = section.rpartition(".")[0]
+    return _SOURCES[section]
+
+
+def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> Iterator[OpenFields]:
+    arm, servo, camera = (data.get(name) or {} for name in ("arm", "servo", "camera"))
+    if intrinsics:
+        device = camera.get("device") or {}
+        which = f"--driver {device.get('driver', 'NAME')} --serial {device.get('serial', 'NUMBER')}"
+        yield OpenFields("camera", intrinsics, f"toolee camera show {which}", typed=False)
+    if "calibration" not in arm:
+        command = f"toolee doctor --config {path} --json  # arm_calibration, docs/how-to/calibrate.md"
+        yield OpenFields("arm", ("calibration",), command, typed=False, note="recommended")
+    if "lag" not in servo:
+        command = f"toolee arm lag --config {path} --write"
+        yield OpenFields("servo", ("gain", "lookahead", "lag"), command, typed=False, note="recommended")
+    if not data.get("calibration"):
+        command = f"toolee calibrate camera --station {path} --bars-mm X Y --plate-distance M --plate-mass KG --write"
+        yield OpenFields("", ("calibration",), command, typed=False)
+        nail, place = (" --nail NAME", "nails") if (data.get("work") or {}).get("nails") else ("", "nail_xy")
+        command = f"toolee calibrate nail --camera --station {path}{nail} --bars-mm X Y --thickness-mm T --write"
+        yield OpenFields("work", (place, "stand_height"), command, typed=False, note="more exactly")
