@@ -344,6 +344,20 @@ def test_the_wood_is_too_hard(bench: Bench) -> None:
     assert grip_kept(bench.sim)
 
 
+def test_a_nail_that_stops_just_over_the_wood_is_not_called_flush(bench: Bench) -> None:
+    """1.3 mm over it, where 1.0 mm counts as flush, in wood that no strike drives it into."""
+    nail, height = bench.sim.world.nail, 0.0013
+    nail.spec = replace(nail.spec, specific_gravity=1.2, pilot_diameter=0.0)
+    pb.resetJointState(nail.body, SLIDE, nail.spec.protrusion - height, physicsClientId=bench.sim.world.client)
+    config = replace(
+        CONFIG, work=replace(CONFIG.work, nail_protrusion=height), task=replace(CONFIG.task, max_strikes=5)
+    )
+    result = bench.blind_task(Log(), config).run()
+    assert nail.protrusion > CONFIG.task.flush_protrusion
+    assert result.outcome is Outcome.STUCK
+    assert result.protrusion == pytest.approx(nail.protrusion, abs=0.0005)
+
+
 def test_out_of_strikes_without_correction_and_without_perception(bench: Bench) -> None:
     log = Log()
     result = bench.blind_task(log).run()  # a perceiver that is asked fails the job
