@@ -14,7 +14,13 @@ from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
-from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge
+from toolee_robot.tasks.hammering.nail_gauge import (
+    CLEAR,
+    LEAST_RESISTANCE,
+    MAX_DEPTH_PER_STRIKE,
+    NailGauge,
+    deepest_strike,
+)
 from toolee_robot.types import Trajectory
 
 pytestmark = pytest.mark.sim(seconds=20)
@@ -99,3 +105,9 @@ def test_an_arm_that_a_strike_has_left_swinging_is_waited_for_but_not_for_ever(
         assert "the arm still moves" in result.reason
         assert log.motions[-1] == "strike"
         assert clock.now() - since[0] < 2.0
+
+
+def test_a_heavy_hammer_may_drive_a_nail_deeper_before_it_counts_as_bent() -> None:
+    assert deepest_strike(0.4, 1.2) == deepest_strike(0.8, 1.2) == MAX_DEPTH_PER_STRIKE
+    assert deepest_strike(1.5, 1.2) * LEAST_RESISTANCE == pytest.approx(0.5 * 1.5 * 1.2**2)
+    assert deepest_strike(1.5, 1.2) < 0.015, "a nail that stands 20 mm and falls over is still told"

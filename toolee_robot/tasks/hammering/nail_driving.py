@@ -18,7 +18,7 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.nail_forecast import NailForecast
-from toolee_robot.tasks.hammering.nail_gauge import CLEAR, MAX_DEPTH_PER_STRIKE, NailGauge
+from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge, deepest_strike
 from toolee_robot.tasks.hammering.striking import Striking
 from toolee_robot.tasks.hammering.tool_pose import Holding
 from toolee_robot.types import Payload
@@ -76,6 +76,7 @@ class NailDriving:
         self._striking = Striking(motions, config, robot, clock, observer, tool)
         self._correction = correction
         self._gauge = NailGauge(motions, config, robot, observer)
+        self._deepest = deepest_strike(tool.mass, config.strike.speed)
         self._forecast = NailForecast(config.work.nail_length, config.task.flush_protrusion, motions.arm.rate)
         self._strikes_seen = 0
         self._holding = Holding()
@@ -156,7 +157,7 @@ class NailDriving:
             struck = forecast.unmeasured
             progress, height = forecast.measured(measured), measured
             self.protrusion = height
-            if progress > MAX_DEPTH_PER_STRIKE:
+            if progress > self._deepest:
                 return Outcome.BENT, f"the head sank {progress * 1e3:.1f} mm in one strike: the nail has bent away"
             if self.strikes[-1].meeting is not Meeting.EXPECTED and height <= task.flush_protrusion:
                 # Beside a nail that it has missed the face meets the wood at once, which reads flush.
@@ -270,7 +271,7 @@ class NailDriving:
             if met:
                 raise
             raise JobEnded(end.outcome, f"{verdict}: the nail is not where the face went ({end})") from end
-        if not met and before - height > self._forecast.unknown * MAX_DEPTH_PER_STRIKE:
+        if not met and before - height > self._forecast.unknown * self._deepest:
             raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
         return height
 
