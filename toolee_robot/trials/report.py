@@ -136,9 +136,12 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
     page.section("Failures")
     failed = [record for record in records if not record.success]
     if failed:
-        page.table(["arm", "outcome", "trials"], _outcomes(made), left=2)
-        head = ["arm", pair, CONDITIONS, "tool", "outcome", "reason"]
-        _listed(page, head, [_failure(r, folder) for r in failed], 6)
+        page.table(["outcome", *(arm.replace("_", " ") for arm in made["arms"])], _outcomes(made))
+        head = [pair, CONDITIONS, "tool", "outcome", "reason"]
+        for arm in plan.arms:
+            if mine := of_arm(failed, arm):
+                page.heading(f"Failures: {arm.replace('_', ' ')}")
+                _listed(page, head, [_failure(r, folder) for r in mine], 5)
     else:
         page.paragraph("None.")
     first = of_arm(records, plan.arms[0])
@@ -223,12 +226,10 @@ def _conditions(made: dict[str, Any]) -> list[list[str]]:
 
 
 def _outcomes(made: dict[str, Any]) -> list[list[str]]:
-    return [
-        [arm.replace("_", " "), outcome.replace("_", " "), str(count)]
-        for arm, of in made["arms"].items()
-        for outcome, count in sorted(of["outcomes"].items(), key=lambda item: -item[1])
-        if outcome != "flush"
-    ]
+    """How often each outcome came in each arm, the most frequent one of the first arm first."""
+    counts = [of["outcomes"] for of in made["arms"].values()]
+    outcomes = {outcome: None for of in counts for outcome in sorted(of, key=of.get, reverse=True)}
+    return [[outcome.replace("_", " "), *(str(of.get(outcome, "")) for of in counts)] for outcome in outcomes]
 
 
 def _listed(page: Page, head: list[str], rows: list[list[Any]], left: int) -> None:
@@ -246,15 +247,7 @@ def _outcome(record: Record) -> str:
 
 def _failure(record: Record, folder: Path) -> list[Any]:
     f = record.figures
-    arm = str(record.trial.arm).replace("_", " ")
-    return [
-        arm,
-        _link(record, folder),
-        record.trial.conditions,
-        f["tool"],
-        _outcome(record).replace("_", " "),
-        f["reason"],
-    ]
+    return [_link(record, folder), record.trial.conditions, f["tool"], _outcome(record).replace("_", " "), f["reason"]]
 
 
 def _row(record: Record, folder: Path) -> list[Any]:
