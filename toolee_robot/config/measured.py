@@ -77,7 +77,7 @@ def load_lab_station(path: Path) -> StationConfig:
     if missing := _missing(data):
         raise ConfigError(
             f"{path} leaves out what describes your station, and the simulated one's values would stand in for it: "
-            f"measure and give {', '.join(missing)}",
+            f"measure and give {', '.join(missing)}; `toolee station check {path}` says how",
             code="config.unmeasured",
         )
     return config if data.get("calibration") else replace(config, calibration=None)
