@@ -49,8 +49,8 @@ class Annotate:
             from toolee_robot.viewer.annotation_page import AnnotationPage
 
             page = AnnotationPage(Session(frames), self.port)
-            console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it and writes the test.")
             with contextlib.suppress(KeyboardInterrupt):
+                console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it and writes the test.")
                 signal.pause()
             page.close()
         with console.status("fitting the clicks"):

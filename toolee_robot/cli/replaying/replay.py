@@ -101,7 +101,7 @@ class Replay:
         for look in again:
             look.show(page.scene)
         console.print(escape(history.metadata.get("title", "")))
-        console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it.")
         with suppress(KeyboardInterrupt):
+            console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it.")
             signal.pause()
         page.close()

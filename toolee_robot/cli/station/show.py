@@ -36,8 +36,8 @@ class Show:
             from toolee_robot.viewer.station_page import StationPage
 
             page = StationPage(self.file, self.port)
-        console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it.")
         with contextlib.suppress(KeyboardInterrupt):
+            console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it.")
             signal.pause()
         page.close()
         return 0
