@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
@@ -101,11 +101,17 @@ def test_a_zero_from_which_the_force_has_drifted_is_taken_anew(bench: Bench) -> 
 
 @given(sigma=st.floats(0.05, 4.0), correlation=st.floats(0.0, 0.03), seed=st.integers(0, 10_000))
 @examples(60)
+@example(sigma=4.0, correlation=0.02734375, seed=1)  # refused
 def test_the_threshold_follows_from_the_noise_and_its_correlation(sigma: float, correlation: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
 
     rest = noise(rng, 375, sigma, correlation)
-    settings = touch_settings(rest, RATE, CONFIG.strike)
+    try:
+        settings = touch_settings(rest, RATE, CONFIG.strike)
+    except DeviceError:
+        # Only noise whose mean over a window is larger than with the 3.6 N and 20 ms of a CB3 may be refused.
+        assert sigma**2 * correlation > 3.6**2 * 0.02
+        return
     assert CONFIG.strike.touch_force <= settings.force <= 1.5 * CONFIG.strike.touch_force
     assert settings.window * settings.speed == pytest.approx(0.00144)
     later = noise(rng, 20_000, sigma, correlation)
