@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +13,7 @@ from rich.markup import escape
 from toolee_robot.cli.evaluate_tables import text_table
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
+from toolee_robot.cli.serving import serve
 
 
 @dataclass(frozen=True)
@@ -49,10 +48,7 @@ class Annotate:
             from toolee_robot.viewer.annotation_page import AnnotationPage
 
             page = AnnotationPage(Session(frames), self.port)
-            with contextlib.suppress(KeyboardInterrupt):
-                console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it and writes the test.")
-                signal.pause()
-            page.close()
+            serve(page, console, "Ctrl-C ends it and writes the test.")
         with console.status("fitting the clicks"):
             written = frames.write()
         rows = [_row(f.name, end) for f in written for end in f.ends]

@@ -11,7 +11,7 @@ import numpy as np
 from toolee_robot.config import StationConfig, given_by_nails, read_station
 from toolee_robot.config.station import to_station
 from toolee_robot.control import RobotModel
-from toolee_robot.frames import Array, BaseFrame, frame_from_axes, inverse, transform
+from toolee_robot.frames import HALF_TURN, Array, BaseFrame, frame_from_axes, inverse, transform
 from toolee_robot.sim_backend.visuals.scene import PINE_COLOR, STAND_COLOR
 from toolee_robot.stations.open_fields import open_fields
 from toolee_robot.viewer.station_scene import CAMERA_BOX, OBSTACLE, StationPicture, rgb
@@ -46,7 +46,7 @@ def named_frames(config: StationConfig) -> dict[str, Array]:
     palm = frame_from_axes(z=np.array([0.0, 0.0, 1.0]), x=np.asarray(scene.handover_facing), p=scene.handover_position)
     return {
         "base_link": np.eye(4),
-        "pendant_base": transform(np.diag([-1.0, -1.0, 1.0])),
+        "pendant_base": HALF_TURN.copy(),
         "flange at home": robot.arm.fk(np.array(scene.home)),
         "camera": config.camera.X_base_camera,
         **{name if len(work.names) == 1 else f"nail {name}": work.X_base_nail() for name, work in config.work.each()},

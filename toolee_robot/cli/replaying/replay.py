@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +14,7 @@ from rich.table import Table
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.replaying.run_list import recording_of
+from toolee_robot.cli.serving import serve
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
@@ -101,7 +100,4 @@ class Replay:
         for look in again:
             look.show(page.scene)
         console.print(escape(history.metadata.get("title", "")))
-        with suppress(KeyboardInterrupt):
-            console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it.")
-            signal.pause()
-        page.close()
+        serve(page, console)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +9,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from toolee_robot.cli.serving import serve
 from toolee_robot.config import load_station
 
 
@@ -36,8 +35,5 @@ class Show:
             from toolee_robot.viewer.station_page import StationPage
 
             page = StationPage(self.file, self.port)
-        with contextlib.suppress(KeyboardInterrupt):
-            console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it.")
-            signal.pause()
-        page.close()
+        serve(page, console)
         return 0

@@ -28,8 +28,8 @@ strike, and a contact ends the fast way."""
 MAX_DEPTH_PER_STRIKE = 0.008
 """Depth that a strike with a hammer of some 0.9 kg drives a nail at most [m]."""
 LEAST_RESISTANCE = 80.0
-"""Force with which the softest wood holds a nail up, on average over a strike [N]: assumed, two thirds of the least one
-that simulated jobs have met."""
+"""Force with which the softest wood holds a nail up, on average over a strike [N]: assumed, a little less than the 85 N
+that a simulated club hammer of 1.05 kg met in wood 22 % less dense than told."""
 IMPLAUSIBLE_DEPTH = 0.004
 """Progress per strike above which the wood is touched a second time to confirm it [m]; strikes usually drive less."""
 ASIDE = 0.032
