@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
@@ -261,6 +262,35 @@ def test_reset_refuses_another_robot_and_another_speed(
     with raises(NotReadyError, code="not_ready.checks_failed") as refused:
         arm.reset()
     assert finding in str(refused.value)
+
+
+@contextmanager
+def halting(controller: ControllerProcess) -> Iterator[None]:
+    """The controller stands still for most of the time, as a simulator on a busy machine."""
+    ended = threading.Event()
+
+    def halt() -> None:
+        while not ended.wait(0.35):
+            controller.fault("freeze", seconds=0.3)
+
+    thread = threading.Thread(target=halt)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def test_a_reset_that_meets_late_readings_alone_says_so(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
+    controller.fault("protective_stop")
+    time.sleep(0.3)
+    controller.fault("unlock")
+    with halting(controller), raises(NotReadyError, code="not_ready.timing") as refused:
+        arm.reset()
+    assert "clock" in str(refused.value)
+    arm.reset()
+    assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
 @pytest.mark.parametrize("reset", [False, True], ids=["FIN", "RST"])
