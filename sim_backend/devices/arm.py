@@ -152,6 +152,7 @@ class SimArm:
         """
         check_payload(payload, ARM_DATA[self._limits.model].payload)
         self._sensor.payload = payload
+        self._world.robot.set_payload(payload)
 
     def zero_wrench(self) -> None:
         """Zero the force reading by its mean over half a second, which passes; see `hal.Arm`.
