@@ -27,7 +27,10 @@ from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory
 
 RATE = CB3_RATE
-STANDSTILL = 2e-3  # [rad/s] joint speed below which a joint counts as standing
+STANDSTILL = 1e-2
+"""[rad/s] Joint speed below which a joint counts as standing, as in the driver of real arms."""
+HOLD_TIME = 0.1
+"""[s] Time at standstill before a motion ends, as in that driver: a ringing arm stands at each turning point."""
 SETTLE_TIME = 1.0  # [s] longest wait for standstill after the last command
 AT_REST = 0.02  # [rad/s] joint speed below which the force can be zeroed
 LATE = 0.6  # delay of an injected late command, as a fraction of the cycle
@@ -290,7 +293,9 @@ class SimArm:
             self._command(q, qd, log)
             self._tick(log)
         self._command(self._q, np.zeros(6), log)
+        still = 0
         for _ in range(int(SETTLE_TIME * RATE)):
             self._tick(log)
-            if np.abs(self._world.robot.arm_state()[1]).max() < STANDSTILL:
+            still = still + 1 if np.abs(self._world.robot.arm_state()[1]).max() < STANDSTILL else 0
+            if still >= HOLD_TIME * RATE:
                 break

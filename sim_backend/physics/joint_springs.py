@@ -35,9 +35,12 @@ of the peak torque they are stiffer (size 32: 1.1e5 Nm/rad from 29 Nm on), which
 DAMPING_RATIO = 0.07
 """Damping of each joint as a share of the critical one for the inertia about its axis at the start; assumed."""
 STABILITY_NUMBER = 2.0
-"""Bound of (h^2 k + 2 h d) / inertia for each joint and the longest step h; steps are unstable from 4 on for all joints
-and the grip together. A heavy hand stays below it; behind a light mount wrist 3 rings faster than steps resolve, and is
-made softer."""
+"""Bound of (h^2 k + 2 h d) / inertia for each joint by itself and the longest step h.
+
+Steps are unstable where it reaches 4 for all joints and the grip together (`GripGains.stable`). The Shadow hand stays
+below it; behind a light mount wrist 3 would ring faster than steps resolve, and is made softer."""
+COUPLED_NUMBER = 2.6
+"""Bound of the same for all six together; a compliance of the nominal size stays below it, far stiffer joints do not."""
 MOTOR_GAIN = 100.0
 """Gain of the position loop on the motor's side [1/s]."""
 
@@ -47,15 +50,11 @@ class LinkTorques:
 
     Args:
         robot: Description of the arm; the hand counts as payload.
-
-    Attributes:
-        payload: What the flange is believed to carry, a point mass.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
-        arm = {link for joint in robot.arm_joints for link in [robot.tree.carried_by(joint)]}
-        root = robot.tree.links[0].name
-        links = [link for link in robot.tree.links if link.name in arm or link.name == root]
+        arm = {robot.tree.links[0].name, *(robot.tree.carried_by(joint) for joint in robot.arm_joints)}
+        links = [link for link in robot.tree.links if link.name in arm]
         self._model = pin.buildModelFromXML(write_urdf("arm", Tree(tuple(links))))
         self._data = self._model.createData()
         self._bare = self._model.inertias[6].copy()
@@ -97,7 +96,8 @@ class JointSprings:
     Args:
         size: Compliance as a share of the nominal one.
         largest: Largest torques of the joints, (6,) [Nm].
-        inertia: Mass matrix of arm and hand, arm first, wrist included, (6 + m, 6 + m) [kg m^2].
+        inertias: Mass matrices of arm and hand, arm first, wrist included, at the start and in poses in which steps are
+            to be stable, (n, 6 + m, 6 + m) [kg m^2].
         robot: Description of arm and hand.
         q: Joint positions at the start, at rest, (6,) [rad].
         time_step: The longest time step [s].
@@ -109,13 +109,15 @@ class JointSprings:
     """
 
     def __init__(
-        self, size: float, largest: Array, inertia: Array, robot: RobotDescription, q: Array, time_step: float
+        self, size: float, largest: Array, inertias: Array, robot: RobotDescription, q: Array, time_step: float
     ) -> None:
         stiffness = np.array(STIFFNESS) / size
-        damping = 2.0 * DAMPING_RATIO * np.sqrt(stiffness * np.diag(inertia)[:6])
-        mobility = np.diag(np.linalg.inv(inertia))[:6]
-        number = (time_step**2 * stiffness + 2.0 * time_step * damping) * mobility
-        scale = np.minimum(1.0, STABILITY_NUMBER / number)
+        damping = 2.0 * DAMPING_RATIO * np.sqrt(stiffness * np.diag(inertias[0])[:6])
+        mobilities = np.linalg.inv(inertias)[:, :6, :6]
+        number = time_step**2 * stiffness + 2.0 * time_step * damping
+        single = np.diagonal(mobilities, axis1=1, axis2=2).max(axis=0)
+        scale = np.minimum(1.0, STABILITY_NUMBER / (number * single))
+        scale *= min(1.0, COUPLED_NUMBER / float(np.linalg.eigvals(mobilities * (scale * number)).real.max()))
         self.stiffness, self.damping = scale * stiffness, scale * damping
         self.model = LinkTorques(robot)
         self._torques = self.model.at(q, np.zeros(6), np.zeros(6))  # as the controller knows them, at this time

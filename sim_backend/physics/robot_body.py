@@ -74,8 +74,10 @@ class RobotBody:
         self._elastic: JointSprings | None = None
         self._load(self.q_arm_target, np.zeros(6), self.q_hand_target, np.zeros_like(self.q_hand_target), rigid=True)
         if compliance > 0.0:
+            poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (30, 6))  # any that are spread out
+            inertias = np.array([self.inertia(q) for q in (self.q_arm_target, *poses)])
             effort = np.array(self._arm_effort)
-            self._elastic = JointSprings(compliance, effort, self._inertia(), robot, self.q_arm_target, time_step)
+            self._elastic = JointSprings(compliance, effort, inertias, robot, self.q_arm_target, time_step)
             self._release_motors()
 
     def _reload(self, *, rigid: bool) -> None:
@@ -95,11 +97,18 @@ class RobotBody:
             self.body, self._arm, pb.VELOCITY_CONTROL, forces=[0.0] * 6, physicsClientId=self._client
         )
 
-    def _inertia(self) -> Array:
-        """Mass matrix of the joints that move, the arm's first, (6 + m, 6 + m) [kg m^2]."""
-        states = pb.getJointStates(self.body, [*self._arm, *self._hand], physicsClientId=self._client)
+    def inertia(self, q_arm: Array) -> Array:
+        """Mass matrix of the joints that move, the arm's first.
+
+        Args:
+            q_arm: Joint positions of the arm, (6,) [rad]; those of the hand are as they are.
+
+        Returns:
+            The matrix, (6 + m, 6 + m) [kg m^2].
+        """
+        q = [*q_arm.tolist(), *self._state(self._hand)[0].tolist()]
         with quiet(1):  # it warns about axes of the URDF that are unit vectors in single precision only
-            return np.array(pb.calculateMassMatrix(self.body, [s[0] for s in states], physicsClientId=self._client))
+            return np.array(pb.calculateMassMatrix(self.body, q, physicsClientId=self._client))
 
     def _load(self, q_arm: Array, qd_arm: Array, q_hand: Array, qd_hand: Array, *, rigid: bool) -> None:
         """Make the body, with rigid fingers or with fingers that move."""
