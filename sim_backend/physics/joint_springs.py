@@ -41,6 +41,8 @@ Steps are unstable where it reaches 4 for all joints and the grip together (`Gri
 below it; behind a light mount wrist 3 would ring faster than steps resolve, and is made softer."""
 COUPLED_NUMBER = 2.6
 """Bound of the same for all six together; a compliance of the nominal size stays below it, far stiffer joints do not."""
+IN_A_ROW = 0.02
+"""Time between two commands [s] below which they are taken for points of one motion: two cycles and a half at 125 Hz."""
 MOTOR_GAIN = 100.0
 """Gain of the position loop on the motor's side [1/s]."""
 
@@ -122,6 +124,7 @@ class JointSprings:
         self.model = LinkTorques(robot)
         self._torques = self.model.at(q, np.zeros(6), np.zeros(6))  # as the controller knows them, at this time
         self._rate, self._left = np.zeros(6), 0.0  # their change [Nm/s], and how long it lasts [s]
+        self._wanted, self._span = self._torques, 0.0  # those at the last command; time between the last two [s]
         self._velocity = np.zeros(6)  # the last one commanded
         self._motor = (q + self._torques / self.stiffness).tolist()
         self._gears = list(zip(self.stiffness.tolist(), self.damping.tolist(), largest.tolist(), strict=True))
@@ -132,7 +135,10 @@ class JointSprings:
         return np.array(self._motor)
 
     def command(self, q: Array, qd: Array, since: float) -> None:
-        """Feed the commanded motion forward: its torques are reached as long from now as the last command is ago.
+        """Feed the commanded motion forward.
+
+        Until the next command the torques change as they did since the last; where none comes, they return to those of
+        this one.
 
         Args:
             q: Commanded joint positions, (6,) [rad].
@@ -142,8 +148,9 @@ class JointSprings:
         if since <= 0.0:
             return
         before, self._velocity = self._velocity, qd
-        wanted = self.model.at(q, 0.5 * (before + qd), (qd - before) / since)
-        self._rate, self._left = (wanted - self._torques) / since, since
+        last, self._wanted = self._wanted, self.model.at(q, 0.5 * (before + qd), (qd - before) / since)
+        changes = self._wanted - last if since < IN_A_ROW else 0.0
+        self._rate, self._left, self._span = (self._wanted + changes - self._torques) / since, since, since
 
     def step(self, target: Array, velocity: Array, q: list[float], qd: list[float], dt: float) -> list[float]:
         """Advance the motors' sides by a step.
@@ -163,6 +170,8 @@ class JointSprings:
             self._left -= dt
             self._torques = self._torques + share * self._rate
             velocity = velocity + share / dt * self._rate / self.stiffness
+            if self._left <= 0.0 and self._span > 0.0:
+                self._rate, self._left, self._span = (self._wanted - self._torques) / self._span, self._span, 0.0
         ends = (target + self._torques / self.stiffness).tolist()
         motor, torques = self._motor, []
         gain = MOTOR_GAIN * dt
