@@ -63,8 +63,9 @@ class CellErrors:
     those of the arm's generation (sim_backend/ur_controller/profile.py: 3.6 N of noise and 7 N of offset for a CB3, 1.5
     N and 4 N for an e-Series)."""
     compliance: NotNegative = 1.0
-    """Of the arm's joints, as a share of the nominal compliance (sim_backend/physics/joint_springs.py): 6.7e4, 3.1e4 and
-    1.0e4 Nm/rad by the joint's size, from the catalogue of gears of that torque."""
+    """Of the arm's joints, as a share of the nominal one (sim_backend/physics/joint_springs.py): 6.7e4, 3.1e4 and 1.0e4
+    Nm/rad by the joint's size, from catalogues of gears of such torques. Steps bound how stiff a joint can be, other
+    than by 0."""
 
 
 MOST_NAILS = 64
@@ -157,7 +158,7 @@ class DrawnErrors:
         return DhCalibration(*(_six(d + self.sizes.kinematics * z) for d, z in zip(deltas, self.arm, strict=True)))
 
     def options(self, usual: SimOptions) -> SimOptions:
-        """What no station file says of the cell: leans of the nails, friction in the hand, errors of the wrench, joints.
+        """What no station file says of the cell: nails that lean, friction in the hand, errors of the wrench, joints.
 
         Args:
             usual: The options without errors.

@@ -8,12 +8,7 @@ from typing import Self
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA, CB3_RATE
-from toolee_robot.errors import (
-    DeviceError,
-    LatchedError,
-    NotReadyError,
-    StaleDataError,
-)
+from toolee_robot.errors import DeviceError, LatchedError, NotReadyError, StaleDataError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
 from toolee_robot.motion.contact_force import ContactForce

@@ -29,9 +29,10 @@ from toolee_robot.types import Payload
 STIFFNESS = (6.7e4, 6.7e4, 3.1e4, 1.0e4, 1.0e4, 1.0e4)
 """Stiffness of the gears, base to wrist 3 [Nm/rad].
 
-Strain wave gears of sizes 32, 25 and 17 at low torque (K1 of Harmonic Drive's catalogues for ratios of 80 and more),
-whose repeated peak torques are near the UR10's 330, 150 and 56 Nm. That a UR has these sizes is assumed. Above a tenth
-of the peak torque they are stiffer (size 32: 1.1e5 Nm/rad from 29 Nm on), which is left out."""
+Strain wave gears of sizes 32, 25 and 17 at low torque, whose repeated peak torques are near the UR10's 330, 150 and 56
+Nm: K1 of Harmonic Drive's CSG and HFUS catalogues for ratios of 80 and more. That a UR has gears of these sizes is
+assumed. At more torque they are stiffer, which is left out: after K1 = 6.7e4 Nm/rad, up to 29 Nm, comes K2 = 1.1e5 up
+to 108 Nm (worked example in Harmonic Drive's CHA manual, 1018854, section 4.2)."""
 DAMPING_RATIO = 0.07
 """Damping of each joint as a share of the critical one for the inertia about its axis at the start; assumed."""
 STABILITY_NUMBER = 2.0
@@ -127,6 +128,7 @@ class JointSprings:
         self._wanted, self._span = self._torques, 0.0  # those at the last command; time between the last two [s]
         self._velocity = np.zeros(6)  # the last one commanded
         self._motor = (q + self._torques / self.stiffness).tolist()
+        self._largest = largest
         self._gears = list(zip(self.stiffness.tolist(), self.damping.tolist(), largest.tolist(), strict=True))
 
     @property
@@ -148,9 +150,11 @@ class JointSprings:
         if since <= 0.0:
             return
         before, self._velocity = self._velocity, qd
-        last, self._wanted = self._wanted, self.model.at(q, 0.5 * (before + qd), (qd - before) / since)
-        changes = self._wanted - last if since < IN_A_ROW else 0.0
-        self._rate, self._left, self._span = (self._wanted + changes - self._torques) / since, since, since
+        # A joint that is blocked or jumps would ask for more than a motor has.
+        wanted = np.clip(self.model.at(q, 0.5 * (before + qd), (qd - before) / since), -self._largest, self._largest)
+        last, self._wanted = self._wanted, wanted
+        ahead = 2.0 * wanted - last if since < IN_A_ROW else wanted
+        self._rate, self._left, self._span = (ahead - self._torques) / since, since, since
 
     def step(self, target: Array, velocity: Array, q: list[float], qd: list[float], dt: float) -> list[float]:
         """Advance the motors' sides by a step.

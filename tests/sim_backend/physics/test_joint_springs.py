@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -116,7 +117,7 @@ def test_an_arm_rings_at_the_frequency_of_its_inertia_and_stiffness() -> None:
         damping = float(shape @ (springs.damping * shape) / (shape @ inertia @ shape)) / (2 * omega)
         assert 0.02 < damping < 0.1
         assert period == pytest.approx(2 * np.pi / (omega * np.sqrt(1 - damping**2)), rel=0.02)
-        turns = [ring[a:b].max() for a, b in zip(falling[:-1], falling[1:], strict=True)]
+        turns = [ring[a:b].max() for a, b in pairwise(falling)]
         assert turns[-1] / turns[0] == pytest.approx(np.exp(-2 * np.pi * damping * (len(turns) - 1)), rel=0.15)
 
 
@@ -167,7 +168,7 @@ def test_joints_that_follow_exactly_have_no_springs() -> None:
 def test_an_overloaded_joint_yields_at_its_torque_and_comes_back() -> None:
     with elastic_arm(ROBOTS["mount"]) as (body, springs):
         q, still, largest = springs.motor, [0.0] * 6, np.array(body._arm_effort)
-        pushed = (HOME + [0.1, -0.1, 0.1, 0.1, 0.1, -0.1]).tolist()
+        pushed = (HOME + np.array([0.1, -0.1, 0.1, 0.1, 0.1, -0.1])).tolist()
         torques = np.array(springs.step(HOME, np.zeros(6), pushed, still, NORMAL.time_step))
         np.testing.assert_allclose(np.abs(torques), largest)
         assert np.abs(springs.motor - pushed).max() < 0.03
