@@ -41,9 +41,9 @@ STABILITY_NUMBER = 2.0
 Steps are unstable where it reaches 4 for all joints and the grip together (`GripGains.stable`). The Shadow hand stays
 below it; behind a light mount wrist 3 would ring faster than steps resolve, and is made softer."""
 COUPLED_NUMBER = 2.6
-"""Bound of the same for all six together; a compliance of the nominal size stays below it, far stiffer joints do not."""
+"""Bound of the same for all six together. Nominal joints stay below it, far stiffer ones do not."""
 IN_A_ROW = 0.02
-"""Time between two commands [s] below which they are taken for points of one motion: two cycles and a half at 125 Hz."""
+"""Time between two commands [s] below which they are points of one motion: two cycles and a half at 125 Hz."""
 MOTOR_GAIN = 100.0
 """Gain of the position loop on the motor's side [1/s]."""
 
