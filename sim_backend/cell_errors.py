@@ -62,6 +62,10 @@ class CellErrors:
     """Of the wrench that the arm reports: noise, offset, drift and what its estimate misses in motion, as a share of
     those of the arm's generation (sim_backend/ur_controller/profile.py: 3.6 N of noise and 7 N of offset for a CB3, 1.5
     N and 4 N for an e-Series)."""
+    compliance: NotNegative = 1.0
+    """Of the arm's joints, as a share of the nominal one (sim_backend/physics/joint_springs.py): 6.7e4, 3.1e4 and 1.0e4
+    Nm/rad by the joint's size, from catalogues of gears of such torques. Steps bound how stiff a joint can be, other
+    than by 0."""
 
 
 MOST_NAILS = 64
@@ -154,7 +158,7 @@ class DrawnErrors:
         return DhCalibration(*(_six(d + self.sizes.kinematics * z) for d, z in zip(deltas, self.arm, strict=True)))
 
     def options(self, usual: SimOptions) -> SimOptions:
-        """What no station file says of the cell: leans of the nails, friction in the hand, errors of the wrench.
+        """What no station file says of the cell: nails that lean, friction in the hand, errors of the wrench, joints.
 
         Args:
             usual: The options without errors.
@@ -164,7 +168,13 @@ class DrawnErrors:
         """
         friction = usual.friction * _share(self.sizes.friction * float(self.material[1]))
         leans = tuple((float(x), float(y)) for x, y in self.leans)
-        return replace(usual, nail_leans=leans, friction=friction, wrench_errors=self.sizes.wrench)
+        return replace(
+            usual,
+            nail_leans=leans,
+            friction=friction,
+            wrench_errors=self.sizes.wrench,
+            compliance=self.sizes.compliance,
+        )
 
     def measured(self, tool: Tool, name: str) -> ToolData:
         """What a person with ruler, scales and calliper writes down of a hammer.
@@ -208,6 +218,7 @@ class DrawnErrors:
             "friction_percent": round(100.0 * self.sizes.friction * float(self.material[1]), 3),
             "payload_percent": round(100.0 * self.sizes.payload * self.hand, 3),
             "wrench_percent": round(100.0 * self.sizes.wrench, 3),
+            "compliance_percent": round(100.0 * self.sizes.compliance, 3),
         }
 
 

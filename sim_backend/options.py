@@ -73,6 +73,8 @@ class SimOptions:
             upright nail's axes [rad]. Those beyond the last one stand upright.
         wrench_errors: Size of the errors of the wrench that the simulated arm reports, as a share of those of the arm's
             generation; 0 for an exact reading. An arm behind a controller stand-in has its profile's instead.
+        compliance: Elasticity of the arm's joints as a share of the nominal one (`physics.joint_springs`); 0 for joints
+            that follow exactly.
         boards: Calibration boards in the world; nothing touches them.
     """
 
@@ -84,6 +86,7 @@ class SimOptions:
     hands_over: bool = True
     nail_leans: tuple[tuple[float, float], ...] = ()
     wrench_errors: float = 0.0
+    compliance: float = 0.0
     boards: tuple[PlacedBoard, ...] = ()
 
     def __post_init__(self) -> None:

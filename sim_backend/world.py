@@ -95,7 +95,7 @@ class SimWorld:
         pb.setGravity(0.0, 0.0, -9.81, physicsClientId=self.client)
         robot = load_robot(config.arm.model, config.arm.calibration, config.hand)
         q_arm = np.array(config.scene.home if options.q_start is None else options.q_start)
-        self.robot = RobotBody(self.client, robot, q_arm, robot.hand_open)
+        self.robot = RobotBody(self.client, robot, q_arm, robot.hand_open, options.compliance, NORMAL.time_step)
         self.furniture = Furniture.build(self.client, config)
         leans = chain(options.nail_leans, repeat((0.0, 0.0)))
         self.nails = {

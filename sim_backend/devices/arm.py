@@ -8,12 +8,7 @@ from typing import Self
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA, CB3_RATE
-from toolee_robot.errors import (
-    DeviceError,
-    LatchedError,
-    NotReadyError,
-    StaleDataError,
-)
+from toolee_robot.errors import DeviceError, LatchedError, NotReadyError, StaleDataError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
 from toolee_robot.motion.contact_force import ContactForce
@@ -27,7 +22,10 @@ from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory
 
 RATE = CB3_RATE
-STANDSTILL = 2e-3  # [rad/s] joint speed below which a joint counts as standing
+STANDSTILL = 1e-2
+"""[rad/s] Joint speed below which a joint counts as standing, as in the driver of real arms."""
+HOLD_TIME = 0.1
+"""[s] Time at standstill before a motion ends, as in that driver: a ringing arm stands at each turning point."""
 SETTLE_TIME = 1.0  # [s] longest wait for standstill after the last command
 AT_REST = 0.02  # [rad/s] joint speed below which the force can be zeroed
 LATE = 0.6  # delay of an injected late command, as a fraction of the cycle
@@ -152,6 +150,7 @@ class SimArm:
         """
         check_payload(payload, ARM_DATA[self._limits.model].payload)
         self._sensor.payload = payload
+        self._world.robot.set_payload(payload)
 
     def zero_wrench(self) -> None:
         """Zero the force reading by its mean over half a second, which passes; see `hal.Arm`.
@@ -289,7 +288,9 @@ class SimArm:
             self._command(q, qd, log)
             self._tick(log)
         self._command(self._q, np.zeros(6), log)
+        still = 0
         for _ in range(int(SETTLE_TIME * RATE)):
             self._tick(log)
-            if np.abs(self._world.robot.arm_state()[1]).max() < STANDSTILL:
+            still = still + 1 if np.abs(self._world.robot.arm_state()[1]).max() < STANDSTILL else 0
+            if still >= HOLD_TIME * RATE:
                 break

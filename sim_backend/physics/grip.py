@@ -13,7 +13,8 @@ Force along and torque about the handle share the same friction: together they l
 approximation of a contact's limit surface (Goyal, Ruina and Papadopoulos, 1991; Howe and Cutkosky, 1996). Beyond it,
 and beyond the bound across, the handle slips: its rest pose moves, and the slip accumulates.
 Beyond the bound of tilting the fingers yield at the torque of their motors and close again: the torque stays at its
-bound, is smaller by the tendons' friction on the way back, and a fraction of the excursion remains as slip. Beyond
+bound, is smaller by the tendons' friction on the way back, and a fraction of the excursion remains as slip. Between the
+two it changes as the spring's does (a Prandtl element), so that a handle that rings there meets no jumps. Beyond
 `RELEASE_SLIP` or `RELEASE_ANGLE` of slip, or `RELEASE_TILT` of tilt, the hand has lost the handle.
 
 Stiffness and damping are limited to what explicit steps keep stable for the tool (`grip_gains`).
@@ -141,7 +142,7 @@ class AssistedGrip:
             client, tool, R_palm.T @ R_tool, R_palm.T @ R_tool @ self._anchor
         )
         self.gains = GripGains.stable(mobility, self._R_rest[:, 2], time_step)
-        self._tilt = 0.0
+        self._tilt = self._bent = 0.0  # angle [rad] and torque [Nm] against it, of the last step
         self.force, self.torque = np.zeros(3), np.zeros(3)
 
     def _poses(self) -> tuple[Array, Array, Array, Array]:
@@ -215,12 +216,15 @@ class AssistedGrip:
         """
         limit, stiffness = self.limits.tilting, self.gains.tilt_stiffness
         angle = float(np.sqrt(tilt @ tilt))
+        spring = stiffness * angle
+        bent = self._bent + stiffness * (angle - self._tilt)
         self._tilt = angle
-        if angle * stiffness <= limit:
+        self._bent = min(max(bent, min(spring, (1.0 - TENDON_LOSS) * limit)), spring, limit)
+        if spring <= (1.0 - TENDON_LOSS) * limit:
             return stiffness * tilt, np.zeros(3)
-        growth = float(w @ tilt) / angle
-        bend = tilt * (limit / angle * (1.0 if growth > 0.0 else 1.0 - TENDON_LOSS))
-        return bend, tilt * (TILT_SLIP * max(growth, 0.0) * dt / angle)
+        yields = self._bent >= limit
+        growth = max(float(w @ tilt) / angle, 0.0) if yields else 0.0
+        return tilt * (self._bent / angle), tilt * (TILT_SLIP * growth * dt / angle)
 
     def _apply(self, force: Array, torque: Array, point: Array) -> None:
         at = point.tolist()

@@ -9,7 +9,9 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription, WristJoint, write_urdf
-from toolee_robot.sim_backend.physics.bullet import pb, rotation_matrix
+from toolee_robot.sim_backend.physics.bullet import pb, quiet, rotation_matrix
+from toolee_robot.sim_backend.physics.joint_springs import JointSprings
+from toolee_robot.types import Payload
 
 ARM_GAIN = 100.0  # [1/s] of the arm's position loop
 FINGER_GAIN = 20.0  # [1/s]
@@ -30,6 +32,9 @@ class RobotBody:
         robot: Description of arm and hand.
         q_arm: Initial joint positions of the arm, (6,) [rad].
         q_hand: Initial joint positions of the hand, (n,) [rad].
+        compliance: Elasticity of the arm's joints as a share of the nominal one (`joint_springs`); 0 for joints that
+            follow exactly.
+        time_step: The longest time step [s].
 
     Attributes:
         robot: Description of arm and hand.
@@ -43,7 +48,15 @@ class RobotBody:
         q_hand_target: Commanded joint positions of the hand, (n,) [rad].
     """
 
-    def __init__(self, client: int, robot: RobotDescription, q_arm: Array, q_hand: Array) -> None:
+    def __init__(
+        self,
+        client: int,
+        robot: RobotDescription,
+        q_arm: Array,
+        q_hand: Array,
+        compliance: float = 0.0,
+        time_step: float = 1e-3,
+    ) -> None:
         self.robot = robot
         self._client = client
         self.hand_effort = robot.effort[6:].copy()
@@ -58,7 +71,14 @@ class RobotBody:
         self.q_hand_target = np.array(q_hand, dtype=float)
         self._since_command = 0.0
         self._ignored: list[tuple[int, int | None]] = []
+        self._elastic: JointSprings | None = None
         self._load(self.q_arm_target, np.zeros(6), self.q_hand_target, np.zeros_like(self.q_hand_target), rigid=True)
+        if compliance > 0.0:
+            poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (30, 6))  # any that are spread out
+            inertias = np.array([self.inertia(q) for q in (self.q_arm_target, *poses)])
+            effort = np.array(self._arm_effort)
+            self._elastic = JointSprings(compliance, effort, inertias, robot, self.q_arm_target, time_step)
+            self._release_motors()
 
     def _reload(self, *, rigid: bool) -> None:
         """Replace the body by one that is in the same state."""
@@ -68,6 +88,27 @@ class RobotBody:
         ignored, self._ignored = self._ignored, []
         for body, link in ignored:
             self.ignore_collisions(body, link)
+        if self._elastic is not None:
+            self._release_motors()
+
+    def _release_motors(self) -> None:
+        """Disable pybullet's motors of the arm: the springs alone move it."""
+        pb.setJointMotorControlArray(
+            self.body, self._arm, pb.VELOCITY_CONTROL, forces=[0.0] * 6, physicsClientId=self._client
+        )
+
+    def inertia(self, q_arm: Array) -> Array:
+        """Mass matrix of the joints that move, the arm's first.
+
+        Args:
+            q_arm: Joint positions of the arm, (6,) [rad]; those of the hand are as they are.
+
+        Returns:
+            The matrix, (6 + m, 6 + m) [kg m^2].
+        """
+        q = [*q_arm.tolist(), *self._state(self._hand)[0].tolist()]
+        with quiet(1):  # it warns about axes of the URDF that are unit vectors in single precision only
+            return np.array(pb.calculateMassMatrix(self.body, q, physicsClientId=self._client))
 
     def _load(self, q_arm: Array, qd_arm: Array, q_hand: Array, qd_hand: Array, *, rigid: bool) -> None:
         """Make the body, with rigid fingers or with fingers that move."""
@@ -113,7 +154,14 @@ class RobotBody:
             qd: Joint velocities at which the target moves until the next command, (6,) [rad/s].
         """
         self.q_arm_target, self.qd_arm_target = np.array(q, dtype=float), np.array(qd, dtype=float)
+        if self._elastic is not None:
+            self._elastic.command(self.q_arm_target, self.qd_arm_target, self._since_command)
         self._since_command = 0.0
+
+    def set_payload(self, payload: Payload) -> None:
+        """Tell the arm's controller what the flange carries, by which it compensates the deflection of its joints."""
+        if self._elastic is not None:
+            self._elastic.model.payload = payload
 
     def command_hand(self, q: Array) -> None:
         """Command joint positions (n,) [rad] of the hand, which it holds with its limited torques."""
@@ -146,7 +194,14 @@ class RobotBody:
         self._since_command += dt
         # The target at the end of the step; the motor's velocity is gain * error + feed-forward.
         q = self.q_arm_target + self.qd_arm_target * self._since_command
-        self._set(self._arm, q, self.qd_arm_target, self._arm_effort, np.full(6, ARM_GAIN * dt))
+        if self._elastic is None:
+            self._set(self._arm, q, self.qd_arm_target, self._arm_effort, np.full(6, ARM_GAIN * dt))
+        else:
+            states = pb.getJointStates(self.body, self._arm, physicsClientId=self._client)
+            torques = self._elastic.step(q, self.qd_arm_target, [s[0] for s in states], [s[1] for s in states], dt)
+            pb.setJointMotorControlArray(
+                self.body, self._arm, pb.TORQUE_CONTROL, forces=torques, physicsClientId=self._client
+            )
         for i, joint in self._springs.items():
             position = pb.getJointState(self.body, self._hand[i], physicsClientId=self._client)[0]
             self.hand_effort[i] = joint.torque + joint.stiffness * abs(position - joint.rest)

@@ -56,6 +56,7 @@ class WorldPlant:
         """See `Plant`."""
         self._sensor.payload = Payload(mass, np.array(cog, dtype=np.float64))
         self._sensor.begin()
+        self._world.robot.set_payload(self._sensor.payload)
 
     def command(self, q: Array, qd: Array) -> None:  # noqa: ARG002  (the path between set-points is straight)
         """See `Plant`; the path between set-points is straight."""

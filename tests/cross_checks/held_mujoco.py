@@ -95,15 +95,20 @@ class _Tilt:
     def __init__(self, gains: GripGains, bound: float) -> None:
         self._gains, self._bound = gains, bound
         self.rest = 0.0
+        self._angle = self._bent = 0.0
 
     def torque(self, angle: float, speed: float, dt: float) -> float:
         """Torque [Nm] at an angle [rad] and its rate [rad/s]; moves the rest by what slips in dt [s]."""
         tilt, bound, gains = angle - self.rest, self._bound, self._gains
-        bend = gains.tilt_stiffness * tilt
-        if abs(bend) > bound:
-            growth = speed * np.sign(tilt)
-            bend = np.sign(tilt) * bound * (1.0 if growth > 0.0 else 1.0 - TENDON_LOSS)
-            self.rest += np.sign(tilt) * TILT_SLIP * max(growth, 0.0) * dt
+        spring = gains.tilt_stiffness * abs(tilt)
+        bent = self._bent + gains.tilt_stiffness * (abs(tilt) - self._angle)
+        self._angle, self._bent = (
+            abs(tilt),
+            float(np.clip(bent, min(spring, (1.0 - TENDON_LOSS) * bound), min(spring, bound))),
+        )
+        if self._bent >= bound:
+            self.rest += np.sign(tilt) * TILT_SLIP * max(speed * np.sign(tilt), 0.0) * dt
+        bend = np.sign(tilt) * self._bent
         return float(np.clip(-bend - gains.tilt_damping * speed, -bound, bound))
 
 

@@ -43,6 +43,7 @@ ERRORS = {
     "mass_percent": "tool's mass, %",
     "payload_percent": "hand's mass, %",
     "wrench_percent": "errors of the force, % of its generation's",
+    "compliance_percent": "compliance of the joints, % of the nominal one",
 }
 """Errors against which success is shown, and how the axis is called."""
 CONDITIONS = "conditions"

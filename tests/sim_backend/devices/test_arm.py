@@ -1,4 +1,4 @@
-"""The simulated arm's force reading: what a wrong payload leaves in it is gone once it was zeroed."""
+"""The simulated arm: what a wrong payload leaves in its force is gone once it was zeroed; when a motion ends."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from tests.errors import raises
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import NotReadyError
-from toolee_robot.types import Payload
+from toolee_robot.sim_backend import SimStation
+from toolee_robot.sim_backend.devices.arm import HOLD_TIME, RATE, STANDSTILL
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.types import Payload, Trajectory
 
 pytestmark = pytest.mark.sim
 
@@ -40,3 +44,32 @@ def test_a_zeroed_force_reading_has_no_offset_until_the_payload_changes() -> Non
         rig.after(0.5, try_it)
         rig.execute(rig.nudge())
         assert refused == ["moving"]
+
+
+def test_a_motion_ends_when_a_ringing_arm_has_stood_for_a_while() -> None:
+    """It is pushed while it brakes, and rings; it stands for a moment at every turning point."""
+    options = SimOptions(q_start=np.array(StationConfig().scene.home), hands_over=False, compliance=1.0)
+    with SimStation.build(StationConfig(), 0, options) as simulation:
+        arm, world = simulation.station.arm, simulation.world
+        q = arm.state().q_commanded
+        hold = Trajectory(np.array([0.0, 0.2]), np.array([q, q]), np.zeros((2, 6)), np.zeros((2, 6)))
+        speeds: list[tuple[float, float]] = []
+
+        def push(_dt: float) -> None:
+            body, link = world.robot_body, world.robot.palm
+            if world.time < 0.2:
+                at = world.robot.link_pose(link)[:3, 3].tolist()
+                force = [0.0, 0.0, 100.0]
+                pb.applyExternalForce(body, link, force, at, pb.WORLD_FRAME, physicsClientId=world.client)
+            speeds.append((world.time, float(np.abs(world.robot.arm_state()[1]).max())))
+
+        world.before_step.append(push)
+        arm.execute(hold)
+        end = world.time
+        assert 0.2 + 2 * HOLD_TIME < end < 1.0
+        seen = np.array(speeds)
+        last = seen[seen[:, 0] >= end - HOLD_TIME + 1 / RATE, 1]
+        assert last.max() < 1.2 * STANDSTILL, "the speed is looked at once a cycle"
+        assert seen[seen[:, 0] > 0.21, 1].max() > 3 * STANDSTILL
+        simulation.station.clock.sleep(0.3)
+        assert np.array(speeds)[len(seen) :, 1].max() < 1.2 * STANDSTILL

@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.physics import grip_gains
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.physics.grip import AssistedGrip, GripLimits
+from toolee_robot.sim_backend.physics.grip import TENDON_LOSS, AssistedGrip, GripLimits
 from toolee_robot.sim_backend.physics.grip_gains import (
     ANGULAR_DAMPING,
     ANGULAR_STIFFNESS,
@@ -159,6 +159,29 @@ def test_a_handle_that_turns_in_the_grip_is_pulled_out_more_easily() -> None:
             slips.append(grip.slip)
     assert slips[0] < 1e-6
     assert slips[1] > 1e-4
+
+
+def test_a_tilt_beyond_the_bound_yields_without_jumps_and_takes_energy_out() -> None:
+    with held(body_of(7301), LOOSE, 0.0) as (_, _, grip):
+        limit, stiffness = LOOSE.tilting, grip.gains.tilt_stiffness
+        largest, step = 3.0 * limit / stiffness, 0.01 * limit / stiffness
+        ways = [np.arange(0.0, largest, step), np.arange(largest, 1.2 * limit / stiffness, -step)]
+        ring = largest - 40 * step * (1.0 - np.cos(np.arange(0.0, 60.0, 0.1)))
+        back = np.arange(1.2 * limit / stiffness, -step, -step)
+        angles = np.concatenate([ways[0], ring, ways[1], back]).clip(0.0)
+        torques, rate = [], 0.0
+        for before, angle in zip([0.0, *angles], angles, strict=False):
+            rate = (angle - before) / NORMAL.time_step
+            torques.append(float(grip._bend(np.array([angle, 0.0, 0.0]), np.array([rate, 0.0, 0.0]), 1e-3)[0][0]))
+        torque = np.array(torques)
+        assert np.all(np.abs(np.diff(torque)) <= 1.001 * stiffness * np.abs(np.diff(angles)) + 1e-12), "no jumps"
+        beyond = stiffness * angles > limit
+        assert np.all(torque[beyond] <= limit + 1e-12)
+        assert np.all(torque[beyond] >= (1.0 - TENDON_LOSS) * limit - 1e-12)
+        assert torque[-1] == pytest.approx(0.0, abs=1e-9)
+        assert np.trapezoid(torque, angles) > 0.0
+        assert torque[len(ways[0]) - 1] == pytest.approx(limit)
+        assert torque[-len(back)] == pytest.approx((1.0 - TENDON_LOSS) * limit)
 
 
 @given(
