@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import get_args
 
+from toolee_robot.errors import UserError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow
 from toolee_robot.faults.rigs.driver_rig import rig
@@ -50,19 +51,30 @@ class MatrixOptions:
         models: Models of the arm under which the arm's faults are injected.
         profiles: Profiles of the controller under which they are, each on every model.
         part: Part of the matrix.
+        fault: Only rows whose fault contains this text; empty for all.
     """
 
     host: str = "127.0.0.70"
     models: tuple[ArmModel, ...] = (ArmModel.UR10, ArmModel.UR10E)
     profiles: tuple[ProfileName, ...] = get_args(ProfileName)
     part: Part = Part.ALL
+    fault: str = ""
 
 
 def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
-    """Measure the matrix and yield its rows in the order of measurement."""
+    """Measure the matrix and yield its rows in the order of measurement.
+
+    Raises:
+        UserError: No row's fault contains the text that is asked for.
+    """
+    found = False
     with CpuKeepalive(), LatencyMonitor() as machine:
         for measurement in _measurements(options):
-            yield measurement.row(machine)
+            if options.fault in measurement.fault:
+                found = True
+                yield measurement.row(machine)
+    if not found:
+        raise UserError(f"no row's fault contains {options.fault!r}", code="user.no_fault_row")
 
 
 def _measurements(options: MatrixOptions) -> Iterator[Measurement]:
