@@ -110,7 +110,7 @@ class SafetyLimits:
     force: float = 150.0
     force_time: float = 0.02
     following_error: float = 0.2
-    joint_position: tuple[float, float, float, float, float, float] = (1.0,) * 6
+    joint_position: tuple[float, ...] = (1.0,) * 6
     joint_speed: float = 1.1
     tcp_speed: float = 5.0
     power: float = inf

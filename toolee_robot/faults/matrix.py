@@ -23,6 +23,7 @@ from toolee_robot.faults.rows.job import job_rows
 from toolee_robot.faults.rows.process import process_rows
 from toolee_robot.faults.rows.released_stops import released_rows
 from toolee_robot.faults.rows.start import calibration_rows, start_rows
+from toolee_robot.faults.rows.switch import switch_rows
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
@@ -94,6 +95,7 @@ def _arm_part(setting: Setting) -> Iterator[Measurement]:
         yield from released_rows(arm_rig)
         yield from following_rows(arm_rig)
         yield from input_rows(arm_rig)
+        yield from switch_rows(arm_rig)
         yield from collision_rows(arm_rig)
     yield from restricted_rows(setting)
     yield from process_rows(setting)

@@ -83,7 +83,9 @@ def _joint_range(joint: int, room: float) -> Callable[[SafetyLimits, Array], Saf
     """A range of a joint that ends `room` [rad] beyond the start of the swing."""
 
     def limits(own: SafetyLimits, start: Array) -> SafetyLimits:
-        return replace(own, joint_position=tuple((abs(start[j]) + room) / FULL if j == joint else 1.0 for j in range(6)))
+        ranges = np.ones(6)
+        ranges[joint] = (abs(start[joint]) + room) / FULL
+        return replace(own, joint_position=tuple(ranges.tolist()))
 
     return limits
 
@@ -125,10 +127,10 @@ RESTRICTED = (
 )  # fmt: skip
 """In a safety configuration that is more restricted than the swing needs."""
 UNREACHABLE = {
-    "C204A3": "ur_rtde's script repeats servoj in a thread of its own until it is told to stop, which it does with stopl, "
-    "and the watchdog ends the program of a client that falls silent"
+    "C204A3": "ur_rtde's script repeats servoj in a thread of its own until it is told to stop, which it does with "
+    "stopl, and the watchdog ends the program of a client that falls silent"
 }
-"""Codes that no row has, and why: ur_rtde's own script, which the tests run on the stand-in, cannot bring them about."""
+"""Codes that no row has, and why ur_rtde's own script, which the tests run on the stand-in, cannot bring them about."""
 
 
 def collision_rows(rig: Rig) -> Iterator[Measurement]:
