@@ -17,7 +17,7 @@ import numpy as np
 from toolee_robot.config import StationConfig
 from toolee_robot.control.dynamics.torque_room import bound_stop
 from toolee_robot.control.modes import Mode, slowed_to
-from toolee_robot.errors import DeviceError, PersonNearError
+from toolee_robot.errors import PersonNearError, TooleeError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.driver_rig import Rig
@@ -40,7 +40,7 @@ GOES_ON = "the swing goes on; no further motion"
 REFUSED = "no motion, neither slow nor fast"
 ANSWER_TIME = 1.5  # [s] for which the person is asked; who can operate the switch needs 0.5 s
 STILL_TIME = 0.3  # [s] until the servo's tail is over
-AWAY = 0.6  # of the swing's way, backwards: a slow motion of some 2 s
+AWAY, LITTLE = 0.6, 0.1  # of the swing's way, backwards: slow motions of some 2 s and 0.4 s
 NOT_TAKEN, NOT_CONFIRMED = "person_near.switch_not_taken", "person_near.swing_not_confirmed"
 
 
@@ -230,16 +230,17 @@ def _not_refused(rig: Rig, motions: Motions) -> list[str]:
     """What is wrong with the refusal of a slow motion, and of the permission for a fast one, if anything."""
     time.sleep(STILL_TIME)
     before = rig.controller.state()["tick"]
+    away = good(rig.swing, rig.q_commanded, LITTLE * (rig.strike.q[0] - rig.strike.q[-1]))
     wrong = []
     attempts: tuple[tuple[str, Callable[[], object]], ...] = (
-        (NOT_TAKEN, lambda: motions.execute("next", good(rig.swing, rig.q_commanded, np.full(6, 0.02)))),
+        (NOT_TAKEN, lambda: motions.transfer("next", away)),
         (NOT_CONFIRMED, lambda: motions.arm.permit_swings(ANSWER_TIME)),
     )
     for code, attempt in attempts:
         try:
             attempt()
             wrong.append(f"{code} expected, it was permitted")
-        except DeviceError as error:
+        except TooleeError as error:
             if error.code != code:
                 wrong.append(f"{code} expected, got {error!r}")
     moved = travel(rig, before)
