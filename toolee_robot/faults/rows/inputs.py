@@ -108,7 +108,7 @@ def wire(rig: Rig) -> DigitalInputPerson:
         switch(True)
 
     def press() -> None:
-        switch(True)
+        take()
         switch(False)
 
     def tell(prompt: str) -> None:
