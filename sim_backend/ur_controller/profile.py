@@ -96,6 +96,7 @@ class SafetyLimits:
         force: Force on the flange [N], low-pass filtered: as estimated from joint currents, a strike appears weaker.
         force_time: Time constant of that filter, also for power and torques [s].
         following_error: Deviation of a joint from its set-point [rad].
+        joint_position: Largest joint position in both directions, (6,), as a fraction of the model's.
         joint_speed: Joint velocity as a fraction of the model's limit.
         tcp_speed: Speed of the TCP [m/s].
         power: Mechanical power on the environment [W].
@@ -109,6 +110,7 @@ class SafetyLimits:
     force: float = 150.0
     force_time: float = 0.02
     following_error: float = 0.2
+    joint_position: tuple[float, ...] = (1.0,) * 6
     joint_speed: float = 1.1
     tcp_speed: float = 5.0
     power: float = inf

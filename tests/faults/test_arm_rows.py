@@ -14,10 +14,23 @@ from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import Phase
 from toolee_robot.faults.rigs.driver_rig import Rig, rig
 from toolee_robot.faults.rigs.setting import Setting
-from toolee_robot.faults.rows.collisions import COLLISIONS, RESTRICTED, collision_row, collision_rows, restricted_rows
+from toolee_robot.faults.rows.arm import slider_at_rest
+from toolee_robot.faults.rows.collisions import (
+    COLLISIONS,
+    RESTRICTED,
+    UNREACHABLE,
+    collision_row,
+    collision_rows,
+    restricted_row,
+    restricted_rows,
+)
 from toolee_robot.faults.rows.following import following_rows
+from toolee_robot.faults.rows.inputs import input_rows
 from toolee_robot.faults.rows.process import process_rows
-from toolee_robot.faults.rows.released_stops import RELEASED_STOPS, released_row, released_rows
+from toolee_robot.faults.rows.released_stops import RELEASED_STOPS, ReleasedStop, released_row, released_rows
+from toolee_robot.faults.rows.switch import ONE_CONTACT, STUCK, SWITCH_FAULTS, at_rest, in_slow_motion, switch_rows
+from toolee_robot.hardware.operator.contact import Contact
+from toolee_robot.hardware.ur import driver
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.safety import error_codes
@@ -57,6 +70,10 @@ def ctrl_c_ignored() -> Iterator[None]:
 def uploaded_again(controller: ControllerProcess) -> None:
     """A release after which a program moves the arm."""
     controller.fault("unlock")
+    upload(controller)
+
+
+def upload(controller: ControllerProcess) -> None:
     with socket.create_connection((controller.host, SCRIPT_PORT), 2.0) as sock:
         sock.sendall(MOVES.encode())
 
@@ -68,12 +85,15 @@ def check(measurement: Measurement, machine: LatencyMonitor) -> None:
 
 def test_every_detection_has_a_row() -> None:
     codes = {fault.code for fault in (*COLLISIONS, *RESTRICTED)}
-    kinds = {"C153", "C157", "C158", "C159", "C173", "C174"}
+    kinds = {"C153", "C157", "C158", "C159", "C173", "C174", f"C{error_codes.PATH_SANITY}A{error_codes.SUDDEN_STOP}"}
     arguments = (
-        error_codes.JOINT_SPEED, error_codes.TCP_SPEED, error_codes.POWER, error_codes.TORQUE_WINDOW,
-        error_codes.MOMENTUM,
+        error_codes.JOINT_POSITION, error_codes.JOINT_SPEED, error_codes.TCP_SPEED, error_codes.POWER,
+        error_codes.TORQUE_WINDOW, error_codes.MOMENTUM,
     )  # fmt: skip
-    assert codes == kinds | {f"C{error_codes.SAFETY_VIOLATION}A{argument}" for argument in arguments}
+    assert codes | set(UNREACHABLE) == kinds | {f"C{error_codes.SAFETY_VIOLATION}A{argument}" for argument in arguments}
+    # tests/sim_backend/ur_controller/ur_rtde/test_harsh_script.py: no stream that this script ends is a sudden stop.
+    assert set(UNREACHABLE) == {"C204A3"}
+    assert not codes & set(UNREACHABLE)
 
 
 def test_release_and_play_move_nothing(arm_rig: Rig, machine: LatencyMonitor) -> None:
@@ -82,7 +102,7 @@ def test_release_and_play_move_nothing(arm_rig: Rig, machine: LatencyMonitor) ->
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("rows", [released_rows, following_rows, collision_rows])
+@pytest.mark.parametrize("rows", [released_rows, following_rows, collision_rows, input_rows, switch_rows])
 def test_rows_on_one_stand_in(rows: object, arm_rig: Rig, machine: LatencyMonitor) -> None:
     for measurement in rows(arm_rig):  # type: ignore[operator]
         check(measurement, machine)
@@ -98,6 +118,19 @@ def test_a_restricted_safety_configuration(machine: LatencyMonitor) -> None:
 def test_ctrl_c_reaches_a_task_whose_parent_ignores_it(machine: LatencyMonitor) -> None:
     with ctrl_c_ignored():
         check(next(iter(process_rows(OWN))), machine)
+
+
+def test_the_matrix_has_the_switch_in_each_phase(arm_rig: Rig) -> None:
+    rows = [(row.fault, row.phase) for row in switch_rows(arm_rig)]
+    assert len(set(rows)) == len(rows)
+    for fault in SWITCH_FAULTS:
+        assert {phase for name, phase in rows if name == fault.fault} >= {Phase.REST, Phase.SWING}
+
+
+def test_a_slider_that_is_moved_at_rest_latches_nothing(arm_rig: Rig) -> None:
+    row = slider_at_rest(arm_rig)
+    assert row.handled, row.why
+    assert not row.latched
 
 
 # -- the matrix can fail -------------------------------------------------------------------------------------------
@@ -121,3 +154,54 @@ def test_another_code_than_that_of_the_cause_is_not_handled(arm_rig: Rig) -> Non
     row = collision_row(replace(push, code="C157"), Phase.REST, arm_rig)
     assert not row.handled
     assert "C157 expected, the controller says C153" in row.why
+
+
+@pytest.mark.nightly
+def test_an_arm_that_moves_once_it_is_switched_on_is_not_handled(arm_rig: Rig) -> None:
+    def switched_on_and_uploaded(controller: ControllerProcess) -> None:
+        fault.release(controller)
+        upload(controller)
+
+    fault = _released("emergency stop, pulled out, switched on, Play")
+    row = released_row(replace(fault, release=switched_on_and_uploaded), Phase.REST, arm_rig)
+    assert not row.handled
+    assert "after release and Play" in row.why
+
+
+def test_a_slider_that_nobody_looks_at_is_not_handled(arm_rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driver, "check_speed_slider", lambda _: None)
+    row = slider_at_rest(arm_rig)
+    assert not row.handled
+    assert "not_ready.speed_slider expected" in row.why
+
+
+def test_a_switch_that_works_is_no_handled_fault(arm_rig: Rig) -> None:
+    row = at_rest(replace(STUCK, inject=lambda _: None), arm_rig)
+    assert not row.handled
+    assert "person_near.switch_not_taken expected, it was permitted" in row.why
+    assert "person_near.swing_not_confirmed expected, it was permitted" in row.why
+
+
+@pytest.mark.nightly
+def test_contacts_that_may_agree_with_each_other_are_not_handled(arm_rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Contact, "_read", lambda self, bits: self._bit(bits, self._made_input))
+    row = in_slow_motion(ONE_CONTACT, arm_rig)
+    assert not row.handled
+    assert "person_near.during_motion expected" in row.why
+
+
+@pytest.mark.nightly
+def test_a_range_that_is_not_left_is_not_handled(machine: LatencyMonitor) -> None:
+    fault = next(f for f in RESTRICTED if f.code == "C191A1")
+    row = Measurement(
+        12, fault.fault, Phase.SWING, OWN.name, "", lambda: restricted_row(
+            replace(fault, limits=lambda own, _: own), Phase.SWING, OWN
+        )
+    ).row(machine)  # fmt: skip
+    assert not row.handled
+    assert "the controller has not stopped the swing" in row.why
+
+
+def _released(name: str) -> ReleasedStop:
+    (fault,) = (fault for fault in RELEASED_STOPS if fault.fault == name)
+    return fault

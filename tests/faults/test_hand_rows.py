@@ -80,7 +80,12 @@ def test_every_fault_of_the_hand_is_there() -> None:
 def test_a_fault_is_handled(bench: Bench, kind: HandKind, fault: HandFault) -> None:
     row = hand_row(fault, kind, bench)
     assert row.handled, row.why
-    assert (row.number, row.fault, row.phase, row.on) == (fault.number, fault.fault, fault.phase, kind.label)
+    assert (row.number, row.fault, row.phase, row.on) == (
+        fault.number,
+        fault.fault,
+        fault.phase,
+        f"{kind.label}, simulated UR10",
+    )
 
 
 def _not_handled(row: FaultRow, why: str) -> None:

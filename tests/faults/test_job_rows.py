@@ -76,7 +76,12 @@ def test_every_fault_of_the_job_is_there_and_named_once() -> None:
 def test_a_fault_is_handled(bench: Bench, fault: JobFault) -> None:
     row = job_row(fault, bench)
     assert row.handled, row.why
-    assert (row.number, row.fault, row.phase) == (fault.number, fault.fault, fault.phase)
+    assert (row.number, row.fault, row.phase, row.on) == (
+        fault.number,
+        fault.fault,
+        fault.phase,
+        "simulated UR10, 125 Hz",
+    )
     assert row.latched is (fault.job_latches or fault.arm_latches)
     if fault.braking is not None and fault.braking.cycles is not None:
         assert row.reaction is not None

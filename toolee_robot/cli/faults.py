@@ -36,6 +36,8 @@ class Faults:
     only: Literal["all", "arm", "job", "hand"] = "all"
     """One part of the matrix: arm, which is driver and supervisor on the stand-in; job, which is the task on the
     simulated station; or hand, which is the task with the drivers of hands on emulated ones."""
+    fault: str = ""
+    """Only the rows whose fault contains this text."""
     host: str = "127.0.0.70"
     """A loopback address for the stand-in."""
     json: Flag = False
@@ -52,7 +54,7 @@ class Faults:
         profiles: tuple[ProfileName, ...] = ("ideal", "harsh") if self.profile == "both" else (self.profile,)
         rows: list[FaultRow] = []
         with console.status("planning the swing") as status:
-            for row in run_matrix(MatrixOptions(self.host, models, profiles, Part(self.only))):
+            for row in run_matrix(MatrixOptions(self.host, models, profiles, Part(self.only), self.fault)):
                 rows.append(row)
                 status.update(f"{len(rows)} rows; last: {row.number} {row.fault}, {row.phase}")
                 if not row.handled:

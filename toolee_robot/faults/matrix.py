@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import get_args
 
+from toolee_robot.errors import UserError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow
 from toolee_robot.faults.rigs.driver_rig import rig
@@ -22,6 +23,7 @@ from toolee_robot.faults.rows.job import job_rows
 from toolee_robot.faults.rows.process import process_rows
 from toolee_robot.faults.rows.released_stops import released_rows
 from toolee_robot.faults.rows.start import calibration_rows, start_rows
+from toolee_robot.faults.rows.switch import switch_rows
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
@@ -50,19 +52,30 @@ class MatrixOptions:
         models: Models of the arm under which the arm's faults are injected.
         profiles: Profiles of the controller under which they are, each on every model.
         part: Part of the matrix.
+        fault: Only rows whose fault contains this text; empty for all.
     """
 
     host: str = "127.0.0.70"
     models: tuple[ArmModel, ...] = (ArmModel.UR10, ArmModel.UR10E)
     profiles: tuple[ProfileName, ...] = get_args(ProfileName)
     part: Part = Part.ALL
+    fault: str = ""
 
 
 def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
-    """Measure the matrix and yield its rows in the order of measurement."""
+    """Measure the matrix and yield its rows in the order of measurement.
+
+    Raises:
+        UserError: No row's fault contains the text that is asked for.
+    """
+    found = False
     with CpuKeepalive(), LatencyMonitor() as machine:
         for measurement in _measurements(options):
-            yield measurement.row(machine)
+            if options.fault in measurement.fault:
+                found = True
+                yield measurement.row(machine)
+    if not found:
+        raise UserError(f"no row's fault contains {options.fault!r}", code="user.no_fault_row")
 
 
 def _measurements(options: MatrixOptions) -> Iterator[Measurement]:
@@ -82,6 +95,7 @@ def _arm_part(setting: Setting) -> Iterator[Measurement]:
         yield from released_rows(arm_rig)
         yield from following_rows(arm_rig)
         yield from input_rows(arm_rig)
+        yield from switch_rows(arm_rig)
         yield from collision_rows(arm_rig)
     yield from restricted_rows(setting)
     yield from process_rows(setting)

@@ -12,6 +12,7 @@ class Phase(StrEnum):
     START = "at the start"
     REST = "at rest"
     SWING = "in mid-swing"
+    SLOW = "in a slow motion"
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A task of its own process that swings the arm until something happens to it: `python -m
-tests.hardware.ur.swinging_task HOST MODEL`. Says "swinging" when the arm is under way, and how it ended."""
+tests.hardware.ur.swinging_task HOST MODEL`. Says "swinging" and the id of the servo process when
+the arm is under way, and how it ended."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ def main() -> None:
 
         def say() -> None:
             wait_for_mid_swing(arm, trajectory)
-            print("swinging", flush=True)
+            print("swinging", arm.servo_pid, flush=True)
 
         threading.Thread(target=say, daemon=True).start()
         try:

@@ -199,6 +199,81 @@ def test_the_program_ends_when_the_servo_process_dies_beside_a_protective_stop(
     plays_in_vain(controller, PAUSES["protective stop"][1])
 
 
+LINK_FIRST, STOP_FIRST = "link first", "stop first"
+nightly = pytest.mark.nightly
+
+
+@pytest.mark.parametrize(
+    ("pause", "order", "between"),
+    [
+        ("protective stop", LINK_FIRST, 0.0),
+        ("protective stop", STOP_FIRST, 0.0),
+        pytest.param("protective stop", LINK_FIRST, 0.02, marks=nightly),
+        pytest.param("protective stop", STOP_FIRST, 0.005, marks=nightly),
+        pytest.param("safeguard stop", LINK_FIRST, 0.0, marks=nightly),
+        pytest.param("safeguard stop", STOP_FIRST, 0.0, marks=nightly),
+        pytest.param("pause at the pendant", LINK_FIRST, 0.0, marks=nightly),
+        pytest.param("pause at the pendant", STOP_FIRST, 0.0, marks=nightly),
+    ],
+)
+def test_the_program_ends_when_the_link_is_lost_beside_a_stop(
+    arm: UnsupervisedUrArm, controller: ControllerProcess, pause: str, order: str, between: float
+) -> None:
+    """The stop is not seen any more, and in a paused program the watchdog does not count."""
+    stop, release = PAUSES[pause]
+
+    def both() -> None:
+        for event in (LINK_FIRST, STOP_FIRST) if order == LINK_FIRST else (STOP_FIRST, LINK_FIRST):
+            if event == STOP_FIRST:
+                stop(controller)
+            else:
+                controller.fault("drop", port="rtde", reset=True)
+            time.sleep(between)
+
+    _, error = happens(arm, controller, both)
+    assert isinstance(error, MotionFaultError)
+    plays_in_vain(controller, release)
+    expect_latch(arm)
+    arm.reset()
+    assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
+
+
+def test_the_program_ends_when_the_link_is_lost_beside_a_stop_at_rest(
+    arm: UnsupervisedUrArm, controller: ControllerProcess
+) -> None:
+    controller.fault("drop", port="rtde")
+    controller.fault("protective_stop")
+    time.sleep(2.0 * WATCHDOG + 0.5)
+    plays_in_vain(controller, PAUSES["protective stop"][1])
+    with pytest.raises(LatchedError, match="link"):
+        arm.execute(swing(HOME))
+
+
+def test_a_program_that_cannot_be_ended_after_a_lost_link_is_ended_when_the_dashboard_is_back(
+    arm: UnsupervisedUrArm, controller: ControllerProcess
+) -> None:
+    """Until then the driver says so, and refuses the reset."""
+
+    def lose() -> None:
+        for port in ("dashboard", "rtde"):
+            controller.fault("refuse", port=port)
+            controller.fault("drop", port=port, reset=True)
+        controller.fault("protective_stop")
+
+    _, error = happens(arm, controller, lose)
+    assert isinstance(error, LinkLostError)
+    assert "stop the program at the pendant" in str(error)
+    assert controller.state()["program_state"] == "PAUSED"
+    controller.fault("accept", port="rtde")
+    controller.fault("unlock")
+    with raises(NotReadyError, code="not_ready.checks_failed") as refused:
+        arm.reset()
+    assert "paused program" in str(refused.value)
+    controller.fault("accept", port="dashboard")
+    time.sleep(1.0)
+    plays_in_vain(controller, PAUSES["protective stop"][1])
+
+
 def test_a_program_that_cannot_be_ended_forbids_the_reset(
     arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:

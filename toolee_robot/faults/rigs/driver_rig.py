@@ -93,6 +93,7 @@ class Rig:
         watch: MotionWatch = PATIENT,
         guard: ContactGuard | None = None,
         execute: Callable[[Trajectory, ContactGuard | None, MotionWatch], MotionReport] | None = None,
+        slow: Trajectory | None = None,
     ) -> Happening:
         """Swing, and inject a fault when the face is at its fastest.
 
@@ -101,40 +102,43 @@ class Rig:
             watch: Bounds of the motion.
             guard: Contact detection; None for none.
             execute: Executes the motion; None for the driver's `execute`.
+            slow: A slow motion from the swing's start, half-way through which the fault is injected; None to swing.
 
         Returns:
             What happened.
 
         Raises:
-            MissedMomentError: The arm was not in mid-swing.
+            MissedMomentError: The arm was not in mid-swing, or did not move.
         """
+        path, fast = (self.strike, FAST) if slow is None else (slow, MOVING)
+        # The joints lag behind the commands; the strike's planned braking begins at the contact.
+        after = self.swing.plan.contact_time - BEFORE_CONTACT - self.setting.lag if slow is None else slow.duration / 2
         self.prepare()
         before = self.controller.state()["tick"]
         at, answer = [0.0], [None]
-        thread = threading.Thread(target=self._act, args=(action, at, answer))
+        thread = threading.Thread(target=self._act, args=(action, max(after, 0.0), at, answer))
         thread.start()
         error: Exception | None = None
         report: MotionReport | None = None
         try:
-            report = (execute or self.arm.execute)(self.strike, guard, watch)
+            report = (execute or self.arm.execute)(path, guard, watch)
         except DeviceError as raised:
             error = raised
             report = raised.report if isinstance(raised, MotionFaultError) else None
         thread.join()
         time.sleep(SETTLE_TIME)
-        stop = stop_after(self.controller.trace(before), self.strike, at[0])
-        if stop.speed < FAST:
-            raise MissedMomentError(f"the arm moved at {stop.speed:.2f} rad/s when the fault came: no mid-swing")
+        stop = stop_after(self.controller.trace(before), path, at[0])
+        if stop.speed < fast:
+            raise MissedMomentError(f"the arm moved at {stop.speed:.2f} rad/s when the fault came: too slow")
         return Happening(stop, error, report, answer[0])
 
-    def _act(self, action: Callable[[], object], at: list[float], answer: list[object]) -> None:
+    def _act(self, action: Callable[[], object], after: float, at: list[float], answer: list[object]) -> None:
         began = time.monotonic()
         while np.abs(self.controller.state()["qd"]).max() < MOVING:
             if time.monotonic() > began + START_TIME:
                 return
             time.sleep(1e-3)
-        # The joints lag behind the commands, whose planned braking begins at the contact.
-        time.sleep(max(self.swing.plan.contact_time - BEFORE_CONTACT - self.setting.lag, 0.0))
+        time.sleep(after)
         at[0] = time.monotonic()
         try:
             answer[0] = action()

@@ -14,8 +14,10 @@ import numpy as np
 from toolee_robot.errors import (
     DeviceError,
     EmergencyStopError,
+    LatchedError,
     LinkLostError,
     MotionFaultError,
+    NotReadyError,
     OverrunError,
     ProtectiveStopError,
     ServoCrashError,
@@ -32,6 +34,8 @@ AT_REST = 1e-4  # [rad]: what counts as standing still
 WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `ServoConfig.watchdog`
 HEARTBEAT = 0.1  # [s] `ServoConfig.heartbeat_timeout`
 REST_TIME = 0.4  # [s] until a fault at rest must be detected
+SLIDER, REFUSED = "speed slider at 50 %, then at 100 % again", "the next motion is refused, nothing latches"
+SLIDER_TIME = 0.2  # [s] until the slider's place is known
 QUIET_TIME = 2.2  # [s] likewise for a silent link: a little more than `ServoConfig.link_timeout`
 
 
@@ -48,7 +52,7 @@ class ArmFault:
         notice: Largest time until the fault is detected [s].
         by_robot: With which of its decelerations (`StopDecelerations`) the controller brakes; None where the driver
             brakes along the path.
-        slider: Position of the speed slider after the fault, 0 to 1.
+        slider: Position of the speed slider after the fault, or the controller's own scaling of the speed, 0 to 1.
         at_rest: Whether the fault must latch at rest; None where it is no fault at rest.
         watch: Bounds of the motion.
         rest: Time until a fault at rest must be detected [s].
@@ -168,6 +172,11 @@ ARM_FAULTS = (
         lambda r: r.controller.fault("speed_slider", fraction=0.5), MotionFaultError, _cycles(3), at_rest=None,
         slider=0.5,
     ),
+    ArmFault(
+        7, "controller slows the motion down to 50 %", "brakes on the path, latches",
+        lambda r: r.controller.fault("speed_scaling", fraction=0.5), MotionFaultError, _cycles(3), at_rest=None,
+        slider=0.5,
+    ),
 )  # fmt: skip
 
 
@@ -177,6 +186,7 @@ def arm_rows(rig: Rig) -> Iterator[Measurement]:
         for phase, run in ((Phase.SWING, _in_swing), (Phase.REST, _at_rest)):
             if phase is Phase.SWING or fault.at_rest is not None:
                 yield Measurement(fault.number, fault.fault, phase, rig.name, fault.expected, partial(run, fault, rig))
+    yield Measurement(7, SLIDER, Phase.REST, rig.name, REFUSED, partial(slider_at_rest, rig))
 
 
 def _in_swing(fault: ArmFault, rig: Rig) -> FaultRow:
@@ -232,4 +242,40 @@ def _at_rest(fault: ArmFault, rig: Rig) -> FaultRow:
     return FaultRow(
         fault.number, fault.fault, Phase.REST, rig.name, "stands still, latches", got, latched, not wrong,
         "; ".join(wrong), off_path=moved,
+    )  # fmt: skip
+
+
+def slider_at_rest(rig: Rig) -> FaultRow:
+    """Measure a slider that a person moves while the arm stands, and moves back.
+
+    Args:
+        rig: The rig.
+
+    Returns:
+        The row of the fault table.
+    """
+    rig.prepare()
+    before = rig.controller.state()["tick"]
+    rig.controller.fault("speed_slider", fraction=0.5)
+    time.sleep(SLIDER_TIME)
+    wrong, refusal, latched = [], None, False
+    try:
+        rig.nudge()
+    except DeviceError as error:
+        refusal = error
+    if not isinstance(refusal, NotReadyError) or refusal.code != "not_ready.speed_slider":
+        wrong.append(f"not_ready.speed_slider expected, got {refusal!r}")
+    moved = float(np.ptp(rig.controller.trace(before).q_target, axis=0).max())
+    if moved > AT_REST:
+        wrong.append(f"the arm moved by {moved:.4f} rad")
+    rig.controller.fault("speed_slider", fraction=1.0)
+    time.sleep(SLIDER_TIME)
+    try:
+        rig.nudge()
+    except DeviceError as error:
+        latched = isinstance(error, LatchedError)
+        wrong.append(f"it does not move with the slider at 100 %: {error!r}")
+    return FaultRow(
+        7, SLIDER, Phase.REST, rig.name, REFUSED, f"{getattr(refusal, 'code', refusal)}, stands still", latched,
+        not wrong, "; ".join(wrong), off_path=moved,
     )  # fmt: skip

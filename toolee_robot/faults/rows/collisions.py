@@ -19,9 +19,11 @@ from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.driver_rig import FAST, SETTLE_TIME, MissedMomentError, Rig, rig
 from toolee_robot.faults.rigs.joints_path import Stop, stop_after
 from toolee_robot.faults.rigs.setting import Setting
+from toolee_robot.faults.rigs.strikes import plan_swing
 from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.faults.rows.arm import AT_REST, REST_TIME, push_off
 from toolee_robot.faults.rows.released_stops import release_and_play, travel
+from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
@@ -32,6 +34,8 @@ DETECTION = 0.06  # [s]: three times the detection's own smoothing, after which 
 LOAD = Payload(1.5, np.array([0.0, 0.0, 0.08]))
 NO_LOAD = replace(LOAD, mass=0.0)
 BOTH = (Phase.SWING, Phase.REST)
+SHOULDER, ELBOW = 1, 2
+FULL = 2 * np.pi  # [rad]: the model's range of a joint in both directions
 DEVIATION, COLLISION, TORQUE, JUMP, LIMIT = "position_deviation", "collision", "torque", "torque_jump", "safety_limit"
 
 
@@ -45,7 +49,7 @@ class Collision:
         inject: Brings it about.
         kind: Last part of the code of the driver's error.
         payload: Payload that is set in the controller.
-        limits: The safety configuration, given the profile's own.
+        limits: The safety configuration, given the profile's own and where the swing starts, (6,) [rad].
         ideal: Whether an ideal controller detects it, too.
         phases: When it is brought about.
     """
@@ -55,7 +59,7 @@ class Collision:
     inject: Callable[[Rig], object]
     kind: str = LIMIT
     payload: Payload = LOAD
-    limits: Callable[[SafetyLimits], SafetyLimits] | None = None
+    limits: Callable[[SafetyLimits, Array], SafetyLimits] | None = None
     ideal: bool = False
     phases: tuple[Phase, ...] = (Phase.SWING,)
 
@@ -73,6 +77,17 @@ def _deviate(rig: Rig) -> None:
 
 def _nothing(_: Rig) -> None:
     """The swing itself is the cause."""
+
+
+def _joint_range(joint: int, room: float) -> Callable[[SafetyLimits, Array], SafetyLimits]:
+    """A range of a joint that ends `room` [rad] beyond the start of the swing."""
+
+    def limits(own: SafetyLimits, start: Array) -> SafetyLimits:
+        ranges = np.ones(6)
+        ranges[joint] = (abs(start[joint]) + room) / FULL
+        return replace(own, joint_position=tuple(ranges.tolist()))
+
+    return limits
 
 
 # A payload that large in mid-swing is stopped for its momentum on a CB3, before the torques count.
@@ -97,16 +112,25 @@ COLLISIONS = (
 )  # fmt: skip
 """On the profile's own limits."""
 RESTRICTED = (
+    Collision("C191A1", "joint range of the safety configuration left by a swing", _nothing, ideal=True,
+              limits=_joint_range(ELBOW, 0.2)),
+    Collision("C191A1", "joint pushed out of the safety configuration's range", lambda r: push_off(r, 0.06), ideal=True,
+              limits=_joint_range(SHOULDER, 0.03), phases=(Phase.REST,)),
     Collision("C191A2", "joint speed over the safety configuration's", _nothing, ideal=True,
-              limits=lambda own: replace(own, joint_speed=0.6)),
+              limits=lambda own, _: replace(own, joint_speed=0.6)),
     Collision("C191A3", "TCP speed over the safety configuration's", _nothing, ideal=True,
-              limits=lambda own: replace(own, tcp_speed=1.0)),
+              limits=lambda own, _: replace(own, tcp_speed=1.0)),
     Collision("C191A12", "momentum over the safety configuration's", _nothing,
-              limits=lambda own: replace(own, momentum=8.0)),
+              limits=lambda own, _: replace(own, momentum=8.0)),
     Collision("C191A6", "power over the safety configuration's", _push([0.0, 0.0, 100.0, 0.0, 0.0, 0.0]),
-              limits=lambda own: replace(own, power=30.0)),
+              limits=lambda own, _: replace(own, power=30.0)),
 )  # fmt: skip
 """In a safety configuration that is more restricted than the swing needs."""
+UNREACHABLE = {
+    "C204A3": "ur_rtde's script repeats servoj in a thread of its own until it is told to stop, which it does with "
+    "stopl, and the watchdog ends the program of a client that falls silent"
+}
+"""Codes that no row has, and why ur_rtde's own script, which the tests run on the stand-in, cannot bring them about."""
 
 
 def collision_rows(rig: Rig) -> Iterator[Measurement]:
@@ -122,9 +146,11 @@ def collision_rows(rig: Rig) -> Iterator[Measurement]:
 def restricted_rows(setting: Setting) -> Iterator[Measurement]:
     """Yield each violation of a restricted safety configuration, with a stand-in of its own."""
     for fault in RESTRICTED:
-        if fault.ideal or setting.profile == "harsh":
-            run = partial(_on_its_own, fault, setting)
-            yield Measurement(12, f"{fault.code}: {fault.fault}", Phase.SWING, setting.name, EXPECTED, run)
+        if not fault.ideal and setting.profile == "ideal":
+            continue
+        for phase in fault.phases:
+            run = partial(restricted_row, fault, phase, setting)
+            yield Measurement(12, f"{fault.code}: {fault.fault}", phase, setting.name, EXPECTED, run)
 
 
 def collision_row(fault: Collision, phase: Phase, rig: Rig) -> FaultRow:
@@ -141,10 +167,21 @@ def collision_row(fault: Collision, phase: Phase, rig: Rig) -> FaultRow:
     return _in_swing(fault, rig) if phase is Phase.SWING else _at_rest(fault, rig)
 
 
-def _on_its_own(fault: Collision, setting: Setting) -> FaultRow:
+def restricted_row(fault: Collision, phase: Phase, setting: Setting) -> FaultRow:
+    """Measure one protective stop on a stand-in of its own.
+
+    Args:
+        fault: Its cause, with limits.
+        phase: When it is brought about.
+        setting: Model and profile of the stand-in.
+
+    Returns:
+        The row of the fault table.
+    """
     assert fault.limits is not None
-    with rig(setting, fault.limits(setting.values.limits)) as arm_rig:
-        return _in_swing(fault, arm_rig)
+    limits = fault.limits(setting.values.limits, plan_swing(setting.model).strike.q[0])
+    with rig(setting, limits) as arm_rig:
+        return collision_row(fault, phase, arm_rig)
 
 
 def _in_swing(fault: Collision, rig: Rig) -> FaultRow:

@@ -13,7 +13,7 @@ from typing import Any
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.hand_rig import HANDS, DriverHand, HandKind
-from toolee_robot.faults.rigs.job_rig import Bench
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.faults.rows.job import job_row
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, Braking, JobFault, Scene
 from toolee_robot.sim_backend.hand_wire import EmulatedHand, HandEmulator, LineFault, happen
@@ -125,7 +125,7 @@ def hand_rows(bench: Bench) -> Iterator[Measurement]:
     for kind in HANDS:
         for fault in FAULTS:
             run = partial(hand_row, fault, kind, bench)
-            yield Measurement(fault.number, fault.fault, fault.phase, kind.label, fault.expected, run)
+            yield Measurement(fault.number, fault.fault, fault.phase, _on(kind), fault.expected, run)
 
 
 def hand_row(fault: HandFault, kind: HandKind, bench: Bench) -> FaultRow:
@@ -147,7 +147,7 @@ def hand_row(fault: HandFault, kind: HandKind, bench: Bench) -> FaultRow:
             wrong.append("the hand was told to open")
         if fault.keeps and hand.closed and not _holds(hand):
             wrong.append("the emulated hand let go")
-    return replace(row, on=kind.label, handled=not wrong, why="; ".join(wrong))
+    return replace(row, on=_on(kind), handled=not wrong, why="; ".join(wrong))
 
 
 def _holds(hand: DriverHand) -> bool:
@@ -185,3 +185,7 @@ _LAST: dict[Stage | str | None, str | None] = {
     None: None, Stage.GRIP: "to the handover", RUN_UP: RUN_UP, IN_STRIKE: "strike",
 }  # fmt: skip
 """When a fault happens -> the last motion."""
+
+
+def _on(kind: HandKind) -> str:
+    return f"{kind.label}, simulated {CONFIG.arm.model}"

@@ -19,8 +19,10 @@ from toolee_robot.faults.rows.arm import AT_REST
 from toolee_robot.faults.rows.released_stops import travel
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.operator.digital_inputs import PERIOD, DigitalInputPerson
+from toolee_robot.motion.strike_contact import strike_guard
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
+from toolee_robot.tasks.common.motions import HOLD_SWITCH
 from toolee_robot.tasks.common.person_proof import PersonProof
 from toolee_robot.types import Trajectory
 
@@ -43,8 +45,13 @@ class InputFault:
     inject: Callable[[Rig], object]
 
 
-def _set(rig: Rig, **high: bool) -> None:
-    """Set inputs by the name of their field in `PersonConfig`, less `_input`; from any thread, as people do."""
+def set_inputs(rig: Rig, **high: bool) -> None:
+    """Set inputs of the stand-in, from any thread, as people do.
+
+    Args:
+        rig: The rig.
+        high: Whether each is high, by the name of its field in `PersonConfig`, less `_input`.
+    """
     with FaultClient(rig.controller.host) as robot:
         for name, value in high.items():
             robot.fault("digital_input", index=getattr(TWO_CONTACTS, f"{name}_input"), high=value)
@@ -54,12 +61,19 @@ def _stick_closed(rig: Rig) -> None:
     """Bridge the door's contacts, then open the door, which nothing tells."""
     for index in (TWO_CONTACTS.door_closed_input, TWO_CONTACTS.door_open_input):
         rig.controller.fault("stuck_input", index=index)
-    _set(rig, door_closed=False, door_open=True)
+    set_inputs(rig, door_closed=False, door_open=True)
+
+
+def _stick_one_contact(rig: Rig) -> None:
+    """Weld the contact that is made while the door is closed, then open the door."""
+    rig.controller.fault("stuck_input", index=TWO_CONTACTS.door_closed_input)
+    set_inputs(rig, door_closed=False, door_open=True)
 
 
 IN_SWING = (
-    InputFault("door opens, on the digital inputs", lambda r: _set(r, door_closed=False, door_open=True)),
-    InputFault("door's cable is pulled", lambda r: _set(r, door_closed=False)),
+    InputFault("door opens, on the digital inputs", lambda r: set_inputs(r, door_closed=False, door_open=True)),
+    InputFault("door's cable is pulled", lambda r: set_inputs(r, door_closed=False)),
+    InputFault("door opens, one contact stuck closed", _stick_one_contact),
 )
 AT_STANDSTILL = (
     *IN_SWING,
@@ -75,28 +89,52 @@ def input_rows(rig: Rig) -> Iterator[Measurement]:
         yield Measurement(27, fault.fault, Phase.REST, rig.name, REFUSED, partial(_at_rest, fault, rig))
 
 
-def _wire(rig: Rig) -> DigitalInputPerson:
-    """A person on the stand-in's inputs, with the door closed and the switch released; presses it when asked."""
+def wire(rig: Rig) -> DigitalInputPerson:
+    """Make a person on the stand-in's inputs, who has closed the door and released the switch.
 
-    def press(_prompt: str) -> None:
-        def act() -> None:
-            _set(rig, hold_to_run=True, hold_to_run_released=False)
-            time.sleep(SEEN_TIME)
-            _set(rig, hold_to_run=False, hold_to_run_released=True)
+    Args:
+        rig: The rig.
 
-        later(act, SEEN_TIME)
+    Returns:
+        The person, not yet entered, who takes the switch before a slow motion and presses it to confirm anything else.
+    """
 
-    _set(rig, door_closed=True, door_open=False, hold_to_run=False, hold_to_run_released=True)
-    return DigitalInputPerson(TWO_CONTACTS, lambda age: rig.arm.state(age).digital_inputs, HostClock(), press)
+    def switch(held: bool) -> None:
+        set_inputs(rig, hold_to_run=held, hold_to_run_released=not held)
+        time.sleep(SEEN_TIME)
+
+    def take() -> None:
+        switch(False)
+        switch(True)
+
+    def press() -> None:
+        take()
+        switch(False)
+
+    def tell(prompt: str) -> None:
+        later(take if prompt == HOLD_SWITCH else press, SEEN_TIME)
+
+    set_inputs(rig, door_closed=True, door_open=False, hold_to_run=False, hold_to_run_released=True)
+    return DigitalInputPerson(TWO_CONTACTS, lambda age: rig.arm.state(age).digital_inputs, HostClock(), tell)
 
 
-def _swing(rig: Rig, person: DigitalInputPerson | PersonProof, latched: list[str]) -> MotionReport:
-    swing, plan = rig.swing, rig.swing.plan
+def swing(rig: Rig, person: DigitalInputPerson | PersonProof, latched: list[str]) -> MotionReport:
+    """Swing under a supervisor, once the person has confirmed it.
+
+    Args:
+        rig: The rig, at the start of the swing.
+        person: The person.
+        latched: Receives why the supervisor is latched afterwards, empty if it is not.
+
+    Returns:
+        What was commanded and measured.
+    """
+    planned, plan = rig.swing, rig.swing.plan
     # Wide bounds, so that a busy machine adds no faults.
-    bounds = replace(swing.config.supervisor, data_cycles=PATIENT.data_cycles, overruns=PATIENT.overruns)
-    config = replace(swing.config, supervisor=bounds)
-    supervisor = Supervisor(rig.arm, person, swing.robot, config, world=lambda: swing.world)
-    guard = ContactGuard(config.strike.contact_force, ignore_before=plan.contact_time)
+    bounds = replace(planned.config.supervisor, data_cycles=PATIENT.data_cycles, overruns=PATIENT.overruns)
+    config = replace(planned.config, supervisor=bounds)
+    supervisor = Supervisor(rig.arm, person, planned.robot, config, world=lambda: planned.world)
+    guard = strike_guard(config.strike, plan.contact_time)
     try:
         supervisor.mode = Mode.UNATTENDED
         supervisor.permit_swings(ANSWER_TIME)
@@ -109,9 +147,9 @@ def _in_swing(fault: InputFault, rig: Rig) -> FaultRow:
     latched: list[str] = []
 
     def execute(_strike: Trajectory, _guard: ContactGuard | None, _watch: MotionWatch) -> MotionReport:
-        with _wire(rig) as person:
+        with wire(rig) as person:
             time.sleep(SEEN_TIME)
-            return _swing(rig, person, latched)
+            return swing(rig, person, latched)
 
     happened = rig.inject(partial(fault.inject, rig), execute=execute)
     stop, limits = happened.stop, rig.swing.config.arm
@@ -138,12 +176,12 @@ def _at_rest(fault: InputFault, rig: Rig) -> FaultRow:
     before = rig.controller.state()["tick"]
     latched: list[str] = []
     got: object = None
-    with _wire(rig) as person:
+    with wire(rig) as person:
         time.sleep(SEEN_TIME)
         fault.inject(rig)
         time.sleep(SEEN_TIME)
         try:
-            got = _swing(rig, PersonProof(person), latched)
+            got = swing(rig, PersonProof(person), latched)
         except DeviceError as error:
             got = error
     moved = travel(rig, before)

@@ -31,7 +31,8 @@ from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.types import Trajectory
 
-ON = f"simulated station, {RATE:.0f} Hz"
+ON = f"simulated {CONFIG.arm.model}, {RATE:.0f} Hz"
+"""One arm, that of the default station: driver and controller, in which the models differ, are in the arm's part."""
 SETTLING = 0.05  # [s] until the simulated motors have come to rest after the last command
 OFF_PATH_BY_MOTORS = 0.02  # [rad]: at a contact, the simulated motors give way
 AWAY, HIGHER = 0.05, 0.10  # [m] that a retreat must bring at least: from the person's place, and up

@@ -1,12 +1,15 @@
-"""Release and Play after every kind of stop that pauses the robot's program: nothing may move.
+"""Release and Play after every kind of stop: nothing may move.
 
 A protective stop, a safeguard stop and a pause at the pendant only pause a program, with its motion. Whoever then
 presses Play, or on some CB3 robots closes the safeguard, would send the arm on to its last target, so the driver ends
-the program at once. Judged on the joints of the stand-in.
+the program at once, also where its link is lost around the stop. An emergency stop, a violation and a fault end the
+program by themselves and leave the arm off: it is switched on before Play is pressed. Judged on the joints of the
+stand-in.
 """
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,11 +17,12 @@ from functools import partial
 
 import numpy as np
 
-from toolee_robot.errors import EmergencyStopError, MotionFaultError, ProtectiveStopError
+from toolee_robot.errors import DeviceError, EmergencyStopError, MotionFaultError, ProtectiveStopError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.driver_rig import Rig, StopKind
 from toolee_robot.faults.rows.arm import AT_REST, REST_TIME
+from toolee_robot.hardware.ur.protocols.dashboard import DASHBOARD_PORT
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
 EXPECTED = "the robot's program is ended; nothing moves after release and Play; latched"
@@ -26,11 +30,13 @@ PLAY_TIME = 0.6  # [s] of observation after Play: a resumed swing would be over
 DOOR = 0  # digital input of the door
 BLINK = 0.06  # [s] for which a light curtain is broken
 PAUSE_SLEW = 0.25  # [s] in which a pause at the pendant brings the arm to rest
+LINK_GAP = 0.01  # [s] from the loss of the link to the stop: well below the watchdog's time
+ANSWER_TIME, POWER_TIME = 2.0, 5.0  # [s] of the dashboard server, and until the arm is on
 
 
 @dataclass(frozen=True)
 class ReleasedStop:
-    """A stop that pauses the robot's program, and its release.
+    """A stop and its release.
 
     Attributes:
         number: See `FaultRow`.
@@ -63,6 +69,40 @@ def _open_the_door(controller: ControllerProcess) -> None:
     controller.fault("door", opened=True, index=DOOR)
 
 
+def _lose_link_before(controller: ControllerProcess) -> None:
+    controller.fault("drop", port="rtde")
+    time.sleep(LINK_GAP)
+    controller.fault("protective_stop")
+
+
+def _lose_link_after(controller: ControllerProcess) -> None:
+    controller.fault("protective_stop")
+    controller.fault("drop", port="rtde")  # a tick later
+
+
+def _switch_on(controller: ControllerProcess, *orders: str) -> None:
+    """Give orders on the dashboard server, release the brakes, and wait until the arm is on."""
+    with socket.create_connection((controller.host, DASHBOARD_PORT), ANSWER_TIME) as sock, sock.makefile("rw") as lines:
+        lines.readline()  # its greeting
+        for order in (*orders, "brake release"):
+            print(order, file=lines, flush=True)
+            lines.readline()
+    deadline = time.monotonic() + POWER_TIME
+    while controller.state()["robot_mode"] != "RUNNING":
+        if time.monotonic() > deadline:
+            raise DeviceError("the stand-in's arm cannot be switched on")
+        time.sleep(0.05)
+
+
+def _pull_out(controller: ControllerProcess) -> None:
+    controller.fault("emergency_stop", pressed=False)
+    _switch_on(controller)
+
+
+def _restart_safety(controller: ControllerProcess) -> None:
+    _switch_on(controller, "restart safety")
+
+
 RELEASED_STOPS = (
     ReleasedStop(
         12, "protective stop, released, Play", lambda c: c.fault("protective_stop"), lambda c: c.fault("unlock"),
@@ -82,6 +122,26 @@ RELEASED_STOPS = (
     ReleasedStop(
         13, "paused at the pendant, Play", lambda c: c.fault("pause"), lambda _: None, MotionFaultError, "program",
         PAUSE_SLEW,
+    ),
+    ReleasedStop(
+        13, "emergency stop, pulled out, switched on, Play", lambda c: c.fault("emergency_stop"), _pull_out,
+        EmergencyStopError, "emergency",
+    ),
+    ReleasedStop(
+        13, "safety violation, safety restarted, switched on, Play", lambda c: c.fault("safety_fault", violation=True),
+        _restart_safety, MotionFaultError, "emergency",
+    ),
+    ReleasedStop(
+        13, "safety fault, safety restarted, switched on, Play", lambda c: c.fault("safety_fault"), _restart_safety,
+        MotionFaultError, "emergency",
+    ),
+    ReleasedStop(
+        9, f"link lost {LINK_GAP * 1e3:.0f} ms before a protective stop, released, Play", _lose_link_before,
+        lambda c: c.fault("unlock"), MotionFaultError, "protective", 2 * LINK_GAP,
+    ),
+    ReleasedStop(
+        9, "link lost a tick after a protective stop, released, Play", _lose_link_after,
+        lambda c: c.fault("unlock"), MotionFaultError, "protective",
     ),
 )  # fmt: skip
 

@@ -11,6 +11,7 @@ task.
 from __future__ import annotations
 
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, Self
@@ -35,6 +36,7 @@ from toolee_robot.hardware.ur.readiness import Identity, require_ready
 from toolee_robot.hardware.ur.servo.client import ServoClient
 from toolee_robot.hardware.ur.servo.clock import Realtime
 from toolee_robot.hardware.ur.servo.messages import Cause, Freedrive, MotionRequest, SetPayload, ZeroWrench
+from toolee_robot.hardware.ur.servo.program_watch import NOT_ENDED
 from toolee_robot.hardware.ur.servo.report import arm_state, build_report, fault
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn, Word
 from toolee_robot.hardware.ur.status import advice, check_speed_slider
@@ -90,7 +92,8 @@ class UnsupervisedUrArm:
         servo, self._servo = self._servo, None
         if servo is not None:
             servo.ask_to_stop()
-            servo.close()
+            if not servo.close():
+                warnings.warn(NOT_ENDED, RuntimeWarning, stacklevel=2)
         errors, self._errors = self._errors, None
         if errors is not None:
             errors.close()
@@ -185,7 +188,7 @@ class UnsupervisedUrArm:
                 raise self._latch(ServoCrashError(str(error), build_report(servo.memory, Cause.LINK))) from error
         report = build_report(servo.memory, cause)
         if cause >= Cause.DATA:
-            raise self._latch(fault(cause, self._state_now(servo), report, self._errors))
+            raise self._latch(self._error(servo, cause, report))
         return report
 
     def set_payload(self, payload: Payload) -> None:
@@ -252,6 +255,7 @@ class UnsupervisedUrArm:
                     raise NotReadyError(advice(status), code=f"not_ready.{status}")
             servo.close()
             require_ready(self._config, self._limits, self._identity, payload_set=self._payload is not None)
+            servo.forget_program()
             self._servo = servo = ServoClient(self._config, self._rate)
             if self._payload is not None:
                 servo.ask(_payload_request(self._payload))
@@ -286,11 +290,16 @@ class UnsupervisedUrArm:
             return
         cause = Cause(int(servo.memory.words[Word.CAUSE]))
         if cause >= Cause.DATA:
-            self._latch(fault(cause, self._state_now(servo), None, self._errors))
+            self._latch(self._error(servo, cause, None))
         elif not servo.alive:
             self._latch(servo.crash())
         elif not servo.cycles_within(self._config.servo.hang_timeout):
             self._latch(servo.crash(hung=True))
+
+    def _error(self, servo: ServoClient, cause: Cause, report: MotionReport | None) -> MotionFaultError:
+        # After a lost link nobody sees whether the robot's program has ended; the servo process is gone.
+        ended = cause is not Cause.LINK or servo.program_ended()
+        return fault(cause, self._state_now(servo), report, self._errors, program_ended=ended)
 
     def _latch(self, error: MotionFaultError) -> MotionFaultError:
         if self._fault is None:

@@ -51,7 +51,8 @@ class CollisionDetection:
         self.deviation_ratio = self.collision_ratio = 0.0
         self._machine = machine
         model = machine.model
-        self._largest, self._range = np.array(model.torque), np.array(model.position)
+        self._largest = np.array(model.torque)
+        self._range = np.array(limits.joint_position) * np.array(model.position)
         self._fastest = limits.joint_speed * np.array(model.velocity)
         self._force = np.zeros(3)
         self._torque = np.zeros(6)

@@ -118,6 +118,16 @@ def test_a_motion_beyond_the_safety_limits(model: str, limits: dict[str, float],
 
 
 @both
+def test_a_joint_that_leaves_its_range(model: str) -> None:
+    served = robot(model, "harsh", limits=LOOSE | {"joint_position": (0.2, 1.0, 1.0, 1.0, 1.0, 1.0)})
+    served.program.upload("def swing():\n  speedj([1.0, 0, 0, 0, 0, 0], 4, 5)\nend\n")
+    run(served, 0.5)
+    assert codes(served) == []
+    run(served, 2.0)
+    stopped_by(served, "C191A1")
+
+
+@both
 def test_a_joint_that_is_too_fast(model: str) -> None:
     served = robot(model, "harsh", limits=LOOSE | {"joint_speed": 0.5})
     served.program.upload("def swing():\n  speedj([1.5, 0, 0, 0, 0, 0], 4, 5)\nend\n")

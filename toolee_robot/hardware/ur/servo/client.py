@@ -28,7 +28,7 @@ from toolee_robot.hardware.ur.servo.messages import (
     Reply,
     Request,
 )
-from toolee_robot.hardware.ur.servo.program_stop import end_program
+from toolee_robot.hardware.ur.servo.program_watch import NOT_ENDED, ProgramWatch
 from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory, Word
 
 HEARTBEAT_PERIOD: Final = 0.01  # [s]
@@ -65,11 +65,13 @@ class ServoClient:
         self.memory = ServoMemory.create(config.longest_motion)
         ours, theirs = socket.socketpair()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (read later, for a crash's message)
+        self._watch = ProgramWatch(config.host, self._clock.to_wall_time(2.0 / config.servo.watchdog))
+        fd = self._watch.fd
         # A fresh interpreter in its own session: the terminal's Ctrl-C does not reach it, and it inherits none of the
         # task's threads, locks and libraries.
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, str(theirs.fileno()), str(self.memory.fd), str(config.longest_motion)],
-            pass_fds=(theirs.fileno(), self.memory.fd),
+            [sys.executable, "-c", _PROGRAM, *map(str, (theirs.fileno(), self.memory.fd, config.longest_motion, fd))],
+            pass_fds=(theirs.fileno(), self.memory.fd, fd),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=self._errors,
@@ -77,6 +79,7 @@ class ServoClient:
             env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OMP_NUM_THREADS": "1"},
         )
         theirs.close()
+        self._watch.hand_over()
         self.memory.close()
         self._pipe = Connection(ours.detach())
         self._beats, self._ended = threading.Event(), threading.Event()
@@ -86,6 +89,7 @@ class ServoClient:
             self.realtime = self._connect(rate)
         except BaseException:
             self.kill()
+            self.program_ended()
             raise
 
     @property
@@ -185,25 +189,39 @@ class ServoClient:
             self._process.wait(0.2)
         code = self._process.poll()
         self.kill()
-        # The watchdog lets the arm come to rest on its path and ends the program. Should the robot have been stopped
-        # before, the program is paused instead and could be resumed.
-        self._clock.sleep(2.0 / self._config.servo.watchdog)
-        end_program(self._config.host, self._clock.to_wall_time(self._config.servo.handshake_timeout))
+        ended = self.program_ended()
         how = "hung" if hung or code is None else f"ended with code {code}" if code >= 0 else _signal_name(-code)
         self._errors.seek(0)
         words = self._errors.read().decode(errors="replace").split("Extension modules")[0].strip()[-_STDERR_TAIL:]
         return ServoCrashError(
             f"the servo process {how}; the robot's watchdog stops the arm. Look at the robot, then reset the arm"
+            + ("" if ended else f"; {NOT_ENDED}")
             + (f" (the process's error output: {words})" if words else "")
         )
 
-    def close(self) -> None:
-        """End the robot's program and the servo process, which is killed if it does not end in time."""
+    def program_ended(self) -> bool:
+        """Whether the robot's program has ended, after the servo process has; waits for it, a bounded time.
+
+        If not, the dashboard server is asked for its end in the background until it confirms it.
+        """
+        return self._watch.ended(self._clock.to_wall_time(self._config.servo.handshake_timeout))
+
+    def forget_program(self) -> None:
+        """No longer ask for the end of this client's program, before another begins. Idempotent."""
+        self._watch.cancel()
+
+    def close(self) -> bool:
+        """End the robot's program and the servo process, which is killed if it does not end in time.
+
+        Returns:
+            Whether the program has ended; see `program_ended`.
+        """
         with suppress(DeviceError):
             self.send(Close())
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(self._clock.to_wall_time(self._config.servo.handshake_timeout) + KILL_MARGIN)
         self.kill()
+        return self.program_ended()
 
     def kill(self) -> None:
         """Kill the process; the kernel closes its connections. Idempotent."""

@@ -37,6 +37,7 @@ from toolee_robot.hardware.ur.servo.messages import (
     ZeroWrench,
 )
 from toolee_robot.hardware.ur.servo.motion import Motion
+from toolee_robot.hardware.ur.servo.program_watch import WatchedProgram
 from toolee_robot.hardware.ur.servo.rtde_link import UrLink
 from toolee_robot.hardware.ur.servo.script_calls import ScriptCalls
 from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory, StateColumn, Word
@@ -209,7 +210,8 @@ class ServoProcess:
 def main() -> None:
     """Run the servo process.
 
-    Command-line arguments: file descriptor of the pipe, file descriptor of the shared memory, longest motion [s].
+    Command-line arguments: file descriptor of the pipe, file descriptor of the shared memory, longest motion [s], file
+    descriptor of the notes for `ProgramWatch`.
     """
     # The terminal sends Ctrl-C to all its processes; this one only follows the task's requests.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -218,13 +220,14 @@ def main() -> None:
     faulthandler.enable()  # stack traces of crashes inside ur_rtde
     pipe = Connection(int(sys.argv[1]))
     memory = ServoMemory(int(sys.argv[2]), float(sys.argv[3]))
+    watched = WatchedProgram(int(sys.argv[4]))
     request: Any = pipe.recv()
     if not isinstance(request, Connect):
         raise TypeError(f"the first request must be Connect, not {request!r}")
     realtime = become_realtime()
     memory.words[Word.CONNECTING] = time.monotonic_ns()
     try:
-        process = ServoProcess(pipe, memory, UrLink(request.config, request.rate), request.config)
+        process = ServoProcess(pipe, memory, UrLink(request.config, request.rate, watched), request.config)
         process.connected(realtime)
     except DeviceError as error:
         pipe.send(Refused.from_error(error))

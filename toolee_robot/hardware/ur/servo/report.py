@@ -17,6 +17,7 @@ from toolee_robot.hal import ArmState, ArmStatus, MotionOutcome, MotionReport
 from toolee_robot.hardware.ur.error_codes import explain
 from toolee_robot.hardware.ur.error_log import ErrorLog
 from toolee_robot.hardware.ur.servo.messages import Cause
+from toolee_robot.hardware.ur.servo.program_watch import NOT_ENDED
 from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
 from toolee_robot.hardware.ur.status import advice, arm_status
 from toolee_robot.types import JointState
@@ -75,7 +76,12 @@ def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
 
 
 def fault(
-    cause: Cause, state: ArmState, report: MotionReport | None, errors: ErrorLog | None = None
+    cause: Cause,
+    state: ArmState,
+    report: MotionReport | None,
+    errors: ErrorLog | None = None,
+    *,
+    program_ended: bool = True,
 ) -> MotionFaultError:
     """The error for a motion that ended with a fault.
 
@@ -84,6 +90,7 @@ def fault(
         state: Latest state of the robot.
         report: What was done until then; None for a fault at rest.
         errors: What the controller has said since the motion began; None where nobody has listened.
+        program_ended: Whether the robot's program is known to have ended, after a lost link.
 
     Returns:
         The error to raise.
@@ -106,6 +113,8 @@ def fault(
         return LinkLostError(f"{message}: check the network, then reset", report, code="link_lost.data")
     if cause is Cause.LINK:
         message = "the link to the robot is lost; its watchdog stops it: check the network, then reset"
+        if not program_ended:
+            message += f"; {NOT_ENDED}"
         return LinkLostError(message, report, code="link_lost.connection")
     if cause is Cause.SPEED_SLIDER:
         message = "the speed slider was moved and the arm was stopped: set it to 100 % at the pendant, then reset"

@@ -23,6 +23,7 @@ from toolee_robot.hal import ArmStatus
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.protocols.rtde import RTDE_PORT
 from toolee_robot.hardware.ur.servo.program_stop import ProgramStop
+from toolee_robot.hardware.ur.servo.program_watch import WatchedProgram
 from toolee_robot.hardware.ur.servo.rtde_socket import UrRtdeSocket
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn
 from toolee_robot.hardware.ur.servo.state_stream import Reading, StateStream
@@ -54,6 +55,7 @@ class UrLink:
     Args:
         config: The driver's settings.
         rate: The controller's rate [Hz].
+        watched: Notes for the process that ends the program if this one cannot.
 
     Attributes:
         rate: The controller's rate [Hz].
@@ -72,8 +74,9 @@ class UrLink:
         DeviceError: ur_rtde cannot connect, or the robot's data are implausible.
     """
 
-    def __init__(self, config: UrArmConfig, rate: float) -> None:
+    def __init__(self, config: UrArmConfig, rate: float, watched: WatchedProgram) -> None:
         self._config, self.rate, self._clock = config, rate, config.clock
+        self._watched = watched
         self.reading: Array = np.zeros(StateColumn.COUNT)
         self.refused, self._lost = False, False
         self._unread: list[Reading] = []
@@ -96,6 +99,7 @@ class UrLink:
                     self.expect_plausible()
                     time.sleep(1e-3)
                 self._program_exists = True
+                self._watched.begun()
                 self.control.setWatchdog(config.servo.watchdog)
                 self.catch_up()
                 self._socket = UrRtdeSocket(RTDE_PORT, self._stream.fileno())
@@ -170,7 +174,9 @@ class UrLink:
             reading[StateColumn.COMMANDED] = newest.target
         self.status = arm_status(safety, mode)
         self.playing, self.paused = runtime == RUNTIME_PLAYING, runtime in RUNTIME_PAUSED
-        self._program_exists = self._program_exists and runtime != RUNTIME_STOPPED
+        if self._program_exists and runtime == RUNTIME_STOPPED:
+            self._program_exists = False
+            self._watched.ended()
 
     def end_halted_program(self) -> None:
         """Ask the dashboard server to end this connection's program if the robot was stopped or the program paused.
@@ -205,13 +211,16 @@ class UrLink:
         self._lost = self._lost or not self._socket.kick()
 
     def close(self) -> None:
-        """End the robot's program, at rest, and this process with all its connections."""
+        """End the robot's program, at rest, and this process with all its connections.
+
+        Where the program's end is not seen in time, `ProgramWatch` sees to it.
+        """
         with bounded(self._clock.to_wall_time(self._config.servo.handshake_timeout)):
             if self.connected and self.playing and self.status is ArmStatus.READY:
                 if self.servoing:
                     self.control.servoStop()
                 self.control.stopScript()
-            while self.connected and self._program_halted:
+            while self.connected and self._program_exists:
                 self.end_halted_program()
                 self._clock.sleep(1.0 / self.rate)
                 self.read()
