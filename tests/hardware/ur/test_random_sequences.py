@@ -22,13 +22,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, event, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.hardware.ur.swings import MOVING, swing
 from tests.stand_in import HOME, PATIENT, SERVO, held, stand_in
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError, MotionFaultError, TooleeError
-from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
@@ -208,7 +208,7 @@ class Session:
             return
         self.sent.append((trajectory, report))
 
-    def uncommanded(self, trace: Trace) -> Array:
+    def uncommanded(self, trace: Trace) -> NDArray[np.intp]:
         """Ticks in which a joint moves although the newest set-point is older than `grace`.
 
         Ages are counted by the robot's ticks, as its watchdog does, which a busy machine lengthens.
