@@ -85,6 +85,7 @@ class TraceRow:
         q_target: Set-point, (6,) [rad].
         safety: Value of `SafetyMode`.
         program: Value of `RuntimeState`.
+        commands: Value of `Inputs.commands`.
     """
 
     tick: int
@@ -94,6 +95,7 @@ class TraceRow:
     q_target: Array
     safety: int
     program: int
+    commands: int
 
 
 class Controller:
@@ -230,6 +232,7 @@ class Controller:
                 machine.q_target.copy(),
                 int(robot.safety.mode),
                 int(robot.program.state),
+                self.inputs.commands,
             )
         )
         if self.publish_at > 0.0:

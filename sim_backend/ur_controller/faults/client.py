@@ -27,6 +27,7 @@ class Trace:
         q_target: Set-points, (N, 6) [rad].
         safety: Values of `SafetyMode`, (N,).
         program: Values of `RuntimeState`, (N,).
+        commands: Packets with set-points or arguments that had come by then, (N,); see `Inputs.commands`.
     """
 
     ticks: Array
@@ -36,6 +37,7 @@ class Trace:
     q_target: Array
     safety: Array
     program: Array
+    commands: Array
 
 
 class FaultClient:
@@ -106,8 +108,8 @@ class FaultClient:
             last = page[-1][0]
             if len(page) < 100:  # up to date: do not chase newer ticks
                 break
-        columns = list(zip(*rows, strict=True)) if rows else [()] * 7
-        ticks, stamps, safety, program, q, qd, q_target = columns
+        columns = list(zip(*rows, strict=True)) if rows else [()] * 8
+        ticks, stamps, safety, program, q, qd, q_target, commands = columns
         return Trace(
             ticks=np.array(ticks, dtype=int),
             stamps=np.array(stamps, dtype=float),
@@ -116,6 +118,7 @@ class FaultClient:
             q_target=np.array(q_target, dtype=float).reshape(-1, 6),
             safety=np.array(safety, dtype=int),
             program=np.array(program, dtype=int),
+            commands=np.array(commands, dtype=int),
         )
 
     def close(self) -> None:

@@ -43,9 +43,10 @@ class Queries(HookGroup):
         start = max(0, after + 1 - first)
         rows = [trace[i] for i in range(start, min(len(trace), start + TRACE_PAGE))]
         return {
-            "columns": ["tick", "stamp", "safety", "program", "q", "qd", "q_target"],
+            "columns": ["tick", "stamp", "safety", "program", "q", "qd", "q_target", "commands"],
             "rows": [
-                [r.tick, r.stamp, r.safety, r.program, r.q.tolist(), r.qd.tolist(), r.q_target.tolist()] for r in rows
+                [r.tick, r.stamp, r.safety, r.program, r.q.tolist(), r.qd.tolist(), r.q_target.tolist(), r.commands]
+                for r in rows
             ],
         }
 

@@ -48,11 +48,14 @@ class Inputs:
             per tick, as they would have arrived; all at once, a servoed path would have a step. When the ticks are on
             time again, the newest packet counts, as in a real controller; otherwise every later packet would be late.
         owners: The owner of each claimed variable, any hashable object.
+        commands: Packets so far that wrote float registers, in which ur_rtde's commands have their numbers: the
+            set-points of `servoj`, and the arguments of calls such as `set_payload`. A kick of the watchdog has none.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.catching_up = False
         self.owners: dict[str, object] = {}
+        self.commands = 0
         self._robot = robot
 
     def claim(self, name: str, owner: object) -> str:
@@ -103,6 +106,7 @@ class Inputs:
                 by_name[name] = numbers[at]
             at += 1
             robot.machine.fed(name)
+        self.commands += any(name.startswith("input_double_register_") for name in names)
         if by_name:
             self._apply(by_name)
 

@@ -18,6 +18,7 @@ import pytest
 from tests.stand_in import patient, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
+from toolee_robot.hardware.ur.servo.program_watch import ProgramWatch, WatchedProgram
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
@@ -122,6 +123,27 @@ def test_a_program_of_somebody_else_is_left_alone(controller: ControllerProcess)
         os.kill(arm.servo_pid, signal.SIGKILL)
         time.sleep(2.0 * WATCHDOG + 0.8)
         assert controller.state()["program_state"] == "PLAYING"
+
+
+def test_a_stopped_robot_has_its_program_ended_at_once_and_a_moving_one_by_its_watchdog_first(
+    controller: ControllerProcess,
+) -> None:
+    """A program that plays is the watchdog's to end, for which the watching process waits."""
+    for stopped, delay in ((True, 60.0), (False, 4.0)):
+        upload(controller, "def ours():\n  while True:\n    sync()\n  end\nend\n")
+        watch = ProgramWatch(HOST, delay)
+        WatchedProgram(watch.fd).begun()
+        began = time.monotonic()
+        if stopped:
+            controller.fault("protective_stop")
+        watch.hand_over()
+        if not stopped:
+            time.sleep(0.5 * delay)
+            assert controller.state()["program_state"] == "PLAYING"
+        assert watch.ended(5.0)
+        assert time.monotonic() - began < 30.0
+        plays_in_vain(controller)
+        controller.fault("reset")
 
 
 def upload(controller: ControllerProcess, script: str) -> None:

@@ -111,4 +111,4 @@ class JointWatch:
         resting = np.maximum(np.arange(len(rows)) - (len(rows) - REST_TICKS - 2), 0) / RATE
         ticks, none = np.arange(len(rows), dtype=float), np.zeros(len(rows))
         q, qd = np.array(self._q)[rows], np.array(self._qd)[rows]
-        return Trace(ticks, stamps[rows] + resting, q, qd, path[rows], none, none)
+        return Trace(ticks, stamps[rows] + resting, q, qd, path[rows], none, none, none)

@@ -168,6 +168,17 @@ def test_registers_belong_to_one_client_until_it_leaves() -> None:
     assert second.inputs("input_int_register_0")[0] == 2
 
 
+def test_packets_with_the_numbers_of_a_command_are_counted_and_kicks_of_the_watchdog_are_not() -> None:
+    server = RtdeServer()
+    client = server.connect()
+    set_point, kick = ("input_int_register_0", "input_double_register_0"), ("input_int_register_0",)
+    for number, names in enumerate((set_point, kick), start=1):
+        assert client.inputs(*names)[0] == number
+    client.send("U", struct.pack(">Bid", 1, 0, 0.5))
+    client.send("U", struct.pack(">Bi", 2, 0))
+    assert server.inputs.commands == 1
+
+
 def test_outputs_by_rtde_inputs() -> None:
     server = RtdeServer()
     client = server.connect()

@@ -17,6 +17,9 @@ import time
 from contextlib import suppress
 from typing import Final
 
+from toolee_robot.errors import DeviceError
+from toolee_robot.hardware.ur.protocols.dashboard import DASHBOARD_PORT, DashboardReader
+from toolee_robot.hardware.ur.protocols.tcp import connect
 from toolee_robot.hardware.ur.servo.program_stop import RETRY, end_program
 
 PATIENCE: Final = 600.0
@@ -27,6 +30,7 @@ NOT_ENDED: Final = (
 )
 
 _ANSWER = 1.0  # [s] on the wall clock, for one attempt
+_LOOK = 0.02  # [s] on the wall clock between two looks at the safety mode
 _BEGUN, _ENDED = b"B", b"E"
 _PROGRAM = "from toolee_robot.hardware.ur.servo.program_watch import main; main()"
 
@@ -37,7 +41,8 @@ class ProgramWatch:
     Args:
         host: Address of the controller.
         delay: Time [s] on the wall clock from the servo process's end until the robot's program is ended: long enough
-            for the robot's watchdog, with which a moving arm stops where it was sent last.
+            for the robot's watchdog, with which a moving arm stops where it was sent last. An arm that the robot's
+            safety system stops has its program ended at once.
 
     Attributes:
         fd: Descriptor that the servo process must inherit, and no other; see `WatchedProgram`.
@@ -124,8 +129,20 @@ def main() -> None:
     if not exists:
         return
     give_up = time.monotonic() + PATIENCE
-    time.sleep(delay)
+    _await_watchdog(host, time.monotonic() + delay)
     while not end_program(host, _ANSWER):
         if time.monotonic() > give_up:
             sys.exit(1)
         time.sleep(RETRY)
+
+
+def _await_watchdog(host: str, deadline: float) -> None:
+    """Wait until `deadline` [s], a value of `time.monotonic()`, or until the robot's safety system stops the arm."""
+    with suppress(DeviceError), connect(host, DASHBOARD_PORT, deadline) as sock:
+        reader = DashboardReader(sock, deadline)
+        while time.monotonic() < deadline:
+            mode = reader.ask("safetymode", deadline)
+            if mode is not None and not mode.upper().endswith(("NORMAL", "REDUCED")):
+                return
+            time.sleep(_LOOK)
+    time.sleep(max(deadline - time.monotonic(), 0.0))

@@ -220,7 +220,7 @@ class UrLink:
                 if self.servoing:
                     self.control.servoStop()
                 self.control.stopScript()
-            while self.connected and self._program_exists:
+            while self.connected and self.plausible and self._program_exists:
                 self.end_halted_program()
                 self._clock.sleep(1.0 / self.rate)
                 self.read()
