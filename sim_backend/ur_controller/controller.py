@@ -13,7 +13,8 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
+from math import isfinite
 from typing import get_args
 
 from toolee_robot.errors import UserError
@@ -21,7 +22,14 @@ from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock, check_real_time_factor, is_loopback
 from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults
 from toolee_robot.sim_backend.ur_controller.faults.session import FaultSession
-from toolee_robot.sim_backend.ur_controller.profile import ProfileName, SafetyLimits, profile
+from toolee_robot.sim_backend.ur_controller.profile import (
+    Profile,
+    ProfileName,
+    SafetyLimits,
+    StopDecelerations,
+    profile,
+    usual_lag,
+)
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
@@ -57,6 +65,8 @@ class ControllerOptions:
             generation.
         seed: Seed of the noise of the sensors.
         limits: Limits of the safety system; the profile's if None.
+        lag: Lag of `servoj` at REFERENCE_GAIN and REFERENCE_LOOKAHEAD [s]; the profile's if None.
+        stops: Decelerations of the stops; the profile's if None.
         real_time_factor: Real-time factor of the robot's time; its clients' clocks must run at the same factor.
     """
 
@@ -70,6 +80,8 @@ class ControllerOptions:
     profile: ProfileName = "ideal"
     seed: int = 0
     limits: SafetyLimits | None = None
+    lag: float | None = None
+    stops: StopDecelerations | None = None
     real_time_factor: float = 1.0
 
 
@@ -139,7 +151,7 @@ class Controller:
         self.clock = HostClock(options.real_time_factor)
         self.publish_at = 0.0
         model = MODELS[options.model]
-        chosen = profile(options.profile, model.e_series)
+        chosen = _profile(options, model)
         self.robot = Robot(model, plant(model), options.limits, log, chosen, options.seed)
         self.robot.machine.speed_fraction = options.speed_slider
         self.robot.safety.remote = options.remote
@@ -269,6 +281,17 @@ class Controller:
                 return
 
 
+def _profile(options: ControllerOptions, model: ControllerModel) -> Profile:
+    """The profile with what the options change of it."""
+    chosen = profile(options.profile, model.e_series)
+    if options.lag is not None:
+        servo = chosen.servo or usual_lag(model.e_series)
+        chosen = replace(chosen, servo=servo.with_lag(options.lag, model.period))
+    if options.stops is not None:
+        chosen = replace(chosen, stops=options.stops)
+    return chosen
+
+
 def _check(options: ControllerOptions) -> None:
     if options.model not in MODELS:
         message = f"unknown model {options.model!r}: choose one of {', '.join(MODELS)}"
@@ -283,6 +306,9 @@ def _check(options: ControllerOptions) -> None:
         message = f"unknown profile {options.profile!r}: choose one of {', '.join(get_args(ProfileName))}"
         raise UserError(message, code="user.controller_profile")
     check_real_time_factor(options.real_time_factor, options.host)
+    if options.stops is not None and not all(value > 0.0 and isfinite(value) for value in astuple(options.stops)):
+        message = f"the stops' decelerations must be over 0 rad/s^2, not {astuple(options.stops)}"
+        raise UserError(message, code="user.stop_deceleration")
     if not 0.0 <= options.speed_slider <= 1.0:
         message = f"the speed slider must be between 0 and 1, not {options.speed_slider}"
         raise UserError(message, code="user.speed_slider")

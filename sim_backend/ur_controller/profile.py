@@ -8,10 +8,14 @@ measured on a robot by this project. docs/reference/ur_controller.md has the tab
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import inf, isfinite
 from typing import Literal
 
+from toolee_robot.errors import UserError
+
 ProfileName = Literal["ideal", "harsh"]
+REFERENCE_GAIN, REFERENCE_LOOKAHEAD = 1200.0, 0.03
+"""`gain` and `lookahead_time` [s] of servoj at which a lag is given: those at which a UR10e's was measured."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,31 @@ class ServoLag:
         """
         dead = round(self.dead_time / period) * period
         return dead + self.smoothing * lookahead + 1.0 / (self.rate * gain) - 0.5 * period
+
+    def with_lag(self, lag: float, period: float) -> ServoLag:
+        """Change the lag at the reference values: the dead time in whole periods, then the law's gain.
+
+        Args:
+            lag: The lag at REFERENCE_GAIN and REFERENCE_LOOKAHEAD [s].
+            period: Period of the controller [s].
+
+        Returns:
+            The changed law.
+
+        Raises:
+            UserError: The lag is not finite, or so short that the proportional law would be twice as fast.
+        """
+        law = 1.0 / (self.rate * REFERENCE_GAIN)
+        both = lag - self.smoothing * REFERENCE_LOOKAHEAD + 0.5 * period  # dead time and law
+        if not (both >= 0.5 * law and isfinite(lag)):
+            shortest = 0.5 * law + self.smoothing * REFERENCE_LOOKAHEAD - 0.5 * period
+            raise UserError(
+                f"a lag of {lag:g} s is not possible: give {shortest:.4f} s or more, at a gain of {REFERENCE_GAIN:g} "
+                f"and a lookahead of {REFERENCE_LOOKAHEAD} s",
+                code="user.servo_lag",
+            )
+        dead = max(0, round((both - law) / period)) * period
+        return replace(self, dead_time=dead, rate=1.0 / (REFERENCE_GAIN * (both - dead)))
 
 
 @dataclass(frozen=True)
@@ -216,6 +245,20 @@ E_SERIES = Profile(
     stops=StopDecelerations(program=5.0, protective=15.0, safeguard=10.0, emergency=20.0),  # A
     version=(5, 22, 0, 1214729),  # has the deviation and collision ratios, and is the newest that ur_rtde 1.6.5 accepts
 )
+
+
+def usual_lag(e_series: bool) -> ServoLag:
+    """The lag of a generation, for controllers whose profile has none.
+
+    Args:
+        e_series: Whether the controller is an e-Series controller.
+
+    Returns:
+        The lag.
+    """
+    lag = (E_SERIES if e_series else CB3).servo
+    assert lag is not None, "both generations have one"
+    return lag
 
 
 def profile(name: str, e_series: bool) -> Profile:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,13 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.stand_in import stand_in
 from toolee_robot.cli.app import run
-from toolee_robot.config import StationConfig
+from toolee_robot.config import StationConfig, load_station
 from toolee_robot.doctor.robot import expected_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.types import ArmModel
 
+_TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
 _HOST, _SERIAL = "127.0.0.48", "20185500001"
 _LAB = f"""
 arm: {{host: {_HOST}}}
@@ -26,6 +31,9 @@ calibration:
   camera_serial: cam7
   residual: 0.001
   valid_days: null
+"""
+_WIRED = """
+person: {door_closed_input: 0, door_open_input: 1, hold_to_run_input: 2, hold_to_run_released_input: null}
 """
 
 
@@ -74,9 +82,27 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     levels = {f["name"]: f["level"] for f in record["findings"]}
     assert (levels["hand"], levels["camera"], levels["calibration"]) == ("warn", "warn", "warn"), "nobody looked"
     assert levels["measured"] == "warn", "the file gives next to nothing, which a stand-in bears"
+    assert levels["person"] == "warn", "no inputs in the file"
     assert (levels["TCP place"], levels["force"], levels["jogged point"]) == ("ok", "ok", "warn")
     after = robot.state()
     assert (after["q"], after["uploads"]) == (before["q"], before["uploads"])
+
+
+@pytest.mark.sim
+@pytest.mark.usefixtures("robot")
+def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """LAB.md, defect 4: no lab has the simulation's calibration; and the arm is brought up before the camera."""
+    path = tmp_path / "lab.yaml"
+    path.write_text(f"arm: {{host: {_HOST}}}{_WIRED}")
+    code, record, said = _doctor(capsys, "--config", str(path))
+    assert code == 0, said
+    found = {f["name"]: f for f in record["findings"]}
+    assert (record["robot_serial"], found["calibration"]["level"]) == (_SERIAL, "warn")
+    assert "no job" in found["calibration"]["message"]
+    assert found["person"]["level"] == "warn"
+    assert f"toolee doctor --config {path} --inputs" in found["person"]["remedy"]
 
 
 @pytest.mark.sim
@@ -131,9 +157,63 @@ def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest
     assert {"strike", "networks", "schedule"} <= {f["name"] for f in record["findings"]}
 
 
+def _obey(robot: ControllerProcess, prompt: str) -> None:
+    """What a person does who is told so; the door is wired to the safeguard, too."""
+    if "door" in prompt:
+        robot.fault("door", opened="open" in prompt, index=0)
+        robot.fault("digital_input", index=1, high="open" in prompt)
+    else:
+        robot.fault("digital_input", index=2, high="press" in prompt)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("model", "stuck", "door", "switch"),
+    [
+        pytest.param(ArmModel.UR10, None, "every change was seen", "every change was seen"),
+        pytest.param(ArmModel.UR10E, None, "every change was seen", "every change was seen", marks=pytest.mark.nightly),
+        pytest.param(ArmModel.UR10, 0, "both contacts of the door are high", "was seen", marks=pytest.mark.nightly),
+        pytest.param(ArmModel.UR10E, 2, "was seen", "stays low: unplugged", marks=pytest.mark.nightly),
+    ],
+)
+def test_door_and_switch_are_seen_changing_and_nothing_moves(
+    model: ArmModel, stuck: int | None, door: str, switch: str, tmp_path: Path
+) -> None:
+    path, host = tmp_path / "lab.yaml", "127.0.0.50"
+    path.write_text(f"arm: {{host: {host}, model: {model}}}{_WIRED}")
+    payload = expected_robot(load_station(path)).payload
+    assert payload is not None
+    with stand_in(model, host, profile="harsh") as robot:
+        robot.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
+        _obey(robot, "close the door")
+        if stuck is not None:
+            robot.fault("stuck_input", index=stuck)
+        command = [*_TOOLEE, "doctor", "--config", str(path), "--inputs", "--json"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as doctor:
+            assert doctor.stderr is not None
+            assert doctor.stdout is not None
+            said = []
+            for line in doctor.stderr:
+                said.append(line)
+                if "(within" in line:
+                    _obey(robot, line)
+            record = json.loads(doctor.stdout.read().splitlines()[-1])
+        trace = robot.trace(0)
+    found = {f["name"]: f for f in record["findings"] if f["section"] == "Door and hold-to-run switch"}
+    assert door in found["door"]["message"], "".join(said)
+    assert switch in found["hold-to-run switch"]["message"], "".join(said)
+    failed = [name for name, f in found.items() if f["level"] == "fail"]
+    assert failed == [name for name, text in (("door", door), ("hold-to-run switch", switch)) if "seen" not in text]
+    assert doctor.returncode == int(bool(failed)), "".join(said)
+    assert np.ptp(trace.q_target, axis=0).max() < 1e-6, "nothing was commanded"
+
+
 @pytest.mark.parametrize(
     ("args", "expected_text"),
     [
+        (["--inputs"], "--inputs needs --robot-host, or arm.host"),
+        (["--inputs", "--robot-host", "127.0.0.49"], "the station file has no `person`"),
+        (["--inputs", "--robot-host", "127.0.0.49", "--world", "pybullet"], "--inputs with --world"),
         (["--world", "pybullet"], "--world needs --robot-host, or arm.host"),
         (["--jogged-point", "1", "2", "3"], "--jogged-point needs --robot-host, or arm.host"),
         (["--config", "none.yaml"], "none.yaml"),

@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.contract.rigs import GENTLE_ACCELERATION, GENTLE_SPEED, gentle
+from tests.contract.rigs import GENTLE_ACCELERATION, GENTLE_SPEED, gentle, hardware_watch
 from tests.examples import examples
 from tests.sim_backend.kinematics import line
 from tests.stand_in import HOME, stand_in
+from toolee_robot.hal import MotionWatch
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel, Trajectory
 
 HOST = "127.0.0.24"
@@ -23,9 +25,10 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.nightly
 @pytest.mark.realtime
+@pytest.mark.parametrize("profile", ["ideal", "harsh"])
 @pytest.mark.parametrize("model", ArmModel)
-def test_on_a_robot_the_suite_commands_nothing_fast(model: ArmModel) -> None:
-    with stand_in(model, HOST) as controller:
+def test_on_a_robot_the_suite_commands_nothing_fast(model: ArmModel, profile: ProfileName) -> None:
+    with stand_in(model, HOST, profile=profile) as controller:
         suite = subprocess.run(
             [sys.executable, "-m", "pytest", "-n0", "tests/contract/test_arm_contract.py", "-k", "hardware",
              "--hardware", HOST, "--hardware-model", model.value],
@@ -41,6 +44,11 @@ def test_on_a_robot_the_suite_commands_nothing_fast(model: ArmModel) -> None:
     ticks = round(0.04 * rate)
     speeds = np.diff(trace.q[::ticks], axis=0) / 0.04
     assert np.abs(np.diff(speeds, axis=0)).max() / 0.04 <= GENTLE_ACCELERATION
+
+
+def test_a_robot_is_watched_as_the_driver_does_by_itself() -> None:
+    assert hardware_watch("192.168.1.10") == MotionWatch()
+    assert hardware_watch(HOST).tracking_error == MotionWatch().tracking_error
 
 
 @examples(50)

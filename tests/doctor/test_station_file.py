@@ -98,6 +98,13 @@ def test_calibrations(
     assert bool(finding.remedy) == (level is not Level.OK)
 
 
+def test_an_arm_moves_slowly_without_a_calibration() -> None:
+    config = replace(StationConfig(), calibration=None)
+    finding = check_calibration(config, "2018550001", None, _TODAY, slow=True)
+    assert finding.level is Level.WARN
+    assert "no job" in finding.message
+
+
 def test_missing_weights_are_named(tmp_path: Path) -> None:
     finding = check_weights(tmp_path)
     assert finding.level is Level.FAIL

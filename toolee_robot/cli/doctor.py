@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,9 +15,10 @@ from rich.table import Table
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig, load_station
+from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.findings import Finding, Level, worst
+from toolee_robot.hardware.operator.digital_inputs import check_wired
 
 _MARK = {Level.OK: "[green]✓[/green]", Level.WARN: "[yellow]![/yellow]", Level.FAIL: "[bold red]✗[/bold red]"}
 _STYLE = {Level.OK: "none", Level.WARN: "yellow", Level.FAIL: "red"}
@@ -30,6 +31,8 @@ class Doctor:
     Example: toolee doctor
 
     Example: toolee doctor --config lab.yaml
+
+    Example: toolee doctor --config lab.yaml --inputs
 
     Exit code 0: ready, or warnings only; 1: a fault must be repaired first; 2: invalid input.
     """
@@ -48,6 +51,9 @@ class Doctor:
     ] = None
     """X Y Z of the TCP in millimetres, as the pendant's Move screen shows them now with the feature Base: compared with
     what the robot reports and with this software's kinematics."""
+    inputs: Flag = False
+    """Connect with the arm's driver, say what to do with door and hold-to-run switch (the file's `person`), and demand
+    to see each change once. The robot's program is started; nothing is moved."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Folder for recordings, whose free space is checked."""
     json: Flag = False
@@ -56,19 +62,30 @@ class Doctor:
     def run(self) -> int:
         config = StationConfig() if self.config is None else load_station(self.config)
         host = self.robot_host or config.arm.host
-        for option, given in (("--world", self.world), ("--jogged-point", self.jogged_point)):
+        options = (("--world", self.world), ("--jogged-point", self.jogged_point), ("--inputs", self.inputs))
+        for option, given in options:
             if host is None and given:
                 raise UserError(
                     f"{option} needs --robot-host, or arm.host in the station file: the controller's address, as on "
                     "its About page",
                     code="user.no_robot_host",
                 )
+        if self.inputs and self.world:
+            raise UserError(
+                "--inputs with --world: the simulated person has no inputs; leave out one of them",
+                code="user.option",
+            )
+        if host is not None and self.world is None:
+            config = self._of_robot()
+        if self.inputs:
+            check_wired(config)
         console = Console(stderr=self.json, highlight=False)
         with console.status("loading"):
             from toolee_robot.cli.doctor_sections import DoctorReport
 
         point = None if self.jogged_point is None else 1e-3 * np.array(self.jogged_point)
-        report = DoctorReport(config, host, self.world is not None, self.out, point, console.status, self.config)
+        tell = (lambda prompt: console.print(f"  [bold]{escape(prompt)}[/bold]")) if self.inputs else None
+        report = DoctorReport(config, host, self.world is not None, self.out, point, console.status, tell, self.config)
         found: list[tuple[str, Finding]] = []
         for section, findings in report.sections():
             found += [(section, finding) for finding in findings]
@@ -81,6 +98,12 @@ class Doctor:
             facts = {"robot_host": host, **report.facts}
             print(json_line({"worst": level, **facts, "findings": told}), flush=True)
         return int(level is Level.FAIL)
+
+    def _of_robot(self) -> StationConfig:
+        """Load the station of a robot, which never has the simulation's calibration."""
+        if self.config is None:
+            return replace(StationConfig(), calibration=None)
+        return load_lab_station(self.config, complete=False)
 
     def _verdict(self, host: str | None, findings: Sequence[Finding]) -> str:
         fails = sum(f.level is Level.FAIL for f in findings)

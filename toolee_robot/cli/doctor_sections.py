@@ -21,6 +21,8 @@ from toolee_robot.errors import ConfigError, DeviceError, UserError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
+from toolee_robot.hardware.operator.check_inputs import check_inputs
+from toolee_robot.hardware.operator.digital_inputs import open_person
 from toolee_robot.runtime.clock import HostClock, is_loopback
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import remote_station
@@ -45,6 +47,7 @@ class DoctorReport:
         out: Folder for recordings.
         jogged_point: The TCP that the teach pendant shows now, feature Base, (3,) [m]; None if nobody has read it.
         doing: Context manager that shows what is in progress.
+        tell: Shows a prompt to the person whose door and switch are to be seen changing; None to see none of it.
         path: The station file; None for the simulated station.
         facts: Further results for --json.
     """
@@ -55,6 +58,7 @@ class DoctorReport:
     out: Path
     jogged_point: Array | None
     doing: Callable[[str], AbstractContextManager[object]]
+    tell: Callable[[str], object] | None = None
     path: Path | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     _rate: float | None = field(default=None, init=False)
@@ -72,7 +76,8 @@ class DoctorReport:
                 findings.insert(0, check_measured(self.path, is_loopback(self.host)))
         yield "Station file", findings
         yield from self._simulated() if self.host is None else self._controller(self.host)
-        yield "Calibration", [check_calibration(config, self._robot_serial, self._camera_serial, date.today())]
+        slow = self.host is not None and not self.with_world
+        yield "Calibration", [check_calibration(config, self._robot_serial, self._camera_serial, date.today(), slow)]
         with self.doing("loading the networks, trying the clock"):
             findings = [check_weights(), check_disk(self.out), *check_processor()]
             if self._rate is not None:
@@ -103,6 +108,26 @@ class DoctorReport:
                 with self.doing("connecting the arm's driver"):
                     findings = list(self._devices_behind(host, world))
             yield "Devices", findings
+            if world is None:
+                yield "Door and hold-to-run switch", list(self._person(host))
+
+    def _person(self, host: str) -> Iterator[Finding]:
+        """Check the person's inputs, with the station's own driver where somebody is there to change them."""
+        name, config = "person", self.config
+        if config.person is None:
+            message = "the station file names no inputs of door and switch: no handover, and nothing fast will move"
+            yield warn(name, message, "give `person`: docs/concepts/safety.md")
+        elif self.tell is None:
+            address = "" if host == config.arm.host else f" --robot-host {host}"
+            remedy = f"before a handover: `toolee doctor --config {self.path}{address} --inputs`"
+            yield warn(name, "door and hold-to-run switch were not seen changing", remedy)
+        else:
+            clock = HostClock()
+            try:
+                with ur_driver(config, host) as arm, open_person(config, arm, clock, self.tell) as person:
+                    yield from check_inputs(person, clock, self.tell)
+            except DeviceError as error:
+                yield Finding.of_error(name, error, "first mend what is said of the robot")
 
     def _devices_behind(self, host: str, world: RemoteWorld) -> Iterator[Finding]:
         """Check the arm through its driver and the other devices of the simulated world."""

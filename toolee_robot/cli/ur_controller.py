@@ -13,8 +13,8 @@ from rich.markup import escape
 from toolee_robot.cli.options import Flag
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 
-METRES_PER_SECOND, NEWTONS, RADIANS, WATTS, MOMENTUM = (
-    tyro.conf.arg(metavar=unit, help_behavior_hint="") for unit in ("M/S", "N", "RAD", "W", "KG*M/S")
+METRES_PER_SECOND, NEWTONS, RADIANS, WATTS, MOMENTUM, SECONDS, DECELERATION = (
+    tyro.conf.arg(metavar=unit, help_behavior_hint="") for unit in ("M/S", "N", "RAD", "W", "KG*M/S", "S", "RAD/S2")
 )
 
 
@@ -56,6 +56,10 @@ class UrController:
     """Power on the environment that triggers a protective stop, instead of the profile's."""
     momentum_limit: Annotated[float | None, MOMENTUM] = None
     """Momentum of the arm that triggers a protective stop, instead of the profile's."""
+    lag: Annotated[float | None, SECONDS] = None
+    """Lag of servoj behind its targets at a gain of 1200 and a lookahead of 0.03 s, instead of the profile's."""
+    stop_deceleration: Annotated[float | None, DECELERATION] = None
+    """Deceleration of the fastest joint in protective, safeguard and emergency stops, instead of the profile's."""
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 1.0
     """Rate of the robot's time relative to wall-clock time; clients must use the same."""
 
@@ -79,6 +83,9 @@ class UrController:
         }
         chosen = profile(self.profile, MODELS[self.model].e_series)
         limits = replace(chosen.limits, **{name: value for name, value in given.items() if value is not None})
+        stops = chosen.stops
+        if (given_stop := self.stop_deceleration) is not None:
+            stops = replace(stops, protective=given_stop, safeguard=given_stop, emergency=given_stop)
         options = ControllerOptions(
             model=self.model,
             host=self.host,
@@ -90,6 +97,8 @@ class UrController:
             profile=self.profile,
             seed=self.seed,
             limits=limits,
+            lag=self.lag,
+            stops=stops,
             real_time_factor=self.real_time_factor,
         )
         controller = Controller(options, resting_joints, log)

@@ -39,8 +39,8 @@ class StrikeConfig:
     them; at 1 the robot stops itself. After a strike with more, the job ends."""
     max_torque_share: Positive = 1.0
     """Largest computed torque of a joint in a strike as a share of its largest one, without friction and rotors. After
-    a strike with more, the job ends. No straight strike is planned with more than 0.9; the stop after a felt contact is
-    not bounded by it."""
+    a strike with more, the job ends. No straight strike is planned with more than 0.9, and no stop asks for more than
+    0.9 by its braking."""
     clearance: NotNegative = 0.008
     """Least distance between any two bodies during a strike, other than face and nail [m]."""
 

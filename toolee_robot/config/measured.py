@@ -59,11 +59,12 @@ def unmeasured(path: Path) -> list[str]:
     return _missing(read_station(path))
 
 
-def load_lab_station(path: Path) -> StationConfig:
+def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
     """Load the station file of a real robot.
 
     Args:
         path: The file, as for `load_station`, with every field of `MEASURED`.
+        complete: Whether a file that leaves out some of them is refused.
 
     Returns:
         The validated configuration, its positions in `base`; its calibration is None where the file gives none.
@@ -74,7 +75,7 @@ def load_lab_station(path: Path) -> StationConfig:
     """
     data = read_station(path)
     config = to_station(data, path)
-    if missing := _missing(data):
+    if complete and (missing := _missing(data)):
         raise ConfigError(
             f"{path} leaves out what describes your station, and the simulated one's values would stand in for it: "
             f"measure and give {', '.join(missing)}; `toolee station check {path}` says how",

@@ -74,7 +74,7 @@ def check_measured(path: Path | None, stand_in: bool) -> Finding:
 
 
 def check_calibration(
-    config: StationConfig, robot_serial: str | None, camera_serial: str | None, today: date
+    config: StationConfig, robot_serial: str | None, camera_serial: str | None, today: date, slow: bool = False
 ) -> Finding:
     """Check whether the calibration is valid for the connected devices.
 
@@ -83,11 +83,15 @@ def check_calibration(
         robot_serial: Serial number that the robot reports; None if unknown.
         camera_serial: Serial number that the camera reports; None if unknown.
         today: The present date.
+        slow: Whether the arm may be moved slowly without a calibration, as a robot may that is brought up.
 
     Returns:
-        OK, or FAIL with the first problem and the number of the others.
+        OK, or FAIL with the first problem and the number of the others; WARN for what blocks no slow motion.
     """
     calibration = config.calibration
+    if calibration is None and slow:
+        message = "none: no job, and no look with the camera; the slow motions of `toolee arm` need none"
+        return warn("calibration", message, "`toolee calibrate camera` when the arm moves as it should")
     if calibration is None:
         return fail("calibration", "none", "calibrate the camera to the robot, enter it in the station file")
     problems = calibration.problems(

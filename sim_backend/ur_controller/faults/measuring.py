@@ -10,7 +10,7 @@ from pydantic import Field
 
 from toolee_robot.errors import UserError
 from toolee_robot.sim_backend.ur_controller.faults.hooks import HookGroup, Three, hook
-from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, EncoderNoise, ForceErrors, ServoLag
+from toolee_robot.sim_backend.ur_controller.profile import EncoderNoise, ForceErrors, ServoLag, usual_lag
 from toolee_robot.sim_backend.ur_controller.robot.sensing.sensors import PayloadError
 
 if TYPE_CHECKING:
@@ -49,8 +49,7 @@ class MeasuringFaults(HookGroup):
         machine = self._robot.machine
         servo: ServoLag | None = machine.profile.servo
         if seconds > 0.0:
-            usual = servo or (E_SERIES if machine.model.e_series else CB3).servo
-            assert usual is not None, "both generations have a lag"
+            usual = servo or usual_lag(machine.model.e_series)
             servo = replace(usual, dead_time=usual.dead_time + seconds)
         machine.servo_lag = servo
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -199,22 +200,59 @@ def test_what_is_assumed_for_want_of_data_is_no_change_that_was_seen() -> None:
 # -- doctor, station file --------------------------------------------------------------------------------------------
 
 
-def test_doctor_sees_each_change_once() -> None:
+def obey(panel: Panel, prompts: list[str]) -> Callable[[str], None]:
+    """A person who does as they are told, as far as the wiring lets it be seen."""
+
+    def act(prompt: str) -> None:
+        prompts.append(prompt)
+        if "door" in prompt:
+            panel.closed = "close" in prompt
+        else:
+            panel.held = "press" in prompt
+
+    return act
+
+
+@pytest.mark.parametrize("config", [ONE_CONTACT, TWO_CONTACTS])
+@pytest.mark.parametrize("closed", [True, False])
+def test_doctor_sees_each_change_once(config: PersonConfig, closed: bool) -> None:
+    panel, prompts = Panel(), list[str]()
+    panel.closed = closed
+    with at(panel, config) as person:
+        found = list(check_inputs(person, CLOCK, obey(panel, prompts), 1.0))
+    assert [(f.level, f.name) for f in found] == [(Level.OK, "door"), (Level.OK, "hold-to-run switch")]
+    assert panel.closed, "a job begins with a closed door"
+    assert len(prompts) == (4 if closed else 5), "what is so already is not asked for"
+    assert "within 1 s" in prompts[0]
+
+
+@pytest.mark.parametrize(
+    ("config", "broken", "named"),
+    [
+        (ONE_CONTACT, {"high": DOOR_CLOSED | SWITCH_HELD}, "stays high: stuck"),
+        (ONE_CONTACT, {"low": ALL}, "stays low: unplugged"),
+        (TWO_CONTACTS, {"high": DOOR_CLOSED | SWITCH_HELD}, "high: one is stuck"),
+        (TWO_CONTACTS, {"low": ALL}, "low: unplugged"),
+        (TWO_CONTACTS, {"dead": True}, "cannot be read"),
+    ],
+)
+def test_doctor_names_what_is_stuck_or_unplugged(config: PersonConfig, broken: dict[str, Any], named: str) -> None:
     panel = Panel()
-    acts = {
-        "open the door": lambda: setattr(panel, "closed", False),
-        "close the door": lambda: setattr(panel, "closed", True),
-        "open the door again": lambda: setattr(panel, "closed", False),
-        "release the hold-to-run switch": lambda: setattr(panel, "held", False),
-        "hold the hold-to-run switch": lambda: setattr(panel, "held", True),
-        "release it again": lambda: setattr(panel, "held", False),
-    }
-    with at(panel, ONE_CONTACT) as person:
-        found = list(check_inputs(person, CLOCK, lambda prompt: acts[prompt](), 1.0))
-        assert [(f.level, f.name) for f in found] == [(Level.OK, "door"), (Level.OK, "hold-to-run switch")]
-        panel.high = DOOR_CLOSED | SWITCH_HELD
-        found = list(check_inputs(person, CLOCK, lambda prompt: acts[prompt](), 0.3))
-        assert [f.level for f in found] == [Level.FAIL, Level.FAIL]
+    panel.closed = True
+    for name, value in broken.items():
+        setattr(panel, name, value)
+    with at(panel, config) as person:
+        found = list(check_inputs(person, CLOCK, obey(panel, []), 0.8))
+    assert [(f.level, f.name) for f in found] == [(Level.FAIL, "door"), (Level.FAIL, "hold-to-run switch")]
+    assert all(named in f.message and f.remedy for f in found), found
+
+
+def test_a_fault_of_the_switch_is_none_of_the_door() -> None:
+    panel = Panel()
+    panel.high = SWITCH_HELD
+    with at(panel) as person:
+        found = list(check_inputs(person, CLOCK, obey(panel, []), 0.8))
+    assert [f.level for f in found] == [Level.OK, Level.FAIL]
 
 
 def test_a_station_file_without_a_person_has_none(tmp_path: Path) -> None:

@@ -5,53 +5,72 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from toolee_robot.findings import Finding, fail, ok
-from toolee_robot.hal import Clock, Person
+from toolee_robot.hal import Clock
+from toolee_robot.hardware.operator.digital_inputs import DigitalInputPerson
 
 PERIOD = 0.02
 """Polling period [s]."""
+SETTLING = 0.5
+"""Time in which a contact that is as it should be at the start is read so [s]; nobody is asked for it then."""
 
 
 def check_inputs(
-    person: Person, clock: Clock, tell: Callable[[str], object], timeout: float = 30.0
+    person: DigitalInputPerson, clock: Clock, tell: Callable[[str], object], timeout: float = 30.0
 ) -> Iterator[Finding]:
     """Demand to see each change of door and switch once; nothing is moved.
 
     Args:
-        person: The person at the station; a `DigitalInputPerson` inside its `with` block.
+        person: The person at the station, inside its `with` block.
         clock: The station's clock.
         tell: Shows to the person what to do next.
         timeout: Time for each change [s].
 
     Yields:
-        One finding for the door and one for the switch: OK, or FAIL with the change that did not come.
+        One finding for the door and one for the switch: OK, or FAIL with the change that did not come and the contact
+        that is stuck or unplugged.
     """
-    door = (
-        ("open the door", person.zone_occupied, True, "the door was opened, and the input still reads closed"),
-        ("close the door", person.zone_occupied, False, "the door was closed, and the input still reads open"),
-        ("open the door again", person.zone_occupied, True, "the door was opened, and the input still reads closed"),
-    )
-    switch = (
-        ("release the hold-to-run switch", person.hold_to_run_held, False, "the released switch reads held"),
-        ("hold the hold-to-run switch", person.hold_to_run_held, True, "the held switch reads released"),
-        ("release it again", person.hold_to_run_held, False, "the released switch reads held"),
-    )
-    for name, steps in (("door", door), ("hold-to-run switch", switch)):
-        for prompt, reading, wanted, otherwise in steps:
-            tell(prompt)
-            if not _reads(person, reading, wanted, clock, timeout):
-                remedy = (
-                    "nothing fast may move; look for a stuck, bridged or unplugged contact, and at its input number"
-                )
-                yield fail(name, otherwise, remedy)
-                break
-        else:
-            yield ok(name, "every change was seen")
+    door = ("close the door", "open the door", "close the door again")
+    switch = ("release the hold-to-run switch", "press the hold-to-run switch and hold it", "release it")
+    yield _check("door", door, person.door_closed, True, person, clock, tell, timeout)
+    yield _check("hold-to-run switch", switch, person.switch_pressed, False, person, clock, tell, timeout)
 
 
-def _reads(person: Person, reading: Callable[[], bool], wanted: bool, clock: Clock, timeout: float) -> bool:
+def _check(
+    name: str,
+    prompts: tuple[str, str, str],
+    reading: Callable[[], bool | None],
+    at_first: bool,
+    person: DigitalInputPerson,
+    clock: Clock,
+    tell: Callable[[str], object],
+    timeout: float,
+) -> Finding:
+    """Await `reading` as it should be at first, changed, and as at first again; None is no reading."""
+    wanted = (at_first, not at_first, at_first)
+    settled = _reads(reading, at_first, clock, SETTLING)
+    for prompt, state in list(zip(prompts, wanted, strict=True))[int(settled) :]:
+        tell(f"{prompt} (within {timeout:.0f} s)")
+        if not _reads(reading, state, clock, timeout):
+            remedy = "mend it, then look again; nothing fast may move until both are seen to change"
+            return fail(name, _cause(name, prompt, reading(), person), remedy)
+    return ok(name, "every change was seen")
+
+
+def _cause(name: str, prompt: str, made: bool | None, person: DigitalInputPerson) -> str:
+    """What hinders a change: its fault, no reading, or a contact that stays as it is."""
+    asked = f"asked to {prompt}: "
+    if fault := next((fault for fault in person.faults if name in fault), ""):
+        return asked + fault.partition(";")[0]
+    if made is None:
+        return asked + "its inputs cannot be read for certain: no data, or contacts that go on bouncing"
+    if made:
+        return asked + "its input stays high: stuck, bridged, or another one's number"
+    return asked + "its input stays low: unplugged, stuck, or another one's number"
+
+
+def _reads(reading: Callable[[], bool | None], wanted: bool, clock: Clock, timeout: float) -> bool:
     end = clock.now() + timeout
-    # A reading that is assumed for want of data shows nothing of the input.
-    while not (person.readings_certain() and reading() is wanted):
+    while reading() is not wanted:
         if clock.now() > end:
             return False
         clock.sleep(PERIOD)

@@ -101,24 +101,34 @@ class DigitalInputPerson:
         end = self._clock.now() + timeout
         return self._wait(self._switch_released, end) and self._wait(self.hold_to_run_held, end)
 
+    def door_closed(self) -> bool | None:
+        """Whether the door is closed; None if that is not known for certain."""
+        return self._made(self._door)
+
+    def switch_pressed(self) -> bool | None:
+        """Whether the hold-to-run switch is pressed; None if that is not known for certain."""
+        return self._made(self._switch)
+
     def zone_occupied(self) -> bool:
         """Whether the door is open, or not closed for certain."""
-        with self._lock:
-            return not (self._fresh() and self._door.made)
+        return self.door_closed() is not True
 
     def hold_to_run_held(self) -> bool:
         """Whether the hold-to-run switch is pressed for certain."""
-        with self._lock:
-            return self._fresh() and self._switch.made
+        return self.switch_pressed() is True
 
     def readings_certain(self) -> bool:
         """Whether both contacts have been read and have settled; see `hal.Person`."""
         with self._lock:
             return self._fresh() and all(contact.made or contact.broken for contact in (self._door, self._switch))
 
-    def _switch_released(self) -> bool:
+    def _made(self, contact: Contact) -> bool | None:
         with self._lock:
-            return self._fresh() and self._switch.broken
+            known = self._fresh() and (contact.made or contact.broken)
+            return contact.made if known else None
+
+    def _switch_released(self) -> bool:
+        return self.switch_pressed() is False
 
     def _confirmed(self, prompt: str, timeout: float) -> bool:
         self._tell(f"{prompt} {CONFIRM}")
@@ -179,10 +189,25 @@ def open_person(config: StationConfig, arm: Arm, clock: Clock, tell: Callable[[s
     Raises:
         ConfigError: The station file names no inputs; code `config.no_person`.
     """
+    return DigitalInputPerson(check_wired(config), lambda age: arm.state(age).digital_inputs, clock, tell)
+
+
+def check_wired(config: StationConfig) -> PersonConfig:
+    """Look up the inputs of a station's person.
+
+    Args:
+        config: Configuration of the station.
+
+    Returns:
+        The inputs.
+
+    Raises:
+        ConfigError: The station file names none; code `config.no_person`.
+    """
     if config.person is None:
         raise ConfigError(
             "the station file has no `person`: enter the inputs of door and hold-to-run switch; without them nobody "
             "knows where people are, and nothing fast moves",
             code="config.no_person",
         )
-    return DigitalInputPerson(config.person, lambda age: arm.state(age).digital_inputs, clock, tell)
+    return config.person

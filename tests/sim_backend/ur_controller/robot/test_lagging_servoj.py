@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,17 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, Profile, ServoLag
+from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
+from toolee_robot.sim_backend.ur_controller.process import resting_joints
+from toolee_robot.sim_backend.ur_controller.profile import (
+    CB3,
+    E_SERIES,
+    Profile,
+    ProfileName,
+    ServoLag,
+    StopDecelerations,
+)
+from toolee_robot.sim_backend.ur_controller.profile import profile as machine_profile
 from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.servo.lagging import LaggingServoJ
 
@@ -59,6 +71,27 @@ def test_the_lag_is_the_profiles_at_the_gain_where_it_was_measured(
     model: ControllerModel, profile: Profile, lag: float
 ) -> None:
     assert measured_lag(model, profile, 1200.0, 0.03) == pytest.approx(lag, abs=1e-3)
+
+
+@pytest.mark.parametrize("lag", [0.03, 0.05, 0.071, 0.12])
+@both
+def test_the_lag_is_a_labs_own_where_it_is_given(model: ControllerModel, profile: Profile, lag: float) -> None:
+    changed = replace(profile, servo=lag_of(profile).with_lag(lag, model.period))
+    assert measured_lag(model, changed, 1200.0, 0.03) == pytest.approx(lag, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["ideal", "harsh"])
+@pytest.mark.parametrize("model", [UR10, UR10E], ids=["CB3", "e-Series"])
+def test_a_controller_takes_a_labs_own_lag_and_stops(model: ControllerModel, name: ProfileName) -> None:
+    stops = StopDecelerations(protective=8.0, safeguard=7.0, emergency=9.0)
+    machine = Controller(
+        ControllerOptions(model.name, profile=name, lag=0.071, stops=stops), resting_joints
+    ).robot.machine
+    assert machine.servo_lag is not None
+    assert machine.servo_lag.lag(1200.0, 0.03, model.period) == pytest.approx(0.071, abs=1e-9)
+    assert machine.stops == stops
+    plain = Controller(ControllerOptions(model.name, profile=name), resting_joints).robot.machine
+    assert plain.servo_lag == machine_profile(name, model.e_series).servo
 
 
 @given(kind=either, gain=gains, lookahead=lookaheads)
