@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -74,7 +74,7 @@ class UrController:
         def log(line: str) -> None:
             console.print(f"[dim]{time.monotonic() - begin:9.3f}[/dim]  {escape(line)}", soft_wrap=True)
 
-        given = {
+        given: dict[str, Any] = {
             "force": self.force_limit,
             "following_error": self.following_error,
             "tcp_speed": self.tcp_speed_limit,

@@ -7,7 +7,7 @@ import struct
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Any, Self
 
 from toolee_robot.sim_backend.ur_controller.process import resting_joints
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
@@ -41,7 +41,7 @@ class Recorder:
 
 
 def robot(
-    model: str = "UR10", name: ProfileName = "ideal", seed: int = 0, limits: Mapping[str, float] | None = None
+    model: str = "UR10", name: ProfileName = "ideal", seed: int = 0, limits: Mapping[str, Any] | None = None
 ) -> Robot:
     """A robot on ideal joints; `limits` replace some of its profile's."""
     kind = MODELS[model]
