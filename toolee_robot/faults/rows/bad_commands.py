@@ -138,7 +138,9 @@ def out_of_workspace(swing: Swing, q: Array) -> Trajectory:
 
 
 def into_the_table(swing: Swing, q: Array) -> Trajectory:
-    """Make a motion of the shoulder into the table.
+    """Make a motion of the shoulder, backwards, that ends with the upper arm in the table.
+
+    Hand and tool stay within the workspace: leaving it would be refused before.
 
     Args:
         swing: The swing, for its limits.
@@ -148,12 +150,12 @@ def into_the_table(swing: Swing, q: Array) -> Trajectory:
         The motion.
     """
     change = np.zeros(6)
-    change[1] = 0.6
+    change[1] = -2.2
     return good(swing, q, change)
 
 
 def into_itself(swing: Swing, q: Array) -> Trajectory:
-    """Make a motion of the elbow into the arm itself.
+    """Make a motion of wrist 1 that bends the hand into the forearm, within the workspace.
 
     Args:
         swing: The swing, for its limits.
@@ -163,7 +165,7 @@ def into_itself(swing: Swing, q: Array) -> Trajectory:
         The motion.
     """
     change = np.zeros(6)
-    change[2] = 2.95 - q[2]
+    change[3] = 2.2
     return good(swing, q, change)
 
 
