@@ -5,14 +5,14 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from toolee_robot.errors import TooleeError
 from toolee_robot.perception.dataset.spec import SceneJob
-from toolee_robot.runtime.process_pool import ONE_THREAD, WorkerPool
+from toolee_robot.runtime.process_pool import ONE_THREAD, WorkerPool, environment
 
 T = TypeVar("T")
 
@@ -38,7 +38,7 @@ def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: i
     cores = multiprocessing.get_context("spawn").Queue()
     for k in range(workers):
         cores.put(k)
-    with _environment(ONE_THREAD), WorkerPool(min(workers, len(jobs)), _prepare, (cores,)) as pool:
+    with environment(ONE_THREAD), WorkerPool(min(workers, len(jobs)), _prepare, (cores,)) as pool:
         futures = {pool.submit(make, job) for job in jobs}
         try:
             for future in as_completed(futures):
@@ -49,21 +49,6 @@ def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: i
                 "a worker process died (out of memory?): run the same command again, with fewer --workers; it resumes",
                 code="toolee.worker_died",
             ) from error
-
-
-@contextlib.contextmanager
-def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for the processes that are started in this context."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name)
-            else:
-                os.environ[name] = value
 
 
 def _prepare(cores: multiprocessing.Queue[int]) -> None:

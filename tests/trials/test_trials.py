@@ -139,9 +139,9 @@ def test_a_plans_hash_is_of_what_it_says(tmp_path: Path) -> None:
 def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Path) -> None:
     """What is kept beside the results on this site: other trials go on with such files."""
     kept = EXAMPLES.parent / "docs" / "benchmark"
-    shutil.copy(kept / "paired_trials.jsonl", tmp_path / RESULTS)
-    plan = load_plan(kept / "paired_trials.yaml")
-    assert plan.hash.startswith("3d55bd3b1997")
+    shutil.copy(kept / "whole_system.jsonl", tmp_path / RESULTS)
+    plan = load_plan(kept / "whole_system.yaml")
+    assert plan.hash.startswith("f3d810163bb0")
     records = finished(plan, tmp_path)
     assert len(records) == len((tmp_path / RESULTS).read_text().splitlines()) - 1
     assert load_plan(kept / "sweep.yaml").hash.startswith("533cbe5b8057")
