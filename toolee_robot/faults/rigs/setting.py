@@ -14,7 +14,6 @@ import numpy as np
 
 from toolee_robot.config import ArmLimits, ServoConfig, servo_lag
 from toolee_robot.faults.rigs.joints_path import MOVING, braking_time, projected
-from toolee_robot.faults.rigs.time_bounds import SERVO
 from toolee_robot.frames import Array
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
@@ -87,9 +86,7 @@ class Setting:
 
     @property
     def servo(self) -> ServoConfig:
-        """The driver's settings: on a harsh controller the lag that `toolee arm lag` would measure there."""
-        if self.values.servo is None:
-            return SERVO
+        """The driver's settings, with the lag that `toolee arm lag` would measure there."""
         return ServoConfig(gain=GAIN, lookahead=LOOKAHEAD, lag=self.lag + TRANSPORT_CYCLES * self.period)
 
     @property

@@ -27,7 +27,7 @@ from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.driver_rig import Happening, Rig, StopKind
 from toolee_robot.faults.rigs.joints_path import MOVING
-from toolee_robot.faults.rigs.time_bounds import PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
+from toolee_robot.faults.rigs.time_bounds import CLOSE, PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
 from toolee_robot.hal import MotionOutcome, MotionWatch
 
 AT_REST = 1e-4  # [rad]: what counts as standing still
@@ -108,7 +108,7 @@ ARM_FAULTS = (
     ),
     ArmFault(
         7, "joints are not where they were sent (0.08 rad)", "brakes on the path, latches",
-        lambda r: push_off(r, 0.08), TrackingError, _cycles(3),
+        lambda r: push_off(r, 0.08), TrackingError, _cycles(3), watch=CLOSE,
     ),
     ArmFault(
         8, "data stops coming (stalled network)", "brakes on the path, latches",
