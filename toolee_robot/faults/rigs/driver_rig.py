@@ -21,6 +21,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
+from toolee_robot.motion.strike_contact import strike_guard
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
 from toolee_robot.types import Trajectory
@@ -30,6 +31,7 @@ OFF_PATH_BY_ROBOT = 20e-3  # [rad]: an arm that is fast passes the last command 
 FAST = 1.0  # [rad/s] of the fastest joint: what counts as mid-swing
 BEFORE_CONTACT = 0.02  # [s]: near the highest speed, before the planned braking
 START_TIME, SETTLE_TIME, RESET_TIME, NOTICE_TIME = 5.0, 0.6, 15.0, 0.2  # [s]
+NOISE_TIME = 1.0  # [s] for which the noise of the force is measured
 
 StopKind = Literal["program", "protective", "safeguard", "emergency"]
 """A field of `StopDecelerations`."""
@@ -219,6 +221,14 @@ class Rig:
             self.arm.execute(way, None, PATIENT)
         except MotionFaultError as error:
             raise MissedMomentError(f"the arm was stopped before the fault came: {error}") from error
+
+    def contact_guard(self) -> ContactGuard:
+        """Contact detection of the swing, as a job makes it: its threshold bears the noise that is measured here."""
+        forces = []
+        for _ in range(round(NOISE_TIME * self.arm.rate)):
+            time.sleep(1.0 / self.arm.rate)
+            forces.append(self.arm.state().wrench[:3])
+        return strike_guard(self.swing.config.strike, self.swing.plan.contact_time, np.array(forces), self.arm.rate)
 
     def nudge(self) -> None:
         """Move every joint a little, from where the next motion starts; raises what `execute` raises."""

@@ -31,7 +31,6 @@ from toolee_robot.faults.rows import bad_commands as bad
 from toolee_robot.faults.rows.arm import AT_REST
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
-from toolee_robot.motion.strike_contact import strike_guard
 from toolee_robot.types import Trajectory
 
 FAR = 10.0  # [m], distance of an unreachable nail
@@ -116,9 +115,8 @@ def _supervised(rig: Rig) -> tuple[Supervisor, People]:
 
 
 def _swing(supervisor: Supervisor, rig: Rig) -> Callable[[Trajectory, ContactGuard | None, MotionWatch], MotionReport]:
-    plan, config = rig.swing.plan, rig.swing.config
-    guard = strike_guard(config.strike, plan.contact_time)
-    return lambda strike, _guard, _watch: supervisor.swing(strike, guard, plan.expected_contact)[0]
+    guard, contact = rig.contact_guard(), rig.swing.plan.expected_contact
+    return lambda strike, _guard, _watch: supervisor.swing(strike, guard, contact)[0]
 
 
 def _in_swing(fault: CommandFault, rig: Rig) -> FaultRow:

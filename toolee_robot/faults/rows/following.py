@@ -16,9 +16,7 @@ from toolee_robot.faults.rigs.driver_rig import OFF_PATH, Rig
 from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.faults.rows.arm import AT_REST
 from toolee_robot.faults.rows.released_stops import travel
-from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome
-from toolee_robot.motion.strike_contact import strike_guard
 from toolee_robot.sim_backend.ur_controller.profile import profile as profile_of
 from toolee_robot.types import Trajectory
 
@@ -51,24 +49,12 @@ def _make_noise(rig: Rig) -> None:
     )  # fmt: skip
 
 
-def _forces(rig: Rig) -> Array:
-    """Readings of the force at rest over REST_TIME, (N, 3) [N]."""
-    readings = []
-    for _ in range(round(REST_TIME * rig.arm.rate)):
-        time.sleep(1.0 / rig.arm.rate)
-        readings.append(rig.arm.state().wrench[:3])
-    return np.array(readings)
-
-
 def _swing_with_noise(rig: Rig, armed: bool) -> FaultRow:
     rig.make_ready()
     _make_noise(rig)
     rig.arm.zero_wrench()
     rig.go_to_start()
-    config, strike = rig.swing.config.strike, rig.strike
-    guard = None
-    if armed:
-        guard = strike_guard(config, rig.swing.plan.contact_time, _forces(rig), rig.arm.rate)
+    strike, guard = rig.strike, rig.contact_guard() if armed else None
     wrong: list[str] = []
     began = time.monotonic()
     try:

@@ -19,7 +19,6 @@ from toolee_robot.faults.rows.arm import AT_REST
 from toolee_robot.faults.rows.released_stops import travel
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.operator.digital_inputs import PERIOD, DigitalInputPerson
-from toolee_robot.motion.strike_contact import strike_guard
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
 from toolee_robot.tasks.common.motions import HOLD_SWITCH
@@ -134,7 +133,7 @@ def swing(rig: Rig, person: DigitalInputPerson | PersonProof, latched: list[str]
     bounds = replace(planned.config.supervisor, data_cycles=PATIENT.data_cycles, overruns=PATIENT.overruns)
     config = replace(planned.config, supervisor=bounds)
     supervisor = Supervisor(rig.arm, person, planned.robot, config, world=lambda: planned.world)
-    guard = strike_guard(config.strike, plan.contact_time)
+    guard = rig.contact_guard()
     try:
         supervisor.mode = Mode.UNATTENDED
         supervisor.permit_swings(ANSWER_TIME)

@@ -171,7 +171,8 @@ def in_swing(fault: SwitchFault, rig: Rig) -> FaultRow:
     if happened.error is not None:
         wrong.append(f"the swing was disturbed: {happened.error!r}")
     elif stop.reached < rig.strike.duration - 2 * rig.period:
-        wrong.append("the swing did not reach its end")
+        ended = happened.report and happened.report.outcome
+        wrong.append(f"the swing did not reach its end: {ended} at {stop.reached:.2f} of {rig.strike.duration:.2f} s")
     if stop.off_path > rig.off_path(stop.path_time, None, 0.0):
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
     return FaultRow(
