@@ -17,6 +17,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME
 from toolee_robot.motion.touch_force import deviation_of_mean, onset, touch_settings
 from toolee_robot.sim_backend.ur_controller.profile import CB3
+from toolee_robot.types import Payload
 
 NOISE, RATE = CB3.force.noise[0], 125.0
 
@@ -99,6 +100,29 @@ def test_a_zero_from_which_the_force_has_drifted_is_taken_anew(bench: Bench) -> 
     assert np.linalg.norm(rig.motions.forces(0.1).mean(axis=0)) < 0.5
 
 
+@pytest.mark.sim(seconds=10)
+def test_a_force_that_goes_with_the_speed_is_no_contact(bench: Bench) -> None:
+    """Such as friction that an estimate from joint currents takes for a force: slower, the face goes on."""
+    rig, felt = Rig(bench, 6, scale=0.0), []
+
+    class Drag:
+        gain = 0.0
+
+        def step(self, _target: Array, _q: Array, qd: Array, _payload: Payload) -> Array:
+            felt.append(float(np.abs(qd).max()))
+            return np.array([0.0, 0.0, -self.gain * felt[-1], 0.0, 0.0, 0.0])
+
+    bench.arm._sensor._errors = drag = Drag()  # type: ignore[assignment]
+    rig.go_over(0.012)
+    assert rig.touch.prepare()
+    felt.clear()
+    assert rig.touch.lower("nail", 0.022) is not None
+    drag.gain = 1.5 * CONFIG.strike.touch_force / max(felt)
+    touched = len(rig.log.motions)
+    assert abs(rig.error(0.012)) < 1e-3
+    assert rig.log.motions[touched:].count("touch the nail") == 2, "the first met nothing"
+
+
 @given(sigma=st.floats(0.05, 4.0), correlation=st.floats(0.0, 0.03), seed=st.integers(0, 10_000))
 @examples(60)
 @example(sigma=4.0, correlation=0.02734375, seed=1)  # refused
@@ -123,25 +147,23 @@ def test_the_threshold_follows_from_the_noise_and_its_correlation(sigma: float, 
     assert settings.release is None or sigma > 0.9
 
 
-@given(
-    begin=st.floats(-0.002, 0.002),
-    stiffness=st.floats(4e3, 5e4),
-    offset=st.floats(-2.0, 2.0),
-    seed=st.integers(0, 10_000),
-)
-@examples(60)
-def test_the_onset_of_a_noisy_force_is_found(begin: float, stiffness: float, offset: float, seed: int) -> None:
+@pytest.mark.parametrize("stiffness", [4e3, 6.5e3, 2e4, 5e4])  # [N/m]
+def test_the_onset_of_a_noisy_force_is_found(stiffness: float) -> None:
     """At the speed that a touch has with this noise, up to where the mean force of a window passes 9 N."""
-    speed = 0.03 / NOISE
+    rng, speed, errors = np.random.default_rng(1), 0.03 / NOISE, []
     heights = np.arange(0.015, -0.015, -speed / RATE)
-    forces = stiffness * np.maximum(begin - heights, 0.0)
-    forces += offset + np.random.default_rng(seed).normal(0.0, NOISE, len(heights))
     n = round(0.00144 / speed * RATE)
-    mean = np.convolve(forces - offset, np.full(n, 1 / n))[: len(heights)]
-    end = int(np.argmax((mean > 9.0) & (heights < begin))) + 1
-    rise = onset(heights[:end], forces[:end])
-    assert rise is not None
-    assert rise.height == pytest.approx(begin, abs=0.001)
+    for _ in range(500):
+        begin, offset = rng.uniform(-0.002, 0.002), rng.uniform(-2.0, 2.0)
+        forces = stiffness * np.maximum(begin - heights, 0.0) + rng.normal(0.0, NOISE, len(heights))
+        mean = np.convolve(forces, np.full(n, 1 / n))[: len(heights)]
+        end = int(np.argmax((mean > 9.0) & (heights < begin))) + 1
+        rise = onset(heights[:end], forces[:end] + offset)
+        assert rise is not None
+        errors.append(rise.height - begin)
+    # The deviation goes with the root of the noise over the stiffness; at 4 kN/m 1 mm is 2.8 of them.
+    assert np.mean(np.abs(errors) < 0.001) >= 0.99
+    assert np.std(errors) < 0.0004 * np.sqrt(4e3 / stiffness)
 
 
 @given(
