@@ -129,6 +129,21 @@ def test_a_nail_that_bends_away_is_noticed_in_a_few_contacts_where_one_is_too_un
         assert forecast.surprise
 
 
+def test_how_far_below_its_forecast_a_head_stands_is_told() -> None:
+    """The mean progress of several strikes hides a head that has sunk in one of them, because the nail has bent."""
+    forecast = NailForecast(LENGTH, FLUSH, RATE)
+    forecast.measured(START)
+    for _ in range(2):
+        forecast.struck(ContactVerdict(Meeting.EXPECTED, DELAY), SPEED)
+    assert forecast.measured(START - 0.005) == pytest.approx(0.0025)
+    assert forecast.below == 0.0
+    for _ in range(3):
+        forecast.struck(ContactVerdict(Meeting.EXPECTED, DELAY), SPEED)
+    expected = forecast.height
+    assert forecast.measured(expected - 0.009) < 0.006
+    assert forecast.below == pytest.approx(0.009)
+
+
 def test_no_contact_is_a_surprise_while_the_nail_does_as_forecast() -> None:
     for seed in range(200):
         forecast = NailForecast(LENGTH, FLUSH, 125.0)

@@ -135,6 +135,15 @@ def _bend(joint: int, to: float) -> Callable[[Scene], None]:
     return bend
 
 
+def _after(motion: str, inject: Callable[[Scene], None]) -> Callable[[Scene], None]:
+    """Inject a fault after the next motion of this name."""
+
+    def later(s: Scene) -> None:
+        s.log.after[motion] = lambda: inject(s)
+
+    return later
+
+
 def _harden(s: Scene) -> None:
     nail = s.bench.sim.world.nail
     nail.spec = replace(nail.spec, specific_gravity=1.2, pilot_diameter=0.0)
@@ -187,7 +196,7 @@ CAMERA = tuple(
             for name, inject, outcome, message in (
                 ("camera has no depth", _blind, UNKNOWN, "lies where a held hammer cannot"),
                 ("no points on the tool", _see_nothing, UNKNOWN, "lies where a held hammer cannot"),
-                ("pose jumps by 130 mm", _tell(moved([0.13, 0.0, 0.0])), UNKNOWN, "where a held hammer can"),
+                ("pose jumps by 200 mm", _tell(moved([0.20, 0.0, 0.0])), UNKNOWN, "where a held hammer can"),
                 ("low confidence", _tell(unsure), UNKNOWN, "sigma 31 mm"),
             )
         ),
@@ -197,8 +206,9 @@ CAMERA = tuple(
 )  # fmt: skip
 
 WORK = (
-    JobFault(25, "no contact by the expected depth", REST, "goes up, no strike", _take_the_work_away, Stage.TOUCH,
-             Outcome.NAIL_MISSED, "met nothing", 0, "home", sees=True),
+    JobFault(25, "no contact by the expected depth", REST, "goes up, looks again, gives up, no strike",
+             _take_the_work_away, Stage.TOUCH, Outcome.NAIL_MISSED, "met nothing", 0, "home", looks_again=True,
+             sees=True),
     JobFault(25, "no contact by the expected depth", SWING, "brakes as planned, goes up, looks again, gives up",
              _take_the_work_away, RUN_UP, Outcome.NAIL_MISSED, "met nothing", 2, "home", looks_again=True,
              meetings=(Meeting.NONE, Meeting.NONE), sees=True, max_strikes=3),
@@ -206,10 +216,11 @@ WORK = (
              RUN_UP, Outcome.NAIL_MISSED, "before the nail", 2, "home", braking=Braking(2), looks_again=True,
              meetings=(Meeting.EARLY, Meeting.EARLY), sees=True, max_strikes=3),
     JobFault(26, "no progress", REST, RECORDS, _harden, None, Outcome.STUCK, "two strikes", 2, "home", max_strikes=5),
-    JobFault(26, "nail sinks too far", SWING, RECORDS, _bend(SLIDE, 0.011), "strike", Outcome.BENT, "has bent away", 1,
-             "home", max_strikes=5, sees=True),
-    JobFault(26, "nail bends aside", SWING, RECORDS, _bend(HINGE_X, np.deg2rad(80)), "strike", Outcome.BENT,
-             "met nothing", 1, "home", max_strikes=5, sees=True),
+    JobFault(26, "nail sinks too far", SWING, RECORDS, _after("touch the wood", _bend(SLIDE, 0.019)), "strike",
+             Outcome.BENT, "has bent away", 5, "home", max_strikes=5, sees=True),
+    JobFault(26, "nail bends aside", SWING, "looks again, strikes once more, gives up, records a failure",
+             _bend(HINGE_X, np.deg2rad(80)), "strike", Outcome.NAIL_MISSED, "the nail is not where the face went", 3,
+             "home", looks_again=True, max_strikes=5, sees=True),
     JobFault(26, "too many strikes", REST, RECORDS, _nothing, None, Outcome.OUT_OF_STRIKES, "after 1 strikes", 1,
              "home"),
 )  # fmt: skip

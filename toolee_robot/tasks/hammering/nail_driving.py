@@ -81,6 +81,7 @@ class NailDriving:
         self._strikes_seen = 0
         self._holding = Holding()
         self._measured = False
+        self._missed = 0  # strikes one after the other that did not meet the nail
         self._seen_too_near = 0.0  # along the face's normal, by the first touch after the first look [m]
 
     @property
@@ -120,7 +121,7 @@ class NailDriving:
     def _run(self) -> tuple[Outcome, str]:
         task, forecast = self._config.task, self._forecast
         self._begin()
-        stalled = flush = missed = 0
+        stalled = flush = self._missed = 0
         progress = np.inf
         doubted = home = False
         while True:
@@ -143,22 +144,23 @@ class NailDriving:
             with self._stages(Stage.PLAN):
                 plan = self._striking.plan(height)
             before, measured = height, None
-            missed += 1
-            with self._check_missed(missed):
+            self._missed += 1
+            with self._check_missed():
                 measured = self._strike_nail(plan, before, home=home)
-                missed = 0
-            home = home and not missed
+                self._missed = 0
+            home = home and not self._missed
             if home and measured is None:
                 return self._flush(f"the head stood {before * 1e3:.1f} mm over the wood before the last strike")
-            if not missed:
+            if not self._missed:
                 self._motions.X_hand_ee = self._holding.struck(self._motions.X_hand_ee)
-            if missed or measured is None:
+            if self._missed or measured is None:
                 continue
             struck = forecast.unmeasured
             progress, height = forecast.measured(measured), measured
             self.protrusion = height
-            if progress > self._deepest:
-                return Outcome.BENT, f"the head sank {progress * 1e3:.1f} mm in one strike: the nail has bent away"
+            sank = max(progress, forecast.below)  # in one strike at least: several share neither their mean nor this
+            if sank > self._deepest:
+                return Outcome.BENT, f"the head sank {sank * 1e3:.1f} mm in one strike: the nail has bent away"
             if self.strikes[-1].meeting is not Meeting.EXPECTED and height <= task.flush_protrusion:
                 # Beside a nail that it has missed the face meets the wood at once, which reads flush.
                 self._look(task.views_again)
@@ -271,7 +273,9 @@ class NailDriving:
             if met:
                 raise
             raise JobEnded(end.outcome, f"{verdict}: the nail is not where the face went ({end})") from end
-        if not met and before - height > self._forecast.unknown * self._deepest:
+        # Those that missed before this one have driven nothing: two misses would permit what neither alone does.
+        may_have_driven = self._forecast.unknown - (self._missed - 1)
+        if not met and before - height > may_have_driven * self._deepest:
             raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
         return height
 
@@ -281,13 +285,13 @@ class NailDriving:
             raise JobEnded(Outcome.OVERLOAD, excess)
 
     @contextmanager
-    def _check_missed(self, missed: int) -> Iterator[None]:
+    def _check_missed(self) -> Iterator[None]:
         """Look again after the first strike that misses the nail; the second successive one ends the job."""
-        with self._check_blind(missed):
+        with self._check_blind(self._missed):
             try:
                 yield
             except JobEnded as end:
-                if not self._correction or missed > 1 or end.outcome is not Outcome.NAIL_MISSED:
+                if not self._correction or self._missed > 1 or end.outcome is not Outcome.NAIL_MISSED:
                     raise
                 self._observer.message(f"{end}; looking again")
                 self._look(self._config.task.views)

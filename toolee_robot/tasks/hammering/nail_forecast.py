@@ -42,6 +42,7 @@ class NailForecast:
         finished: Whether the nail was flush before the last strike, by forecast or measurement, and that strike met it
             where it should.
         surprise: What the last strike met otherwise than forecast, for a person; empty if nothing.
+        below: How far below its forecast the nail's head was measured last [m]; 0 where nothing was forecast.
     """
 
     def __init__(self, length: float, flush: float, rate: float) -> None:
@@ -49,6 +50,7 @@ class NailForecast:
         self.unmeasured = 0
         self.finished = False
         self.surprise = ""
+        self.below = 0.0
         self._length, self._flush, self._rate = length, flush, rate
         self._measured = 0.0
         self._first = 0.0  # height from which on strikes are counted [m]
@@ -79,6 +81,7 @@ class NailForecast:
             Mean progress of the strikes since the last measurement [m]; 0 if there were none.
         """
         progress = 0.0
+        self.below = 0.0 if self._growth is None else self.height - height
         if self.unmeasured:
             progress = (self._measured - height) / self.unmeasured
             self._strikes += self.unmeasured
