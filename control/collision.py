@@ -112,22 +112,19 @@ class CollisionWorld:
         ends = np.cumsum([len(b.spheres) for b in self.bodies])
         self._slices = [slice(e - len(b.spheres), e) for e, b in zip(ends, self.bodies, strict=True)]
         # Every pair of spheres of every pair of bodies, flat, with the start of each body pair's run.
-        first: list[NDArray[np.intp]] = []
-        second: list[NDArray[np.intp]] = []
-        starts: list[int] = []
-        for i, j in self.pairs:
-            a, b = np.arange(ends[-1])[self._slices[i]], np.arange(ends[-1])[self._slices[j]]
-            starts.append(sum(len(f) for f in first))
-            first.append(np.repeat(a, len(b)))
-            second.append(np.tile(b, len(a)))
-        self._first, self._second, self._starts = np.concatenate(first), np.concatenate(second), np.array(starts)
+        spheres = [np.arange(s.start, s.stop) for s in self._slices]
+        first = [np.repeat(spheres[i], len(spheres[j])) for i, j in self.pairs]
+        second = [np.tile(spheres[j], len(spheres[i])) for i, j in self.pairs]
+        self._first, self._second = np.concatenate(first), np.concatenate(second)
+        self._starts = np.cumsum([0, *(len(f) for f in first[:-1])])
         self._radii = self._spheres[self._first, 3] + self._spheres[self._second, 3]
+        self._first_sphere = [part.start for part in self._slices]
         # A box is badly covered by spheres, but a sphere's distance to a box is exact.
-        self._boxes = {
-            k: (b.X_joint_shape, np.asarray(b.geometry.halfSide))
-            for k, b in enumerate(self.bodies)
-            if isinstance(b.geometry, coal.Box) and b.joint == 0
-        }
+        self._boxes: list[tuple[Array, Array, NDArray[np.intp]]] = []  # pose, half of its size, its pairs
+        for k, b in enumerate(self.bodies):
+            if isinstance(b.geometry, coal.Box) and b.joint == 0:
+                rows = np.flatnonzero(self.pairs[:, 1] == k)
+                self._boxes.append((b.X_joint_shape, np.asarray(b.geometry.halfSide), rows))
 
     def _pairs(
         self, arm: list[Body], carried: list[Body], held: list[Body], station: list[Body]
@@ -174,8 +171,8 @@ class CollisionWorld:
         R = np.concatenate([np.broadcast_to(np.eye(3), (len(q), 1, 3, 3)), R], axis=1)
         p = np.concatenate([np.zeros((len(q), 1, 3)), p], axis=1)
         bound = self._bounds(R, p)
-        skip = np.array([g in exempt for g in self._groups])
-        bound[:, skip] = np.inf
+        if exempt:
+            bound[:, [g in exempt for g in self._groups]] = np.inf
         order = np.argwhere(bound < need)
         order = order[np.argsort(bound[order[:, 0], order[:, 1]])]
         best = Clearance(need, ("nothing", "nothing"), 0)
@@ -276,15 +273,15 @@ class CollisionWorld:
 
     def _bounds(self, R: Array, p: Array) -> Array:
         """Lower bounds of the distances of all pairs, (N, pairs) [m]."""
-        c = np.einsum("nsij,sj->nsi", R[:, self._sphere_joint], self._spheres[:, :3]) + p[:, self._sphere_joint]
-        apart = c[:, self._first] - c[:, self._second]
+        turns, origins = R.take(self._sphere_joint, axis=1), p.take(self._sphere_joint, axis=1)
+        c = np.einsum("nsij,sj->nsi", turns, self._spheres[:, :3]) + origins
+        apart = c.take(self._first, axis=1) - c.take(self._second, axis=1)
         gap = np.sqrt(np.einsum("nsi,nsi->ns", apart, apart)) - self._radii
         bound = np.minimum.reduceat(gap, self._starts, axis=1)
-        for box, (X, half) in self._boxes.items():
+        for X, half, rows in self._boxes:
             outside = np.maximum(np.abs((c - X[:3, 3]) @ X[:3, :3]) - half, 0.0)
             exact = np.sqrt(np.einsum("nsi,nsi->ns", outside, outside)) - self._spheres[:, 3]
-            nearest = np.minimum.reduceat(exact, [part.start for part in self._slices], axis=1)
-            rows = np.flatnonzero(self.pairs[:, 1] == box)
+            nearest = np.minimum.reduceat(exact, self._first_sphere, axis=1)
             bound[:, rows] = nearest[:, self.pairs[rows, 0]]
         return bound
 

@@ -14,7 +14,6 @@ from itertools import chain, repeat
 import numpy as np
 
 from toolee_robot.config import StationConfig
-from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array, cross
 from toolee_robot.robots import load_robot
@@ -109,7 +108,6 @@ class SimWorld:
         self.tool = ToolBody(self.client, tool, X_base_tool)
         self.grip: AssistedGrip | None = None
         self.robot.ignore_collisions(self.furniture.table, link=-1)
-        self._X_tool_ee = tool.ee(Category.HAMMER_HEAD).X_tool_ee if _is_hammer(tool) else np.eye(4)
 
     @property
     def time(self) -> float:
@@ -136,7 +134,7 @@ class SimWorld:
 
     def X_base_ee(self) -> Array:
         """Pose of the tool's end effector, 4x4; ground truth."""
-        return self.tool.pose() @ self._X_tool_ee
+        return self.tool.ee_pose()
 
     def advance(self, duration: float) -> None:
         """Wait for `duration` [s] of simulated time; for devices and persons in the world.
@@ -188,7 +186,7 @@ class SimWorld:
 
         A tool that is lowered onto the nail, or turns on it, needs no short steps.
         """
-        p_face = self.X_base_ee()[:3, 3]
+        p_face = self.tool.ee_pose()[:3, 3]
         if len(self.nails) > 1:
             self.nail = min(self.nails.values(), key=lambda nail: _squared(p_face - nail.X_world_surface[:3, 3]))
         if _squared(p_face - self.nail.X_world_surface[:3, 3]) > NEAR_NAIL**2:
@@ -208,11 +206,7 @@ class SimWorld:
 
 
 def _squared(v: Array) -> float:
-    return float(v @ v)
-
-
-def _is_hammer(tool: Tool) -> bool:
-    return Category.HAMMER_HEAD in tool.categories
+    return float(v.dot(v))
 
 
 def _connect(gui: bool) -> int:

@@ -13,6 +13,7 @@ Monogram notation: `X_AB` is the pose of frame B in frame A, a 4x4 float64 array
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -116,6 +117,13 @@ def random_rotation(rng: np.random.Generator) -> Array:
 
 def inverse(X: Array) -> Array:
     """Invert rigid transforms X, (..., 4, 4)."""
+    if X.ndim == 2:  # the usual case, called in every step of a simulation
+        R_t = X[:3, :3].T
+        Y = np.zeros((4, 4))
+        Y[:3, :3] = R_t
+        Y[:3, 3] = (-R_t).dot(X[:3, 3])
+        Y[3, 3] = 1.0
+        return Y
     R_t = np.swapaxes(X[..., :3, :3], -1, -2)
     Y = np.zeros_like(X)
     Y[..., :3, :3] = R_t
@@ -155,8 +163,8 @@ def angle_between(a: Array, b: Array) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), np.dot(a, b)))
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Cross product of two vectors, in a tenth of the time of np.cross.
+def cross(a: Array | Sequence[float], b: Array | Sequence[float]) -> Array:
+    """Cross product of two vectors, in a twentieth of the time of np.cross.
 
     Args:
         a: The first vector, (3,).
@@ -165,7 +173,10 @@ def cross(a: Array, b: Array) -> Array:
     Returns:
         a x b, (3,).
     """
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    # Python's floats: arithmetic with numpy's takes several times as long.
+    ax, ay, az = a.tolist() if isinstance(a, np.ndarray) else a
+    bx, by, bz = b.tolist() if isinstance(b, np.ndarray) else b
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def frame_from_axes(*, z: Array, x: Array, p: Any = None) -> Array:

@@ -83,9 +83,9 @@ class FlangeSensor:
         mean = self._sum / self._time
         inertial = self.payload.mass * ((velocity - self._velocity) / self._time - GRAVITY)
         # pybullet gives the joint's force and torque at the carried link's centre of mass, along its principal axes.
-        R_com = R @ self._R_flange_com
-        force = R_com @ mean[:3]
-        carried = np.concatenate([force, R_com @ mean[3:] + cross(p_flange_com, force)])
+        R_com = R.dot(self._R_flange_com)
+        force = R_com.dot(mean[:3])
+        carried = np.concatenate([force, R_com.dot(mean[3:]) + cross(p_flange_com, force)])
         self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried - self.offset
         if self._errors is not None:
             robot = self._world.robot
@@ -100,7 +100,7 @@ class FlangeSensor:
             (3, 3); position of the centre of mass of the hand's root link from the flange, (3,) [m].
         """
         X_base_root, com, w, v_com = self._world.robot.sensor_motion()
-        R = X_base_root[:3, :3] @ self._X_flange_root[:3, :3].T
-        flange = X_base_root[:3, 3] - R @ self._X_flange_root[:3, 3]
-        lever = R @ self.payload.center_of_mass
+        R = X_base_root[:3, :3].dot(self._X_flange_root[:3, :3].T)
+        flange = X_base_root[:3, 3] - R.dot(self._X_flange_root[:3, 3])
+        lever = R.dot(self.payload.center_of_mass)
         return v_com + cross(w, flange + lever - com), lever, R, com - flange

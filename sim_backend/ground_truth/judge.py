@@ -98,18 +98,17 @@ class Judge:
         X_base_ee = self._world.X_base_ee()
         if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
             self._stamps.append(now)
-            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()) @ X_base_ee)
+            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()).dot(X_base_ee))
         self._watch_strike(now, X_base_ee)
 
     def _watch_strike(self, now: float, X_base_ee: Array) -> None:
         nail = self._world.nail
         away = X_base_ee[:3, 3] - nail.X_world_surface[:3, 3]
-        if away @ away > FAR**2:  # the usual case, kept cheap
+        if away.dot(away) > FAR**2:  # the usual case, kept cheap
             self._armed, self._open = True, False
             return
         X_base_nail = nail.head_pose()
-        p_nail_ee = (inverse(X_base_nail) @ X_base_ee)[:3, 3]
-        gap = -float(p_nail_ee[2])
+        gap = -float(inverse(X_base_nail).dot(X_base_ee)[2, 3])
         force, struck_by = self._contact(X_base_ee)
         if gap > REARM_GAP and struck_by is StruckBy.NOTHING:
             self._armed, self._open = True, False
@@ -158,7 +157,7 @@ class Judge:
         self._protrusion_before = world.nail.protrusion
         p_com = pb.getBasePositionAndOrientation(world.tool_body, physicsClientId=world.client)[0]
         v, w = pb.getBaseVelocity(world.tool_body, physicsClientId=world.client)
-        return float((np.asarray(v) + cross(w, X_base_ee[:3, 3] - np.asarray(p_com))) @ X_base_nail[:3, 2])
+        return float((np.array(v) + cross(w, X_base_ee[:3, 3] - np.array(p_com))).dot(X_base_nail[:3, 2]))
 
     def _contact(self, X_base_ee: Array) -> tuple[float, StruckBy]:
         """Sum of the normal forces [N] of tool on nail in the last step, and what met the nail's head."""

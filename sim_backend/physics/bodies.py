@@ -12,8 +12,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.sim_backend.physics.bullet import pb, rotation_matrix
+from toolee_robot.sim_backend.physics.bullet import pb, pose_matrix
 from toolee_robot.sim_backend.physics.convex_margin import shrink_convex
 from toolee_robot.tools import Tool
 
@@ -32,14 +33,7 @@ def body_pose(client: int, body: int) -> Array:
     Returns:
         X_world_body, 4x4.
     """
-    return _matrix(*pb.getBasePositionAndOrientation(body, physicsClientId=client))
-
-
-def _matrix(p: tuple[float, ...], q: tuple[float, ...]) -> Array:
-    X = np.eye(4)
-    X[:3, :3] = rotation_matrix(q)
-    X[:3, 3] = p
-    return X
+    return pose_matrix(*pb.getBasePositionAndOrientation(body, physicsClientId=client))
 
 
 def set_body_pose(client: int, body: int, X_world_body: Array) -> None:
@@ -146,8 +140,9 @@ class ToolBody:
             axes[:, 0] *= -1
         self.X_tool_inertial = transform(axes, tool.center_of_mass)
         self._X_inertial_tool = inverse(self.X_tool_inertial)
+        self._X_tool_ee = tool.ee(Category.HAMMER_HEAD).X_tool_ee if _is_hammer(tool) else np.eye(4)
         self._place: tuple[object, object] | None = None
-        self._pose = np.eye(4)
+        self._pose = self._ee_pose = np.eye(4)
         self.body = self._load(self._X_inertial_tool, moments)
         pb.changeDynamics(
             self.body,
@@ -188,9 +183,22 @@ class ToolBody:
 
     def pose(self) -> Array:
         """X_world_tool, 4x4."""
-        # Called several times per step, so cached while the body does not move.
-        p, q = pb.getBasePositionAndOrientation(self.body, physicsClientId=self._client)
-        if (p, q) != self._place:
-            self._place = (p, q)
-            self._pose = _matrix(p, q) @ self._X_inertial_tool
+        self._update()
         return self._pose.copy()
+
+    def ee_pose(self) -> Array:
+        """X_world_ee, 4x4: the pose of a hammer's face; that of the tool if it is none."""
+        self._update()
+        return self._ee_pose.copy()
+
+    def _update(self) -> None:
+        """Compute the poses anew if the body has moved: they are asked for several times per step."""
+        place = pb.getBasePositionAndOrientation(self.body, physicsClientId=self._client)
+        if place != self._place:
+            self._place = place
+            self._pose = pose_matrix(*place).dot(self._X_inertial_tool)
+            self._ee_pose = self._pose.dot(self._X_tool_ee)
+
+
+def _is_hammer(tool: Tool) -> bool:
+    return Category.HAMMER_HEAD in tool.categories

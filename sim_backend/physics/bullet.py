@@ -41,9 +41,24 @@ def quiet(descriptor: int) -> Iterator[None]:
 with quiet(2):
     import pybullet as pb
 
-__all__ = ["pb", "quiet", "rotation_matrix"]
+__all__ = ["pb", "pose_matrix", "quiet", "rotation_matrix"]
 
 
 def rotation_matrix(quaternion: tuple[float, ...]) -> Array:
     """Rotation matrix (3, 3) of a quaternion (x, y, z, w)."""
     return np.array(pb.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
+
+
+def pose_matrix(position: tuple[float, ...], quaternion: tuple[float, ...]) -> Array:
+    """Build a pose from what pybullet reports.
+
+    Args:
+        position: Position [m].
+        quaternion: Orientation (x, y, z, w).
+
+    Returns:
+        The pose, (4, 4).
+    """
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = pb.getMatrixFromQuaternion(quaternion)
+    x, y, z = position
+    return np.array([[xx, xy, xz, x], [yx, yy, yz, y], [zx, zy, zz, z], [0.0, 0.0, 0.0, 1.0]])

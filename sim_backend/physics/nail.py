@@ -18,6 +18,7 @@ near (`impact_near`). Nothing but strikes moves the nail.
 from __future__ import annotations
 
 from enum import StrEnum
+from math import cos, sin
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -95,6 +96,8 @@ class Nail:
         self._set_for: tuple[float, float, bool, bool, float] | None = None
         self._struck = True
         self._held_for: float | None = None
+        self._head_place: tuple[float, float, float] | None = None  # positions of the joints
+        self._head_pose = np.eye(4)  # at these
         self.before_step(0.0)
 
     def _create(self) -> int:
@@ -267,12 +270,23 @@ class Nail:
     def head_pose(self) -> Array:
         """Current pose of the head's top, X_world_nail, 4x4."""
         # Called at every step of a strike, so written out: Rx(a) Ry(b), then up along the nail.
-        a, b, up = self._joint(HINGE_X), self._joint(HINGE_Y), -self.protrusion
-        sa, ca, sb, cb = np.sin(a), np.cos(a), np.sin(b), np.cos(b)
-        x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)
-        X = np.eye(4)
-        X[:3, 0], X[:3, 1], X[:3, 2], X[:3, 3] = x, y, z, np.multiply(z, up)
-        return self.X_world_surface @ X
+        states = pb.getJointStates(self.body, (HINGE_X, HINGE_Y, SLIDE), physicsClientId=self._client)
+        place = a, b, travel = states[HINGE_X][0], states[HINGE_Y][0], states[SLIDE][0]
+        if place == self._head_place:  # nothing but strikes moves the nail
+            return self._head_pose.copy()
+        self._head_place = place
+        sa, ca, sb, cb, up = sin(a), cos(a), sin(b), cos(b), travel - self.spec.protrusion
+        z = (sb, -sa * cb, ca * cb)
+        X = np.array(
+            [
+                [cb, 0.0, z[0], z[0] * up],
+                [sa * sb, ca, z[1], z[1] * up],
+                [-ca * sb, sa, z[2], z[2] * up],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+        self._head_pose = self.X_world_surface.dot(X)
+        return self._head_pose.copy()
 
     @property
     def outcome(self) -> NailOutcome:

@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription, WristJoint, write_urdf
-from toolee_robot.sim_backend.physics.bullet import pb, quiet, rotation_matrix
+from toolee_robot.sim_backend.physics.bullet import pb, pose_matrix, quiet
 from toolee_robot.sim_backend.physics.joint_springs import JointSprings
 from toolee_robot.types import Payload
 
@@ -241,10 +241,7 @@ class RobotBody:
     def link_pose(self, link: int) -> Array:
         """Pose X_base_link, 4x4, of the URDF frame of the link with this index."""
         state = pb.getLinkState(self.body, link, physicsClientId=self._client)
-        X = np.eye(4)
-        X[:3, :3] = rotation_matrix(state[5])
-        X[:3, 3] = state[4]
-        return X
+        return pose_matrix(state[4], state[5])
 
     def sensor_reaction(self) -> Array:
         """Wrench of the arm on the hand in the last step, (6,) [N, Nm].
@@ -261,7 +258,4 @@ class RobotBody:
             of mass, (3,) [m/s].
         """
         state = pb.getLinkState(self.body, self.sensor_link, computeLinkVelocity=1, physicsClientId=self._client)
-        X = np.eye(4)
-        X[:3, :3] = rotation_matrix(state[5])
-        X[:3, 3] = state[4]
-        return X, np.array(state[0]), np.array(state[7]), np.array(state[6])
+        return pose_matrix(state[4], state[5]), np.array(state[0]), np.array(state[7]), np.array(state[6])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable
 
-from toolee_robot.runtime.gc_pause import gc_paused, gc_settled
+from toolee_robot.runtime.gc_pause import gc_paused, gc_settled, gc_spared
 
 
 def seen_by_a_full_collection() -> int:
@@ -46,3 +46,14 @@ def test_a_pause_ends_as_it_began() -> None:
     with gc_paused():
         assert not gc.isenabled()
     assert gc.isenabled()
+
+
+def test_what_came_while_the_collector_was_spared_is_left_out_from_then_on() -> None:
+    try:
+        with gc_spared():
+            assert not gc.isenabled()
+            module: list[Callable[[], int]] = [lambda: 1 for _ in range(5000)]
+        assert gc.isenabled()
+        assert seen_by_a_full_collection() < len(module)
+    finally:
+        gc.unfreeze()

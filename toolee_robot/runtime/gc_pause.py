@@ -25,6 +25,18 @@ def gc_paused() -> Iterator[None]:
 
 
 @contextmanager
+def gc_spared() -> Iterator[None]:
+    """Context of imports, through whose objects the garbage collector does not go.
+
+    Modules stay until the process ends. The collector would go through all of them a dozen times while those of torch
+    and its like are imported, for a second or more, and find nothing.
+    """
+    with gc_paused():
+        yield
+    gc.freeze()
+
+
+@contextmanager
 def gc_settled() -> Iterator[Callable[[], None]]:
     """Context in which a collection goes through what is new only, and is short.
 

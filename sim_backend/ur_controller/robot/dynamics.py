@@ -27,6 +27,10 @@ UPRIGHT = np.array([0.0, 0.0, 9.82])
 
 
 _NEXT, _LAST = np.array((1, 2, 0)), np.array((2, 0, 1))
+# A link's centre is its frame's origin and two steps along axes of that frame [m], (6, 1) each.
+_COM = CENTRES_OF_MASS
+_FIRST = np.array([[_COM[0, 0]], [_COM[1, 0]], [_COM[2, 0]], [_COM[3, 1]], [_COM[4, 2]], [_COM[5, 2]]])
+_SECOND = np.array([[_COM[0, 2]], [_COM[1, 2]], [_COM[2, 2]], [_COM[3, 2]], [-_COM[4, 1]], [0.0]])
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ class ArmDynamics:
         centres[:, :6] = self._links
         # A payload that is set anew has not moved there: its present centre is taken in all three ticks.
         centres[:, 6] = self._poses[:, :3, :3] @ cog + self._poses[:, :3, 3]
-        momentum = masses @ (centres[0] - centres[1]) / dt
+        momentum = masses.dot(centres[0] - centres[1]) / dt
         forces = np.empty((2, 7, 3))
         forces[0] = masses[:, None] * (centres[0] - 2.0 * centres[1] + centres[2]) / (dt * dt)
         forces[1] = masses[:, None] * gravity
@@ -99,19 +103,12 @@ def _centres(q: Array, links: Chain) -> Array:
     q1, a2, q3 = (float(angle) for angle in q[:3])
     s1, c1, a3 = sin(q1), cos(q1), a2 + q3
     z1, z4, z5 = links.axes[1], links.axes[4], links.axes[5]
-    o = links.origins
-    com = CENTRES_OF_MASS
-    x1 = np.array((c1, s1, 0.0))
-    x2 = np.array((c1 * cos(a2), s1 * cos(a2), sin(a2)))
-    x3 = np.array((c1 * cos(a3), s1 * cos(a3), sin(a3)))
-    found = np.empty((6, 3))
-    found[0] = o[1] + com[0, 0] * x1 + com[0, 2] * z1
-    found[1] = o[2] + com[1, 0] * x2 + com[1, 2] * z1
-    found[2] = o[3] + com[2, 0] * x3 + com[2, 2] * z1
-    found[3] = o[4] + com[3, 1] * z1 + com[3, 2] * z4  # y of frame 4 is z1, of frame 5 it is -z4
-    found[4] = o[5] + com[4, 2] * z5 - com[4, 1] * z4
-    found[5] = o[6] + com[5, 2] * z5
-    return found
+    x1 = (c1, s1, 0.0)
+    x2 = (c1 * cos(a2), s1 * cos(a2), sin(a2))
+    x3 = (c1 * cos(a3), s1 * cos(a3), sin(a3))
+    # y of frame 4 is z1, of frame 5 it is -z4.
+    first, second = np.array((x1, x2, x3, z1, z5, z5)), np.array((z1, z1, z1, z4, z4, z5))
+    return links.origins[1:] + _FIRST * first + _SECOND * second
 
 
 def _torques(links: Chain, centres: Array, forces: Array) -> Array:
@@ -132,4 +129,5 @@ def cross_rows(a: Array, b: Array) -> Array:
     Returns:
         The products, (..., 3).
     """
-    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+    # `take` copies the same elements as an index does, in half of the time.
+    return a.take(_NEXT, -1) * b.take(_LAST, -1) - a.take(_LAST, -1) * b.take(_NEXT, -1)

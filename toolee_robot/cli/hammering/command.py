@@ -16,6 +16,7 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig, load_lab_station, load_station, with_setup
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor, is_loopback
+from toolee_robot.runtime.gc_pause import gc_spared
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel
@@ -149,12 +150,14 @@ class Hammer:
         # Only somebody at a terminal can have looked at the robot. With --json a simulated one asks nobody: a script
         # that was started there would wait for an answer.
         interactive = (not self.json or self.station is not None) and console.is_terminal and sys.stdin.isatty()
-        source = self._simulated() if self.station is None else self._own(self.station)
-        nails = self._nails(source.config)
+        with gc_spared():
+            source = self._simulated() if self.station is None else self._own(self.station)
+            nails = self._nails(source.config)
 
-        from toolee_robot.cli.hammering.job import HammerJob  # takes seconds to import: after the checks of the options
-        from toolee_robot.cli.run_folder import run_folder
-        from toolee_robot.tasks.hammering.ablation import Ablation
+            # They take seconds to import: after the checks of the options.
+            from toolee_robot.cli.hammering.job import HammerJob
+            from toolee_robot.cli.run_folder import run_folder
+            from toolee_robot.tasks.hammering.ablation import Ablation
 
         name = "job" if self.station is not None and not self.rehearse else f"seed{self.seed}"
         with run_folder(self.out, name) as folder:

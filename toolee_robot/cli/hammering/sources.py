@@ -17,7 +17,6 @@ from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.stations.lab import LabStation
-from toolee_robot.stations.rehearsal import EmulatedLab, job_cell, job_errors
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp
 from toolee_robot.tools import Tool, ToolShape
@@ -185,6 +184,8 @@ class RehearsalSource:
     @property
     def facts(self) -> Mapping[str, Any]:
         """See `Source`."""
+        from toolee_robot.stations.rehearsal import job_errors
+
         return {
             "source": "rehearsal",
             "seed": self.seed,
@@ -197,6 +198,8 @@ class RehearsalSource:
     @contextmanager
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:
         """See `Source`."""
+        from toolee_robot.stations.rehearsal import EmulatedLab, job_cell  # only a rehearsal needs all the emulators
+
         cell = job_cell(self.config, self.station_file, self.seed)
         config, tool = cell.measured, cell.tool
         assert config.tool is not None

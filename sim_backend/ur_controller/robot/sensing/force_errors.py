@@ -14,6 +14,7 @@ from toolee_robot.sim_backend.ur_controller.robot.sensing.noise import Noise
 
 FRICTION_SPEED = 0.05  # [rad/s] at which the missed friction has three quarters of its full size
 DAMPING = 0.1  # of the wrench that joint torques are taken for, so that it stays finite near singularities
+_DAMPED = DAMPING**2 * np.eye(6)
 
 
 class WrenchErrors:
@@ -56,16 +57,16 @@ class WrenchErrors:
         self._time += dt
         fresh = sqrt(1.0 - self._keep * self._keep)
         self._fluctuation = self._keep * self._fluctuation + fresh * self._sd * self._noise.vector()
-        drift = self._pose_drift * np.sin(self._waves @ q + self._phase)
+        drift = self._pose_drift * np.sin(self._waves.dot(q) + self._phase)
         slow = self._offset + drift + (1.0 - exp(-self._time / errors.warm_up)) * self._warming
         links = dynamics.links
-        turned = np.stack((slow, self._fluctuation)).reshape(4, 3) @ links.X_base_flange[:3, :3].T
+        turned = np.array((slow, self._fluctuation)).reshape(4, 3).dot(links.X_base_flange[:3, :3].T)
         wrench, noise = turned.reshape(2, 6)
         if errors.friction > 0.0 or errors.inertia > 0.0:
             missed = errors.friction * self._torque * np.tanh(qd / FRICTION_SPEED)
             missed += errors.inertia * dynamics.acceleration
             J = links.jacobian(links.origins[6])
-            wrench += np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(6), J @ missed)
+            wrench += np.linalg.solve(J.dot(J.T) + _DAMPED, J.dot(missed))
         return wrench, noise
 
 
