@@ -147,9 +147,12 @@ def test_the_threshold_follows_from_the_noise_and_its_correlation(sigma: float, 
     assert settings.release is None or sigma > 0.9
 
 
-@pytest.mark.parametrize("stiffness", [4e3, 6.5e3, 2e4, 5e4])  # [N/m]
-def test_the_onset_of_a_noisy_force_is_found(stiffness: float) -> None:
-    """At the speed that a touch has with this noise, up to where the mean force of a window passes 9 N."""
+@pytest.mark.parametrize(("stiffness", "share"), [(4e3, 0.99), (6.5e3, 0.99), (1e4, 0.998), (2e4, 1.0), (5e4, 1.0)])
+def test_the_onset_of_a_noisy_force_is_found(stiffness: float, share: float) -> None:
+    """At the speed that a touch has with this noise, up to where the mean force of a window passes 9 N.
+
+    A share of the touches is within 1 mm: at 4 kN/m those are 2.8 standard deviations of what the noise leaves.
+    """
     rng, speed, errors = np.random.default_rng(1), 0.03 / NOISE, []
     heights = np.arange(0.015, -0.015, -speed / RATE)
     n = round(0.00144 / speed * RATE)
@@ -161,8 +164,7 @@ def test_the_onset_of_a_noisy_force_is_found(stiffness: float) -> None:
         rise = onset(heights[:end], forces[:end] + offset)
         assert rise is not None
         errors.append(rise.height - begin)
-    # The deviation goes with the root of the noise over the stiffness; at 4 kN/m 1 mm is 2.8 of them.
-    assert np.mean(np.abs(errors) < 0.001) >= 0.99
+    assert np.mean(np.abs(errors) < 0.001) >= share
     assert np.std(errors) < 0.0004 * np.sqrt(4e3 / stiffness)
 
 

@@ -22,6 +22,8 @@ from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.motion.strike_contact import strike_guard
+from toolee_robot.motion.touch_force import forces_at_rest
+from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
 from toolee_robot.types import Trajectory
@@ -224,11 +226,8 @@ class Rig:
 
     def contact_guard(self) -> ContactGuard:
         """Contact detection of the swing, as a job makes it: its threshold bears the noise that is measured here."""
-        forces = []
-        for _ in range(round(NOISE_TIME * self.arm.rate)):
-            time.sleep(1.0 / self.arm.rate)
-            forces.append(self.arm.state().wrench[:3])
-        return strike_guard(self.swing.config.strike, self.swing.plan.contact_time, np.array(forces), self.arm.rate)
+        forces = forces_at_rest(self.arm, HostClock(), NOISE_TIME)
+        return strike_guard(self.swing.config.strike, self.swing.plan.contact_time, forces, self.arm.rate)
 
     def nudge(self) -> None:
         """Move every joint a little, from where the next motion starts; raises what `execute` raises."""

@@ -200,6 +200,11 @@ CAMERA = tuple(
                 ("low confidence", _tell(unsure), UNKNOWN, "sigma 31 mm"),
             )
         ),
+        # So far off a long handle may lie: the face then meets nothing, or has slipped.
+        JobFault(23, "pose jumps by 130 mm", REST, LOOKS + ", no strike", _tell(moved([0.13, 0.0, 0.0])), Stage.VIEW,
+                 Outcome.NAIL_MISSED, "met nothing", 0, "home", looks_again=True, max_strikes=2),
+        JobFault(23, "pose jumps by 130 mm", SWING, LOOKS, _tell(moved([0.13, 0.0, 0.0])), IN_STRIKE,
+                 Outcome.TOOL_SLIPPED, "grip it again", 1, "home", looks_again=True, max_strikes=2),
         JobFault(23, "pose jumps by 20 mm", SWING, LOOKS, _tell(moved([0.0, 0.02, 0.0])), IN_STRIKE,
                  Outcome.TOOL_SLIPPED, "grip it again", 1, "home", looks_again=True, max_strikes=2),
     )
@@ -216,6 +221,9 @@ WORK = (
              RUN_UP, Outcome.NAIL_MISSED, "before the nail", 2, "home", braking=Braking(2), looks_again=True,
              meetings=(Meeting.EARLY, Meeting.EARLY), sees=True, max_strikes=3),
     JobFault(26, "no progress", REST, RECORDS, _harden, None, Outcome.STUCK, "two strikes", 2, "home", max_strikes=5),
+    # The nail is measured after two strikes first, which can drive it by more than this.
+    JobFault(26, "nail sinks too far after the first strike", SWING, RECORDS, _bend(SLIDE, 0.011), "strike",
+             Outcome.BENT, "has bent away", 2, "home", max_strikes=5, sees=True),
     JobFault(26, "nail sinks too far", SWING, RECORDS, _after("touch the wood", _bend(SLIDE, 0.019)), "strike",
              Outcome.BENT, "has bent away", 5, "home", max_strikes=5, sees=True),
     JobFault(26, "nail bends aside", SWING, "looks again, strikes once more, gives up, records a failure",

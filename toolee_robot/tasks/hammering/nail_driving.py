@@ -158,7 +158,7 @@ class NailDriving:
             struck = forecast.unmeasured
             progress, height = forecast.measured(measured), measured
             self.protrusion = height
-            sank = max(progress, forecast.below)  # in one strike at least: several share neither their mean nor this
+            sank = max(progress, forecast.below)  # at least, in one strike: a mean hides one among several
             if sank > self._deepest:
                 return Outcome.BENT, f"the head sank {sank * 1e3:.1f} mm in one strike: the nail has bent away"
             if self.strikes[-1].meeting is not Meeting.EXPECTED and height <= task.flush_protrusion:
