@@ -17,7 +17,6 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME
 from toolee_robot.motion.touch_force import deviation_of_mean, onset, touch_settings
 from toolee_robot.sim_backend.ur_controller.profile import CB3
-from toolee_robot.types import Payload
 
 NOISE, RATE = CB3.force.noise[0], 125.0
 
@@ -98,29 +97,6 @@ def test_a_zero_from_which_the_force_has_drifted_is_taken_anew(bench: Bench) -> 
     bench.arm._sensor.offset[:3] += [0.0, 0.0, 3.0]
     assert rig.touch.prepare()
     assert np.linalg.norm(rig.motions.forces(0.1).mean(axis=0)) < 0.5
-
-
-@pytest.mark.sim(seconds=10)
-def test_a_force_that_goes_with_the_speed_is_no_contact(bench: Bench) -> None:
-    """Such as friction that an estimate from joint currents takes for a force: slower, the face goes on."""
-    rig, felt = Rig(bench, 6, scale=0.0), []
-
-    class Drag:
-        gain = 0.0
-
-        def step(self, _target: Array, _q: Array, qd: Array, _payload: Payload) -> Array:
-            felt.append(float(np.abs(qd).max()))
-            return np.array([0.0, 0.0, -self.gain * felt[-1], 0.0, 0.0, 0.0])
-
-    bench.arm._sensor._errors = drag = Drag()  # type: ignore[assignment]
-    rig.go_over(0.012)
-    assert rig.touch.prepare()
-    felt.clear()
-    assert rig.touch.lower("nail", 0.022) is not None
-    drag.gain = 1.5 * CONFIG.strike.touch_force / max(felt)
-    touched = len(rig.log.motions)
-    assert abs(rig.error(0.012)) < 1e-3
-    assert rig.log.motions[touched:].count("touch the nail") == 2, "the first met nothing"
 
 
 @given(sigma=st.floats(0.05, 4.0), correlation=st.floats(0.0, 0.03), seed=st.integers(0, 10_000))

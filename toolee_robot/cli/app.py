@@ -5,7 +5,6 @@ Exit codes: 0 done; 1 the job failed; 2 invalid input (an option, a file); 130 i
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import signal
@@ -112,7 +111,6 @@ def main(args: Sequence[str] | None = None) -> None:
         # The reader of the output has closed the pipe (`| head`): prevent an error in the interpreter's final flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = EXIT_FAILED
-    gc.freeze()  # or the interpreter, as it ends, looks for garbage among all that was imported, for a second or more
     sys.exit(code)
 
 

@@ -32,9 +32,8 @@ MAX_FACTOR = 1.5
 """The noise may raise the threshold to this multiple of `strike.touch_force`; with more, nothing is touched."""
 CONFIRM_SHARE = 0.5
 """A contact is sure when at rest at least this share of the threshold still presses."""
-MAX_PHANTOMS, SLOWER = 3, 0.5
-"""Number of contacts in one touch that were none after which the force is not to be relied on; and the speed after
-each, as a share of that before."""
+MAX_PHANTOMS = 3
+"""Number of contacts in one touch that were none after which the force is not to be relied on."""
 LARGEST_OFFSET = 20.0
 """Largest force at rest that is taken for an offset of the reading [N], twice the accuracy that a CB3 is said to have.
 Beyond it the arm touches something, or its payload is wrong."""

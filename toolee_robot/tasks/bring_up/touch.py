@@ -14,7 +14,6 @@ from toolee_robot.hal import Arm, ContactGuard
 from toolee_robot.motion.touch_force import (
     CONFIRM_SHARE,
     MAX_PHANTOMS,
-    SLOWER,
     TouchSettings,
     forces_at_rest,
     touch_settings,
@@ -73,8 +72,7 @@ def measured_settings(arm: Arm, strike: StrikeConfig, force: float) -> TouchSett
 def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, settings: TouchSettings) -> Touch | None:
     """Zero the force, move until the arm feels one, then back to where the approach began.
 
-    Where nothing presses at rest after a contact it was none, a peak of the noise or of what the arm
-    feels because it moves, and the approach goes on at half the speed.
+    Where nothing presses at rest after a contact it was none, a peak of the noise, and the approach goes on.
 
     Args:
         arm: The arm, under the supervisor.
@@ -118,7 +116,7 @@ def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, setting
         left = end - fk(q)[:3, 3]
         if phantoms == MAX_PHANTOMS or np.linalg.norm(left) < MOVED:
             break
-        speed = float(np.linalg.norm(end - begin)) / trajectory.duration * SLOWER**phantoms
+        speed = float(np.linalg.norm(end - begin)) / trajectory.duration
         report = arm.execute(plan_line(slow, q, left, MotionFrame.BASE_LINK, max(speed, SLOWEST)), guard, at_work=True)
     q = report.q_commanded[-1]
     if np.linalg.norm(back := begin - fk(q)[:3, 3]) > MOVED:

@@ -2,8 +2,8 @@
 
 The motion ends when the mean force of a window exceeds a threshold that follows from the noise, which is measured at
 rest once in a job. What still presses on the face at rest is a contact; what does not was a phantom, and the face goes
-on more slowly. Where the face met the thing is the place from which the force has risen, found in the course of force
-over height: on the way down, or where the noise is too large for that, on a slow way up until the force is gone.
+on. Where the face met the thing is the place from which the force has risen, found in the course of force over height:
+on the way down, or where the noise is too large for that, on a slow way up until the force is gone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from toolee_robot.motion.touch_force import (
     CONFIRM_SHARE,
     MAX_PHANTOMS,
     SLOPE_RANGE,
-    SLOWER,
     WINDOW_WAY,
     TouchSettings,
     onset,
@@ -115,11 +114,9 @@ class Touch:
         X_flange_ee = self._robot.X_flange_hand(motions.q_hand) @ motions.X_hand_ee
         guard = ContactGuard(settings.force, averaging_window=settings.window)
         end = self._height(X_flange_ee) - reach - 2.0 * WINDOW_WAY
-        for phantoms in range(MAX_PHANTOMS):
+        for _ in range(MAX_PHANTOMS):
             left = max(self._height(X_flange_ee) - end, 0.001)
-            # What the arm takes for a force because it moves, friction above all, falls with the speed.
-            speed = settings.speed * SLOWER**phantoms
-            down = plan_straight(self._robot, self._config, motions.world(), motions.q, -left, UP, speed)
+            down = plan_straight(self._robot, self._config, motions.world(), motions.q, -left, UP, settings.speed)
             report = motions.execute(f"touch the {what}", down, guard, at_work=True)
             if report.contact is None:
                 return None
