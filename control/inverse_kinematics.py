@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.arm_data import ArmData
 from toolee_robot.control.kinematics import ArmKinematics, solve
-from toolee_robot.errors import UnreachableError
+from toolee_robot.errors import AssetError, UnreachableError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.robots.dh import DhParameters, dh_transform
@@ -25,6 +25,9 @@ NEWTON_STEPS = 20
 NEWTON_ERROR = 1e-10
 """Largest residual of a solution [m, rad]. The closed form alone reaches it for nominal kinematics; a calibrated model
 needs three or four steps, near a singularity up to a dozen."""
+LARGEST_DEVIATION = 0.05
+"""Bound of the deviation of an arm's kinematics from the closed form [m, rad]: Newton steps remove several times what a
+factory's calibration deviates."""
 
 
 class InverseKinematics:
@@ -34,7 +37,7 @@ class InverseKinematics:
         arm: Kinematics of the arm.
 
     Raises:
-        ValueError: The kinematics are not those of a UR arm.
+        AssetError: The kinematics are not those of a UR arm; code `asset.kinematics`.
     """
 
     def __init__(self, arm: ArmKinematics) -> None:
@@ -52,8 +55,13 @@ class InverseKinematics:
         dh = DhParameters(np.array(d), np.array(a), np.array(ArmData.alpha), np.zeros(6))
         turn = arm.fk(probe) @ inverse(dh.fk(probe))
         # A factory calibration deviates from the closed form by millimetres and milliradians, another arm by much more.
-        if not np.allclose(turn, arm.fk(-probe) @ inverse(dh.fk(-probe)), atol=2e-2):
-            raise ValueError("the model's kinematics are not those of a UR arm: no closed form")
+        off = float(np.abs(turn - arm.fk(-probe) @ inverse(dh.fk(-probe))).max())
+        if not off < LARGEST_DEVIATION:
+            raise AssetError(
+                f"the kinematics are not those of a UR arm: they deviate by {off:.2g} (m or rad) where a factory's "
+                "calibration does by some 0.01: check arm.calibration and arm.model",
+                code="asset.kinematics",
+            )
         self._X_dh_base = inverse(turn)
 
     def branches(self, Xs_base_flange: Array) -> Array:

@@ -31,7 +31,7 @@ class RobotModel:
         ik: Inverse kinematics of the arm.
 
     Raises:
-        AssetError: Pinocchio cannot read the URDF.
+        AssetError: Pinocchio cannot read the URDF, or it is no UR arm (`asset.kinematics`).
     """
 
     def __init__(self, description: RobotDescription) -> None:

@@ -19,7 +19,7 @@ from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
 from toolee_robot.trials.attended_plan import option
-from toolee_robot.trials.results import RESULTS, Record, read_results
+from toolee_robot.trials.results import RESULTS, Happened, Record, read_results
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLAN = TrialPlan("three hammers", 40, 3, (Arm.FULL, Arm.NO_CORRECTION), {"camera_position": 0.004})
@@ -86,15 +86,48 @@ def test_a_run_that_was_ended_goes_on_where_it_stopped(tmp_path: Path, after: in
     assert (tmp_path / "cut" / RESULTS).read_text().count("\n") == 7
 
 
-def test_a_job_that_crashes_loses_no_finished_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_a_job_that_crashes_ends_no_other_and_is_tried_again(tmp_path: Path, jobs: int) -> None:
+    """One simulation that cannot be built once ended a plan of 720, with 62 jobs under way."""
+    told: list[str] = []
+
     def crashes(options: Sequence[str]) -> dict[str, Any]:
-        if "42" in options:
+        if "41" in options and "--no-correction" in options:
             raise TooleeError("it died", code="trials.crashed")
         return job(options)
 
+    with raises(TooleeError, code="trials.crashed") as raised:
+        run_trials(PLAN, tmp_path, jobs, told.append, crashes)
+    assert "1 job crashed, and 1 of the trials are not done" in str(raised.value)
+    records, events = read_results(PLAN, tmp_path)
+    lost = Trial(Arm.NO_CORRECTION, 41)
+    assert [record.trial for record in records] == [trial for trial in PLAN.jobs() if trial != lost]
+    assert [(event.what, event.trial) for event in events] == [(Happened.NOT_BEGUN, lost)]
+    assert any("seed 41: crashed: it died" in line for line in told)
+    asked = Asked()
+    assert len(run_trials(PLAN, tmp_path, jobs, quietly, asked)) == 6
+    assert len(asked.options) == 1
+
+
+def test_a_plan_whose_jobs_all_crash_is_given_up(tmp_path: Path) -> None:
+    asked: list[Sequence[str]] = []
+
+    def crashes(options: Sequence[str]) -> dict[str, Any]:
+        asked.append(options)
+        raise TooleeError("no such device", code="trials.crashed")
+
     with raises(TooleeError, code="trials.crashed"):
         run_trials(PLAN, tmp_path, 1, quietly, crashes)
-    assert [record.trial.seed for record in finished(PLAN, tmp_path)] == [40, 40, 41, 41]
+    assert len(asked) <= 4  # the next one may have begun
+    assert not finished(PLAN, tmp_path)
+
+
+def test_an_error_that_no_job_can_mend_ends_the_plan(tmp_path: Path) -> None:
+    def refused(_: Sequence[str]) -> dict[str, Any]:
+        raise UserError("no folder", code="user.option")
+
+    with raises(UserError, code="user.option"):
+        run_trials(PLAN, tmp_path, 1, quietly, refused)
 
 
 def test_the_outcomes_do_not_depend_on_how_many_run_side_by_side(tmp_path: Path) -> None:
@@ -144,7 +177,7 @@ def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Pa
     assert plan.hash.startswith("f3d810163bb0")
     records = finished(plan, tmp_path)
     assert len(records) == len((tmp_path / RESULTS).read_text().splitlines()) - 1
-    assert load_plan(kept / "sweep.yaml").hash.startswith("533cbe5b8057")
+    assert load_plan(kept / "sweep.yaml").hash.startswith("fd46be305ab9")
 
 
 def test_every_seed_and_arm_gets_every_nail_in_every_wood(tmp_path: Path) -> None:

@@ -32,7 +32,8 @@ class Trials:
     A plan on a robot, whose options name a station file without --rehearse, leads a person through one trial after the
     other, in an order drawn from the plan's hash.
 
-    Exit code 0: all trials are done, however they ended, or the person stopped; 2: invalid input; 130: interrupted.
+    Exit code 0: all trials are done, however they ended, or the person stopped; 1: a job crashed; 2: invalid input;
+    130: interrupted.
     """
 
     plan: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="YAML")]

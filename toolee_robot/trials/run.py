@@ -1,6 +1,6 @@
 """Run the jobs of a plan, each in a process of its own, and keep every result as soon as there is one.
 
-A run that was killed goes on where it stopped when it is started again.
+A job that crashes ends no other. A run that was killed goes on where it stopped when it is started again.
 """
 
 from __future__ import annotations
@@ -9,16 +9,20 @@ import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from toolee_robot.errors import UserError
-from toolee_robot.trials.plan import TrialPlan
+from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.trials.plan import Trial, TrialPlan
 from toolee_robot.trials.process import run_job, stop_jobs
-from toolee_robot.trials.results import Record, Results
-from toolee_robot.trials.tasks import Job, check_paper_weights, run_task, task_of
+from toolee_robot.trials.results import Happened, Record, Results
+from toolee_robot.trials.tasks import Job, Task, check_paper_weights, run_task, task_of
+
+MOST_CRASHES = 3
+"""Number of jobs one after the other that crash, none ending between them, after which no other is begun."""
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -65,7 +69,8 @@ def run_trials(
         UserError: The folder holds another plan's trials (`user.other_plan`), or a person is led through this one's
             (`user.attended`); or as of `check_paper_weights`.
         AssetError: As of `check_paper_weights`.
-        TooleeError: A job did not come to an end of its own; code `trials.crashed`. Finished ones are kept.
+        TooleeError: Jobs did not come to an end of their own; code `trials.crashed`. The others are done before it is
+            raised, unless `MOST_CRASHES` crash one after the other.
     """
     if plan.led:
         raise UserError("a person is led through this plan's trials: `lead_trials`", code="user.attended")
@@ -74,12 +79,53 @@ def run_trials(
         todo = [task_of(plan, trial, folder) for trial in plan.order() if trial not in results.done]
         if results.done:
             tell(f"{len(results.done)} of {len(results.done) + len(todo)} trials are there already")
-        run = partial(run_task, job or partial(run_job, Path.cwd()))
+        run = partial(_run, job or partial(run_job, Path.cwd()))
+        crashed: list[_Crash] = []
         with closing((workers or on_threads)(run, todo, jobs)) as finished:
-            for record in finished:
-                results.add(record)
-                tell(told(record))
+            in_a_row = 0
+            for ended in finished:
+                if isinstance(ended, Record):
+                    in_a_row = 0
+                    results.add(ended)
+                    tell(told(ended))
+                    continue
+                in_a_row += 1
+                crashed.append(ended)
+                results.note(Happened.NOT_BEGUN, ended.trial, reason=ended.reason)
+                tell(f"{_name(ended.trial)}: crashed: {ended.reason}")
+                if in_a_row == MOST_CRASHES:
+                    break
+        if crashed:
+            left = len(plan.order()) - len(results.done)
+            raise TooleeError(
+                f"{len(crashed)} {'job' if len(crashed) == 1 else 'jobs'} crashed, and {left} of the trials are not "
+                f"done: mend the cause; the same command tries them again. The last one: {crashed[-1].reason}",
+                code="trials.crashed",
+            )
         return results.records
+
+
+@dataclass(frozen=True)
+class _Crash:
+    """A job that did not come to an end of its own.
+
+    Attributes:
+        trial: Its trial.
+        reason: What it said last.
+    """
+
+    trial: Trial
+    reason: str
+
+
+def _run(job: Job, task: Task) -> Record | _Crash:
+    """Run a trial's job; one that crashes must not end the others."""
+    try:
+        return run_task(job, task)
+    except TooleeError as error:
+        if error.code != "trials.crashed":
+            raise
+        return _Crash(task.trial, str(error))
 
 
 def on_threads(call: Callable[[T], R], items: Sequence[T], count: int | None) -> Generator[R]:
@@ -121,8 +167,11 @@ def told(record: Record) -> str:
     Returns:
         Arm, seed, what differs, and how it ended.
     """
-    figures, trial = record.figures, record.trial
+    figures = record.figures
     ending = "flush" if record.success else f"failed: {figures['reason']}"
     tries = "" if figures["tries"] == 1 else f", try {figures['tries']}: the machine had stalled"
-    conditions = f", {trial.conditions}" if trial.conditions else ""
-    return f"{trial.arm}, seed {trial.seed}{conditions}: {ending}{tries}"
+    return f"{_name(record.trial)}: {ending}{tries}"
+
+
+def _name(trial: Trial) -> str:
+    return f"{trial.arm}, seed {trial.seed}" + (f", {trial.conditions}" if trial.conditions else "")
