@@ -258,7 +258,11 @@ def test_a_nail_out_of_reach_is_refused_before_anyone_is_asked(bench: Bench) -> 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
-    [({"nail_xy": (0.785, 0.10)}, "nail should be and met nothing"), ({"nail_protrusion": 0.012}, "mm too high")],
+    [
+        ({"nail_xy": (0.785, 0.10)}, "nail should be and met nothing"),
+        ({"nail_xy": (0.785, 0.10), "stand_height": CONFIG.work.stand_height - 0.006}, "met nothing above the wood"),
+        ({"nail_protrusion": 0.012}, "mm too high"),
+    ],
 )
 def test_the_nail_is_not_where_the_station_file_has_it(bench: Bench, change: dict[str, object], reason: str) -> None:
     config = replace(CONFIG, work=replace(CONFIG.work, **change))  # type: ignore[arg-type]

@@ -140,7 +140,8 @@ class TrialPlan:
     options: tuple[str, ...] = ()
     """Further options of `toolee hammer`, such as `--station lab.yaml`, `--rehearse`."""
     sweep: dict[str, Annotated[tuple[NotNegative, ...], Field(min_length=1)]] = field(default_factory=dict)
-    """Sizes of errors, each of which every seed and arm gets instead of the one in `errors`, one error at a time."""
+    """Sizes of errors, each of which every seed and arm gets instead of the one in `errors`, one error at a time; once
+    they get none."""
     attended: bool = False
     """Whether a person is led through a rehearsal as through trials on a robot, which always are."""
     instructions: Annotated[str, Field(max_length=2000)] = ""
@@ -203,9 +204,9 @@ class TrialPlan:
             Each trial.
         """
         swept: list[tuple[str | None, float | None]]
-        swept = [(error, size) for error, sizes in self.sweep.items() for size in sizes]
+        swept = [(None, None), *((error, size) for error, sizes in self.sweep.items() for size in sizes)]
         for seed in range(self.first_seed, self.first_seed + self.trials):
-            for error, size in swept or [(None, None)]:
+            for error, size in swept:
                 for tool, nail, wood in self._put_there():
                     for arm in self.arms:
                         yield Trial(arm, seed, error, size, tool, nail, wood)

@@ -104,7 +104,7 @@ def figures(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event] 
         "of": sum(1 for _ in plan.jobs()),
         "distinct_tools": len(tools),
         "arms": arms,
-        "sweeps": [asdict(sweep) | {"too_much": sweep.told} for sweep in sweeps(first)],
+        "sweeps": [asdict(sweep) | {"too_much": sweep.told} for sweep in sweeps(plan, first)],
         **({"attended": agreement(plan, records, events)} if plan.led else {}),
     }
 
@@ -149,7 +149,7 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
     if plan.led:
         attended_section(page, made["attended"])
     elif plan.sweep:
-        _swept(page, plan, sweeps(first))
+        _swept(page, plan, sweeps(plan, first))
     else:
         _drawn(page, plan, first)
     page.section("Every trial")

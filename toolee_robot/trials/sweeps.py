@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 
 from toolee_robot.frames import Array
 from toolee_robot.trials.panels import BLUE, RED, errors, panels, png, rates
+from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.results import Record
 from toolee_robot.trials.statistics import Share, share
 
@@ -33,6 +34,9 @@ UNITS = {
     "kinematics": ("arm's lengths and angles, mm and mrad", 1e3),
     "wood": ("specific gravity, %", 100.0),
     "friction": ("friction in the hand, %", 100.0),
+    "payload": ("hand's mass, %", 100.0),
+    "wrench": ("force: noise, offset, drift, times the generation's", 1.0),
+    "compliance": ("joints' compliance, times the nominal one", 1.0),
 }
 """How the axis of each swept error is called, and the factor from the plan's unit to the axis's."""
 
@@ -63,12 +67,14 @@ class Sweep:
         sizes: The sizes, from small to large, in the plan's unit.
         shares: Share of successes at each.
         limit: The size that is too much; None where there are too few seeds to tell.
+        seeds: Number of seeds.
     """
 
     error: str
     sizes: tuple[float, ...]
     shares: tuple[Share, ...]
     limit: Limit | None
+    seeds: int
 
     @property
     def axis(self) -> tuple[str, float]:
@@ -78,39 +84,52 @@ class Sweep:
     @property
     def told(self) -> str:
         """The limit, in words."""
-        factor, end = self.axis[1], self.sizes[-1]
+        factor, least, end = self.axis[1], self.sizes[0], self.sizes[-1]
         limit = self.limit
         if limit is None:
             return f"too few seeds to tell, {LEAST_SEEDS} are needed"
+        if limit.low <= least and limit.high >= end and len(self.sizes) > 1:
+            return f"anywhere from {factor * least:.2g} on: {self.seeds} seeds do not tell"
         if limit.size >= end:
             return f"not up to {factor * end:.3g}"
-        beyond = " or more" if limit.high >= end else ""
-        return f"{factor * limit.size:.2g} ({factor * limit.low:.2g} to {factor * limit.high:.2g}{beyond})"
+        at = f"{factor * limit.size:.2g}" if limit.size > least else f"{factor * least:.2g} or less"
+        low = f"{factor * limit.low:.2g}" if limit.low > least else f"{factor * least:.2g} or less"
+        return f"{at} ({low} to {factor * limit.high:.2g}{' or more' if limit.high >= end else ''})"
 
 
-def sweeps(records: Sequence[Record]) -> list[Sweep]:
+def sweeps(plan: TrialPlan, records: Sequence[Record]) -> list[Sweep]:
     """Sort an arm's trials by the error that was swept.
 
+    The trials in which no error has a size of its own are in every sweep, with the size that its error has there.
+
     Args:
+        plan: The plan.
         records: The results of one arm.
 
     Returns:
-        The sweeps, in the order in which they were first tried; none for a plan without.
+        The sweeps, in the plan's order; none for a plan without.
     """
-    by_error: dict[str, list[Record]] = {}
-    for record in records:
-        if record.trial.error is not None:
-            by_error.setdefault(record.trial.error, []).append(record)
-    return [_sweep(error, of) for error, of in by_error.items()]
+    # The simulation takes a second to import, which no other plan's report needs.
+    from toolee_robot.sim_backend.cell_errors import NOMINAL
+
+    given = plan.errors if isinstance(plan.errors, dict) else {}
+    usual = [record for record in records if record.trial.error is None]
+    found = []
+    for error in plan.sweep:
+        size = given.get(error, getattr(NOMINAL, error))
+        sized = [(record.trial.size or 0.0, record) for record in records if record.trial.error == error]
+        if sized or usual:
+            found.append(_sweep(error, sized + [(size, record) for record in usual]))
+    return found
 
 
-def _sweep(error: str, records: Sequence[Record]) -> Sweep:
-    sizes = np.array([record.trial.size for record in records], dtype=float)
-    flush = np.array([record.success for record in records])
-    seeds = np.array([record.trial.seed for record in records])
+def _sweep(error: str, sized: Sequence[tuple[float, Record]]) -> Sweep:
+    sizes = np.array([size for size, _ in sized])
+    flush = np.array([record.success for _, record in sized])
+    seeds = np.array([record.trial.seed for _, record in sized])
     tried = np.unique(sizes)
     shares = tuple(share([bool(value) for value in flush[sizes == size]]) for size in tried)
-    return Sweep(error, tuple(tried.tolist()), shares, _limit(sizes, flush, seeds))
+    return Sweep(error, tuple(tried.tolist()), shares, _limit(sizes, flush, seeds), len(np.unique(seeds)))
 
 
 def _limit(sizes: Array, flush: NDArray[np.bool_], seeds: NDArray[np.int64]) -> Limit | None:

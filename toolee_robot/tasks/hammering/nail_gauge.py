@@ -32,6 +32,10 @@ LEAST_RESISTANCE = 80.0
 that a simulated club hammer of 1.05 kg met in wood 22 % less dense than told."""
 IMPLAUSIBLE_DEPTH = 0.004
 """Progress per strike above which the wood is touched a second time to confirm it [m]; strikes usually drive less."""
+NO_HEAD = 0.002
+"""Largest height over the wood of what is no nail's head, but the wood: a touch may be off by this [m]."""
+CHECK = "look where the face stands, and check work.nail_xy, the height of the wood and the camera's calibration"
+"""What a person is to do about a nail that is not met."""
 ASIDE = 0.032
 """Distance from the nail to the touch point on the wood [m]: a face of up to 25 mm radius clears the nail's head."""
 
@@ -88,9 +92,18 @@ class NailGauge:
         measured = self.measure(known)
         self._reference = known - measured
         self._corrected = None  # the place of the face will shift by the offset in the next measurement
-        if abs(self._reference) > 0.5 * TOLERANCE:
-            off = f"{abs(self._reference) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
-            raise JobEnded(Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as in config.work")
+        if abs(self._reference) <= 0.5 * TOLERANCE:
+            return
+        if abs(measured) < NO_HEAD:
+            raise JobEnded(
+                Outcome.NAIL_MISSED,
+                "where the nail's head should be the face met nothing above the wood: the nail is missing, or the face "
+                f"came down beside it; {CHECK}",
+            )
+        off = f"{abs(self._reference) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
+        raise JobEnded(
+            Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as work.nail_protrusion says; {CHECK}"
+        )
 
     def resume(self, plan: StrikePlan, expected: float) -> float:
         """Measure the nail after an interruption, from wherever the arm stands; the offset stays.
@@ -196,5 +209,5 @@ class NailGauge:
         height = self._touch.lower(what, reach)
         if height is None:
             motions.straight("up", UP, reach)
-            raise JobEnded(missed, f"the face was lowered to where the {what} should be and met nothing")
+            raise JobEnded(missed, f"the face was lowered to where the {what} should be and met nothing; {CHECK}")
         return height
