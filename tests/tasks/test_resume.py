@@ -46,6 +46,7 @@ def test_three_stops_end_the_session(bench: Bench, log: Log, stopped: tuple[Hamm
         assert result.outcome is Outcome.PERSON_NEAR
     assert TAKE_OUT in result.reason
     assert not task.resumable
+    assert result.stops == MAX_STOPS
     with raises(NotReadyError, "not_ready.nothing_to_resume"):
         task.resume(confirmed=True)
     assert log.motions == ["to the handover"]

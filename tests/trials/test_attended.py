@@ -47,6 +47,13 @@ class Robot:
         }  # fmt: skip
 
 
+class Stopping(Robot):
+    """One whose arm is stopped in every job."""
+
+    def __call__(self, options: Sequence[str]) -> dict[str, Any]:
+        return super().__call__(options) | {"stops": 2}
+
+
 class Person:
     """Answers from a list, then hangs up."""
 
@@ -73,6 +80,17 @@ def lead(plan: TrialPlan, folder: Path, person: Person, robot: Robot | None = No
 
 def events(plan: TrialPlan, folder: Path) -> list[Event]:
     return read_results(plan, folder)[1]
+
+
+def test_three_stops_end_the_session_and_the_next_one_goes_on(tmp_path: Path) -> None:
+    """Each job counts its own stops; nobody may strike on until lunch with an arm that stops twice a nail."""
+    person = Person(*8 * GOOD)
+    robot = lead(PLAN, tmp_path, person, Stopping())
+    assert len(robot.options) == 2
+    assert len(read_results(PLAN, tmp_path)[0]) == 2, "what was measured is kept"
+    assert any("stopped 4 times with the tool in the hand" in line for line in person.read)
+    assert events(PLAN, tmp_path)[-1].what is Happened.STOPPED
+    assert len(lead(PLAN, tmp_path, Person(*8 * GOOD)).options) == 6, "the stops of the session before do not count"
 
 
 def test_every_trial_is_led_and_the_persons_calipers_are_the_outcome(tmp_path: Path) -> None:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from toolee_robot.config import StationConfig, load_lab_station, with_setup
 from toolee_robot.errors import ConfigError, TooleeError
+from toolee_robot.tasks.common.recovery import MAX_STOPS
 from toolee_robot.trials.attended_plan import option
 from toolee_robot.trials.judgement import Ask, choice, judged, words, yes
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.process import run_at_terminal
-from toolee_robot.trials.results import Happened, Record, Results, now
+from toolee_robot.trials.results import Event, Happened, Record, Results, now
 from toolee_robot.trials.run import told
 from toolee_robot.trials.tasks import Job, Task, check_paper_weights, task_of
 
@@ -33,7 +34,8 @@ def lead_trials(
     """Lead a person through the trials of a plan that its folder does not have yet.
 
     Before each the person reads what to set up and says that it is so, skips the trial or stops; after it the person
-    measures, and says whether it counts. A skipped one is not done: the same command asks for it again.
+    measures, and says whether it counts. A skipped one is not done: the same command asks for it again. As many stops
+    with the tool in the hand as end a job end the session, too.
 
     Args:
         plan: The plan, with a person (`TrialPlan.led`).
@@ -60,6 +62,12 @@ def lead_trials(
         try:
             for i, trial in enumerate(order):
                 if trial not in results.done:
+                    if (stops := _stops(results.events)) >= MAX_STOPS:
+                        tell(
+                            f"the arm was stopped {stops} times with the tool in the hand in this session: find the "
+                            "cause (payload, speed of the strike, what it meets) before the next trial"
+                        )
+                        raise _Stopped
                     task = task_of(plan, trial, folder)
                     _Trial(plan, task, _station_of(station, task), results, ask, tell, i + 1, len(order), job).lead()
         except (_Stopped, EOFError, KeyboardInterrupt) as stop:
@@ -96,6 +104,12 @@ def _station_of(station: StationConfig, task: Task) -> StationConfig:
 def _digest(plan: TrialPlan) -> str:
     """SHA-256 of the station file, which a lab may change between trials."""
     return hashlib.sha256(Path(str(option(plan.options, "--station"))).read_bytes()).hexdigest()
+
+
+def _stops(events: Sequence[Event]) -> int:
+    """How often the arm was stopped with the tool in the hand in the session that goes on."""
+    begun = max(i for i, event in enumerate(events) if event.what is Happened.SESSION)
+    return sum(event.facts["figures"].get("stops", 0) for event in events[begun:] if event.what is Happened.ENDED)
 
 
 class _Trial:

@@ -215,6 +215,7 @@ class HammerJob:
             "outcome": outcome,
             "reason": reason,
             "strikes": len(result.strikes),
+            "stops": result.stops,
             "protrusion_mm": measured if truth is None else _rounded(truth.protrusion_mm),
             "measured_protrusion_mm": measured,
             "largest_impulse": _largest([strike.load.impulse for strike in result.strikes]),

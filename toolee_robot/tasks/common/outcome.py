@@ -124,6 +124,7 @@ class HammerResult:
         robot_seconds: Time that the job took on the station's clock [s].
         nail_seconds: Part of it in which nails were driven: with one, all after the first look at the tool [s].
         nails: What became of each nail that was to be driven.
+        stops: Number of times that the arm was stopped with the tool in the hand.
     """
 
     outcome: Outcome
@@ -135,6 +136,7 @@ class HammerResult:
     robot_seconds: float = 0.0
     nail_seconds: float = 0.0
     nails: tuple[NailResult, ...] = ()
+    stops: int = 0
 
     @property
     def success(self) -> bool:

@@ -194,6 +194,7 @@ class HammeringTask:
             self._station.clock.now() - self._began,
             self._nails.seconds,
             self._nails.results(outcome, reason),
+            self._stops.count,
         )
 
     def _end(self, job: Callable[[], tuple[Outcome, str]]) -> HammerResult:
