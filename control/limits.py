@@ -16,6 +16,8 @@ TOLERANCE = 1e-3
 ROUNDING = 1e-6
 """Residual of inverse kinematics, for positions [rad] and velocities [rad/s]."""
 AXES = ("x", "y", "z")
+LONGEST = 600.0
+"""Longest motion [s]: one that lasts longer has its times in another unit, or stands for years before its end."""
 REST = 1e-3
 """Joint speed that counts as rest [rad/s]."""
 
@@ -50,6 +52,12 @@ def check_trajectory(
         raise LimitError(f"the trajectory has {q.shape[1]} joints, the arm has 6", code="limit.joint_count")
     if not all(np.all(np.isfinite(x)) for x in (t, q, qd, qdd)):
         raise LimitError("the trajectory holds NaN or infinite values: nothing is sent", code="limit.not_finite")
+    if trajectory.duration > LONGEST:
+        raise LimitError(
+            f"the trajectory lasts {trajectory.duration:.3g} s, {LONGEST:.0f} s are allowed: nothing is sent; give its "
+            "times in seconds",
+            code="limit.duration",
+        )
     for where, row in (("start", 0), ("end", -1)):
         if np.max(np.abs(qd[row])) > REST:
             speed = np.max(np.abs(qd[row]))

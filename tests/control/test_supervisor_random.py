@@ -42,6 +42,9 @@ BESIDE = {
     "again": False,
 }
 
+# One that would stand for thirty years before its end, and be sampled at the arm's rate all the while.
+FOR_YEARS = BESIDE | {"mode": Mode.UNATTENDED}
+
 RARELY = st.sampled_from([False] * 5 + [True])
 
 
@@ -92,6 +95,7 @@ def free(robot: RobotModel, config: StationConfig, q_hand: Array, X_hand_ee: Arr
 )
 @example(**BESIDE, changes=[("q", 0.0, 0, True, 0.015625)])
 @example(**BESIDE, changes=[("q", 0.0, 0, True, 0.009)])
+@example(**FOR_YEARS, changes=[("times", 1.0, 0, True, 1e9)])
 @settings(examples(100), suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_nothing_that_is_driven_breaks_a_limit(
     robot: RobotModel,

@@ -84,6 +84,8 @@ def test_checker_passes_a_good_move_and_names_what_is_wrong(
     broken[5, 2] = np.nan
     with raises(LimitError, code="limit.not_finite"):
         check(altered(move, q=broken))
+    with raises(LimitError, code="limit.duration"):
+        check(altered(move, times=move.times * 1e3))
     with raises(LimitError, code="limit.velocity"):
         check(altered(move, qd=move.qd * 10))
     with raises(LimitError, code="limit.acceleration"):

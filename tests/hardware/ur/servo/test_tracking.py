@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.examples import examples
@@ -44,12 +44,15 @@ def follower(times: Array, commands: Array, delay: float, constant: float) -> Ar
 
 @examples(15)
 @given(rate=st.sampled_from([125.0, 500.0]), share=st.floats(0.0, 1.0), part=st.floats(0.0, 1.0))
+@example(rate=125.0, share=1.0, part=0.0)
+@example(rate=500.0, share=1.0, part=0.0)
 def test_a_servo_within_its_assumed_lag_drives_a_transfer_at_full_speed(rate: float, share: float, part: float) -> None:
+    """`part` of what is not the controller's own cycles delays the path, the rest smooths it."""
     servo = ServoConfig()
-    lag = servo_lag(servo, rate)
+    lag, cycles = servo_lag(servo, rate), 3.0 / rate
     times, commands = driven(rate, FULL_TRANSFER)
-    measured = follower(times, commands, part * share * lag, (1.0 - part) * share * lag)
-    assert worst(times, commands, measured, lag) < BOUND
+    delay, constant = cycles + part * (lag - cycles), (1.0 - part) * (lag - cycles)
+    assert worst(times, commands, follower(times, commands, share * delay, share * constant), lag) < BOUND
 
 
 @pytest.mark.parametrize(("rate", "lag"), [(500.0, 0.034), (125.0, 0.054)])
