@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import cv2
@@ -17,7 +18,7 @@ from toolee_robot.calibration.observation import find_board
 from toolee_robot.calibration.record import read_record, write_record
 from toolee_robot.calibration.touch_check import see_corner
 from toolee_robot.cli.app import run
-from toolee_robot.config import load_station
+from toolee_robot.config import SIMULATED, SIMULATED_CALIBRATION, load_station
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import HALF_TURN, BaseFrame, transform, transform_points
 
@@ -75,6 +76,31 @@ def test_a_station_file_takes_the_cameras_pose_from_the_record(calibrated: Path,
     assert config.calibration is not None
     assert config.calibration.residual == record.residual
     assert config.calibration.robot_serial == "20185500001"
+
+
+def test_a_rehearsal_does_not_take_the_place_of_a_real_record(
+    calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its board was drawn, and its camera stands where a tape measure put it."""
+    said = yaml.safe_load((Path(__file__).parents[2] / "examples" / "lab.yaml").read_text())
+    said["frame"] = "base_link"
+    said["camera"] = {"device": said["camera"]["device"], **yaml.safe_load(STATION)["camera"]}
+    intrinsics = read_record(calibrated / "camera.json").intrinsics
+    said["camera"] |= {name: getattr(intrinsics, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+    said["calibration"] = {"record": str(calibrated / "camera.json")}
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(said))
+    before = path.read_bytes()
+    assert run(["calibrate", "camera", "--station", str(path), "--rehearse", "--write"]) == 2
+    assert "names the calibration of robot 20185500001" in " ".join(capsys.readouterr().err.split())
+    assert path.read_bytes() == before
+
+
+def test_what_was_rehearsed_holds_for_no_real_robot() -> None:
+    rehearsed = replace(SIMULATED_CALIBRATION, camera_serial="cam-7")
+    (problem,) = rehearsed.problems("20185500001", "cam-7", date(2026, 1, 2))
+    assert "simulated or rehearsed" in problem
+    assert rehearsed.problems(SIMULATED, "cam-7", date(2026, 1, 2)) == []
 
 
 def test_a_record_does_not_hold_for_other_intrinsics(calibrated: Path, tmp_path: Path) -> None:

@@ -146,6 +146,7 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
         (["calibrate", "camera", "--station", str(LAB)], "measure the two scale bars"),
         (["calibrate", "camera", "--station", str(LAB), "--bars-mm", "360", "257"], "--plate-distance"),
         (["calibrate", "camera", "--write"], "--write needs --station"),
+        (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--write"], "take the section out first"),
         (["calibrate", "nail", "--camera", "--station", str(LAB), "--rehearse", "--write"], "leave --write out"),
     ],
 )

@@ -7,6 +7,10 @@ from datetime import date
 
 from toolee_robot.config.values import STRICT, NotNegative, Positive
 
+SIMULATED = "simulated"
+"""Serial number of every simulated device, and of the robot of a rehearsed calibration: no real one has it, so that no
+job on a robot takes what was rehearsed for its own."""
+
 
 @dataclass(frozen=True)
 class CalibrationConfig:
@@ -50,6 +54,8 @@ class CalibrationConfig:
         Returns:
             One sentence per reason against its use; empty if it may be used.
         """
+        if self.robot_serial == SIMULATED != robot_serial:
+            return ["it was simulated or rehearsed, the robot is a real one: calibrate its camera"]
         found = []
         for what, mine, theirs in (
             ("robot", self.robot_serial, robot_serial),
@@ -70,7 +76,5 @@ class CalibrationConfig:
         return found
 
 
-SIMULATED = "simulated"
-"""Serial number of every simulated device."""
 SIMULATED_CALIBRATION = CalibrationConfig("2026-01-01", SIMULATED, SIMULATED, 0.0, valid_days=None)
 """Calibration of the simulated station: exact, and valid without a time limit."""

@@ -163,7 +163,7 @@ class _Trial:
                     f"  nail  {trial.nail or name}: {work.nail_diameter * 1e3:g} x {work.nail_length * 1e3:g} mm, head "
                     f"{work.nail_head_diameter * 1e3:g} mm, {work.nail_protrusion * 1e3:g} mm over the wood, "
                     f"{f'pilot hole {hole:g} mm' if hole else 'no pilot hole'}; a new one, upright, at x "
-                    f"{work.nail_xy[0]:.3f} m, y {work.nail_xy[1]:.3f} m of base"
+                    f"{work.nail_xy[0]:.3f} m, y {work.nail_xy[1]:.3f} m of base_link"
                 )
         wood = f"{trial.wood}, " if trial.wood else ""
         lines.append(f"  wood  {wood}specific gravity {config.work.wood_specific_gravity:g}")

@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import StationConfig, load_lab_station, load_station
+from toolee_robot.config import SIMULATED, StationConfig, load_lab_station, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor
 
@@ -69,6 +69,7 @@ class Camera:
         self._check()
         if self.station is not None:
             config = load_lab_station(self.station)
+            self._check_entry(config)
         else:
             config = StationConfig() if self.config is None else load_station(self.config)
         console = Console(stderr=self.json, highlight=False)
@@ -97,6 +98,24 @@ class Camera:
             set_fields(self.station, ("calibration",), {"record": record})
         job.conclude(place, self.station if self.write else None, self.json)
         return 0
+
+    def _check_entry(self, config: StationConfig) -> None:
+        """Refuse before anything moves what --write could not enter, or must not."""
+        known = config.calibration
+        if not self.write or known is None:
+            return
+        if known.record is None:
+            raise UserError(
+                f"{self.station} gives its calibration by hand (measured_on and others): take the section out first, "
+                "since the record that --write enters says the same of its own",
+                code="user.calibration_by_hand",
+            )
+        if self.rehearse and known.robot_serial != SIMULATED:
+            raise UserError(
+                f"{self.station} names the calibration of robot {known.robot_serial}: that of a rehearsal would take "
+                "its place. Rehearse with a copy of the file, or without --write",
+                code="user.calibration_is_real",
+            )
 
     def _check(self) -> None:
         if self.images is not None and self.station is not None:

@@ -89,12 +89,14 @@ class CameraJob:
         """
         board = self._printed(distance, mass, seed, "Rehearsal, every device emulated")
         options = SimOptions(hands_over=False, boards=(board.placed,))
-        cell = Cell(board.true, board.measured, draw_handover(seed, options)[0], options, seed)
+        # Without the calibration of the real robot, whose serial number the record would have.
+        measured = replace(board.measured, calibration=None)
+        cell = Cell(board.true, measured, draw_handover(seed, options)[0], options, seed)
         with (
             EmulatedLab(cell, self._prompt, factor, "harsh", Purpose.CALIBRATION, self._doing) as lab,
             lab.blaming_the_machine(),
         ):
-            calibration = self._collect(folder, lab.station, board.measured, board.plate, board.bars, poses, seed)
+            calibration = self._collect(folder, lab.station, measured, board.plate, board.bars, poses, seed)
         self._true_error(calibration)
 
     def live(

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
-from toolee_robot.config import HandConfig, StationConfig
+from toolee_robot.config import SIMULATED, HandConfig, StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import (
     ConfigError,
@@ -180,8 +180,8 @@ class EmulatedLab:
         model = RobotModel.of_station(config).description
         payload = model.hand_payload(model.hand_open)
         controller.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
-        if config.calibration is not None:
-            controller.fault("serial", number=config.calibration.robot_serial)
+        known = config.calibration
+        controller.fault("serial", number=SIMULATED if known is None else known.robot_serial)
 
     def _emulated_hand(self, stack: ExitStack) -> HandConfig:
         hand = self._cell.measured.hand

@@ -76,7 +76,7 @@ class HandClock:
             Time of the station, never later than `received` [s].
         """
         drifted = self._offset + DRIFT * max(0.0, received - self._at)
-        self._offset, self._at = min(drifted, received - stamp), received
+        self._offset, self._at = min(drifted, received - stamp), max(self._at, received)
         return min(stamp + self._offset, received)
 
 
