@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -120,6 +121,35 @@ def test_a_plan_whose_jobs_all_crash_is_given_up(tmp_path: Path) -> None:
         run_trials(PLAN, tmp_path, 1, quietly, crashes)
     assert len(asked) <= 4  # the next one may have begun
     assert not finished(PLAN, tmp_path)
+
+
+def test_jobs_that_crash_at_their_start_do_not_end_those_beside_them(tmp_path: Path) -> None:
+    """Three of six that run side by side crash at once, before any other can have ended."""
+    crashed = threading.Barrier(3, timeout=20.0)
+    others = threading.Event()
+
+    def crashes(options: Sequence[str]) -> dict[str, Any]:
+        if "--no-correction" in options:
+            crashed.wait()
+            others.set()
+            raise TooleeError("it died", code="trials.crashed")
+        assert others.wait(20.0)
+        time.sleep(0.2)
+        return job(options)
+
+    with raises(TooleeError, code="trials.crashed"):
+        run_trials(PLAN, tmp_path, 6, quietly, crashes)
+    assert [record.trial.arm for record in finished(PLAN, tmp_path)] == [Arm.FULL] * 3
+
+
+@pytest.mark.sim(seconds=10)
+def test_a_job_that_is_refused_before_it_begins_is_no_result(tmp_path: Path) -> None:
+    """It has no figures, which the report could not show."""
+    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), errors={"kinematics": 0.1})
+    with raises(TooleeError, code="trials.crashed") as raised:
+        run_trials(plan, tmp_path, 1, quietly)
+    assert "not those of a UR arm" in str(raised.value)
+    assert not finished(plan, tmp_path)
 
 
 def test_an_error_that_no_job_can_mend_ends_the_plan(tmp_path: Path) -> None:

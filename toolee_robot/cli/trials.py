@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,20 +54,21 @@ class Trials:
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
         from toolee_robot.trials import load_plan, write_report
-        from toolee_robot.trials.report import figures
+        from toolee_robot.trials.report import FIGURES
         from toolee_robot.trials.results import read_results
 
         plan = load_plan(self.plan)
         pairs = "repetitions" if plan.led else "seeds"
         console.print(f"[bold]{escape(plan.name)}[/bold]  [dim]plan {plan.hash[:12]}, {plan.trials} {pairs}[/dim]")
-        if not self.report_only:
-            try:
+        try:
+            if not self.report_only:
                 self._do(plan, console)
-            finally:
-                if read_results(plan, self.out)[0]:
-                    write_report(plan, self.out)
+        except BaseException:  # Ctrl-C, too: what is done is reported
+            if read_results(plan, self.out)[0]:
+                write_report(plan, self.out)
+            raise
         page = write_report(plan, self.out)
-        made = figures(plan, *read_results(plan, self.out))
+        made = json.loads((self.out / FIGURES).read_text())
         for arm, of in made["arms"].items():
             flush = of["flush"]
             console.print(

@@ -54,15 +54,14 @@ class CalibrationConfig:
         Returns:
             One sentence per reason against its use; empty if it may be used.
         """
-        if self.robot_serial == SIMULATED != robot_serial:
-            return ["it was simulated or rehearsed, the robot is a real one: calibrate its camera"]
         found = []
         for what, mine, theirs in (
             ("robot", self.robot_serial, robot_serial),
             ("camera", self.camera_serial, camera_serial),
         ):
             if mine != theirs:
-                found.append(f"it is of {what} {mine!r}, the station has {what} {theirs!r}: calibrate this one")
+                of = "it was simulated or rehearsed" if mine == SIMULATED else f"it is of {what} {mine!r}"
+                found.append(f"{of}, the station has {what} {theirs!r}: calibrate this one")
         age = (today - date.fromisoformat(self.measured_on)).days
         if age < 0:
             found.append(f"it was measured on {self.measured_on}, which is still to come: set the clock")

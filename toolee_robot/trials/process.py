@@ -58,14 +58,9 @@ def run_job(folder: Path, options: Sequence[str]) -> dict[str, Any]:
             process.join()
         finally:
             _running.discard(process)
-        lines = told.read_text().splitlines() if told.is_file() else []
-        if process.exitcode not in (0, 1) or not lines:
-            reason = said.read_text().strip()[-500:] if said.is_file() else "it did not begin"
-            raise TooleeError(
-                f"toolee hammer {' '.join(options)} ended with code {process.exitcode}: {reason}",
-                code="trials.crashed",
-            )
-        return dict(json.loads(lines[-1]))
+        lines = told.read_text().splitlines() if process.exitcode in (0, 1, 2) and told.is_file() else []
+        reason = said.read_text().strip()[-500:] if said.is_file() else "it did not begin"
+        return _figures(lines, f"toolee hammer {' '.join(options)} ended with code {process.exitcode}: {reason}")
 
 
 def stop_jobs() -> None:
@@ -91,11 +86,14 @@ def run_at_terminal(options: Sequence[str]) -> dict[str, Any]:
     with _left_to_the_job() as job:
         job.append(subprocess.Popen([sys.executable, "-c", _COMMAND, "hammer", *options], stdout=subprocess.PIPE))
         said, _ = job[0].communicate()
-    lines = said.decode().splitlines()
-    figures = dict(json.loads(lines[-1])) if lines else {}
+    return _figures(said.decode().splitlines(), f"it ended with code {job[0].returncode}, see above")
+
+
+def _figures(printed: list[str], ended: str) -> dict[str, Any]:
+    """The figures that a job printed; one that was refused before it began, or did not come to its end, has none."""
+    figures = dict(json.loads(printed[-1])) if printed else {}
     if "stage_seconds" not in figures:
-        reason = figures.get("reason", f"it ended with code {job[0].returncode}, see above")
-        raise TooleeError(str(reason), code="trials.crashed")
+        raise TooleeError(str(figures.get("reason", ended)), code="trials.crashed")
     return figures
 
 

@@ -67,24 +67,19 @@ def write_report(plan: TrialPlan, folder: Path) -> Path:
     """
     records, events = read_results(plan, folder)
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomic(folder / FIGURES, (json.dumps(figures(plan, records, events), indent=1) + "\n").encode())
-    write_atomic(folder / REPORT, _page(plan, records, events, folder).encode())
+    first = of_arm(records, plan.arms[0])
+    found = sweeps(plan, first)
+    made = _figures(plan, records, events, first, found)
+    write_atomic(folder / FIGURES, (json.dumps(made, indent=1) + "\n").encode())
+    write_atomic(folder / REPORT, _page(plan, made, records, first, found, folder).encode())
     return folder / REPORT
 
 
-def figures(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event] = ()) -> dict[str, Any]:
-    """Compute the report's figures.
-
-    Args:
-        plan: The plan.
-        records: The results that there are.
-        events: What else happened.
-
-    Returns:
-        By name, for JSON.
-    """
+def _figures(
+    plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], first: Sequence[Record], found: Sequence[Sweep]
+) -> dict[str, Any]:
+    """The report's figures, for JSON."""
     arms = {}
-    first = of_arm(records, plan.arms[0])
     for arm in plan.arms:
         mine = of_arm(records, arm)
         if not mine:
@@ -104,13 +99,15 @@ def figures(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event] 
         "of": sum(1 for _ in plan.jobs()),
         "distinct_tools": len(tools),
         "arms": arms,
-        "sweeps": [asdict(sweep) | {"too_much": sweep.told} for sweep in sweeps(plan, first)],
+        "sweeps": [asdict(sweep) | {"too_much": sweep.told} for sweep in found],
         **({"attended": agreement(plan, records, events)} if plan.led else {}),
     }
 
 
-def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], folder: Path) -> str:
-    made = figures(plan, records, events)
+def _page(
+    plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], first: Sequence[Record], found: Sequence[Sweep],
+    folder: Path,
+) -> str:  # fmt: skip
     page = Page(plan.name, f"plan {plan.hash[:12]} · {made['finished']} of {made['of']} trials finished")
     page.section("Result")
     pair = "repetition" if plan.led else "seed"
@@ -145,11 +142,10 @@ def _page(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], f
                 _listed(page, head, [_failure(r, folder) for r in mine], 5)
     else:
         page.paragraph("None.")
-    first = of_arm(records, plan.arms[0])
     if plan.led:
         attended_section(page, made["attended"])
     elif plan.sweep:
-        _swept(page, plan, sweeps(plan, first))
+        _swept(page, plan, found)
     else:
         _drawn(page, plan, first)
     page.section("Every trial")

@@ -22,7 +22,8 @@ from toolee_robot.trials.results import Happened, Record, Results
 from toolee_robot.trials.tasks import Job, Task, check_paper_weights, run_task, task_of
 
 MOST_CRASHES = 3
-"""Number of jobs one after the other that crash, none ending between them, after which no other is begun."""
+"""Least number of jobs one after the other that crash, none ending between them, after which a plan is given up; where
+more run side by side, as many as do: jobs that crash at their start overtake those that will not."""
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -70,7 +71,7 @@ def run_trials(
             (`user.attended`); or as of `check_paper_weights`.
         AssetError: As of `check_paper_weights`.
         TooleeError: Jobs did not come to an end of their own; code `trials.crashed`. The others are done before it is
-            raised, unless `MOST_CRASHES` crash one after the other.
+            raised, unless so many crash one after the other (`MOST_CRASHES`) that the plan is given up.
     """
     if plan.led:
         raise UserError("a person is led through this plan's trials: `lead_trials`", code="user.attended")
@@ -82,7 +83,7 @@ def run_trials(
         run = partial(_run, job or partial(run_job, Path.cwd()))
         crashed: list[_Crash] = []
         with closing((workers or on_threads)(run, todo, jobs)) as finished:
-            in_a_row = 0
+            in_a_row, most = 0, max(MOST_CRASHES, jobs or cores())
             for ended in finished:
                 if isinstance(ended, Record):
                     in_a_row = 0
@@ -93,7 +94,7 @@ def run_trials(
                 crashed.append(ended)
                 results.note(Happened.NOT_BEGUN, ended.trial, reason=ended.reason)
                 tell(f"{_name(ended.trial)}: crashed: {ended.reason}")
-                if in_a_row == MOST_CRASHES:
+                if in_a_row == most:
                     break
         if crashed:
             left = len(plan.order()) - len(results.done)
@@ -139,7 +140,7 @@ def on_threads(call: Callable[[T], R], items: Sequence[T], count: int | None) ->
     Yields:
         The results, in the order in which they are finished; those that are, before an error of another call.
     """
-    left, most = iter(items), count or len(os.sched_getaffinity(0))
+    left, most = iter(items), count or cores()
     with ThreadPoolExecutor(most) as pool:
         waiting: set[Future[R]] = set()
         try:
@@ -156,6 +157,11 @@ def on_threads(call: Callable[[T], R], items: Sequence[T], count: int | None) ->
         finally:
             for future in waiting:
                 future.cancel()
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 def told(record: Record) -> str:

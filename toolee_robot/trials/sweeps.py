@@ -92,8 +92,10 @@ class Sweep:
             return f"anywhere from {factor * least:.2g} on: {self.seeds} seeds do not tell"
         if limit.size >= end:
             return f"not up to {factor * end:.3g}"
-        at = f"{factor * limit.size:.2g}" if limit.size > least else f"{factor * least:.2g} or less"
-        low = f"{factor * limit.low:.2g}" if limit.low > least else f"{factor * least:.2g} or less"
+        at, low = (
+            f"{factor * size:.2g}" if size > least else f"{factor * least:.2g} or less"
+            for size in (limit.size, limit.low)
+        )
         return f"{at} ({low} to {factor * limit.high:.2g}{' or more' if limit.high >= end else ''})"
 
 
@@ -117,7 +119,7 @@ def sweeps(plan: TrialPlan, records: Sequence[Record]) -> list[Sweep]:
     found = []
     for error in plan.sweep:
         size = given.get(error, getattr(NOMINAL, error))
-        sized = [(record.trial.size or 0.0, record) for record in records if record.trial.error == error]
+        sized = [(r.trial.size, r) for r in records if r.trial.error == error and r.trial.size is not None]
         if sized or usual:
             found.append(_sweep(error, sized + [(size, record) for record in usual]))
     return found

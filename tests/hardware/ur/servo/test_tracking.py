@@ -47,12 +47,11 @@ def follower(times: Array, commands: Array, delay: float, constant: float) -> Ar
 @example(rate=125.0, share=1.0, part=0.0)
 @example(rate=500.0, share=1.0, part=0.0)
 def test_a_servo_within_its_assumed_lag_drives_a_transfer_at_full_speed(rate: float, share: float, part: float) -> None:
-    """`part` of what is not the controller's own cycles delays the path, the rest smooths it."""
     servo = ServoConfig()
-    lag, cycles = servo_lag(servo, rate), 3.0 / rate
+    lag = servo_lag(servo, rate)
     times, commands = driven(rate, FULL_TRANSFER)
-    delay, constant = cycles + part * (lag - cycles), (1.0 - part) * (lag - cycles)
-    assert worst(times, commands, follower(times, commands, share * delay, share * constant), lag) < BOUND
+    measured = follower(times, commands, part * share * lag, (1.0 - part) * share * lag)
+    assert worst(times, commands, measured, lag) < BOUND
 
 
 @pytest.mark.parametrize(("rate", "lag"), [(500.0, 0.034), (125.0, 0.054)])

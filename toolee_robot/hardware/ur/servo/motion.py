@@ -14,7 +14,7 @@ from toolee_robot.hardware.ur.servo.messages import Cause, MotionRequest
 from toolee_robot.hardware.ur.servo.rtde_link import UrLink
 from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
 from toolee_robot.hardware.ur.servo.state_stream import Reading
-from toolee_robot.hardware.ur.servo.tracking import tracking_error
+from toolee_robot.hardware.ur.servo.tracking import TAIL, tracking_error
 from toolee_robot.hardware.ur.status import FULL_SPEED
 from toolee_robot.motion.contact_force import ContactForce
 from toolee_robot.motion.path_stop import stop_on_path
@@ -63,7 +63,7 @@ class Motion:
         self._time, self._row, self._streak, self._brakes, self._still = 0.0, 0, 0, False, 0
         self._commands = self._reference()
         self._lag_cycles = request.lag / self._period
-        self._window = int(self._lag_cycles + request.watch.data_cycles) + 8
+        self._window = int(TAIL * self._lag_cycles + request.watch.data_cycles) + 8
         self._readings: list[Reading] = []
         self._contact = None if request.guard is None else ContactForce(request.guard, self._period)
 
