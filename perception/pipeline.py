@@ -22,9 +22,9 @@ from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
 from toolee_robot.perception.detection.hand_crop import hand_crop
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.detection.zoom_pass import Crop
-from toolee_robot.perception.pose import CloudEstimator, PoseEstimator, fuse_in_hand
+from toolee_robot.perception.pose import UNKNOWN_CAMERA, CloudEstimator, PoseEstimator, fuse_in_hand
 from toolee_robot.perception.trust import Trust
-from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraError, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 
 class EeDetector(Protocol):
@@ -213,6 +213,7 @@ class ToolPerception:
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
+        camera: CameraError | None = None,
         X_hand_ee_expected: Array | None = None,
     ) -> InHandEstimate:
         """Fuse estimates from several frames into one end effector's pose in the hand.
@@ -224,11 +225,13 @@ class ToolPerception:
             estimates_per_frame: The estimates of each frame, as `estimate` returns them.
             Xs_camera_hand: Pose of the hand in the camera frame, 4x4, at the exposure of each frame.
             category: The end effector wanted; None: the category with the largest summed confidence over all frames.
+            camera: What an earlier result says of the error of the camera's calibration (its `camera`); None for a
+                camera with which nothing was seen yet.
             X_hand_ee_expected: Rough guess of the result, 4x4, which tells two alike ends of a tool apart: poses more
                 than 90 deg (modulo the symmetry) or 25 cm from it are discarded.
 
         Returns:
-            The fused pose in the hand frame with its covariance; see `fuse_in_hand`.
+            The fused pose in the hand frame with its covariance, and the camera's error; see `fuse_in_hand`.
 
         Raises:
             PerceptionError: No frame has a pose of the end effector.
@@ -258,7 +261,7 @@ class ToolPerception:
             )
         chosen = _same_end(candidates)
         hands = [Xs_camera_hand[c.frame] for c in chosen]
-        fused = fuse_in_hand([c.estimate for c in chosen], hands)
+        fused = fuse_in_hand([c.estimate for c in chosen], hands, camera=camera or UNKNOWN_CAMERA)
         return replace(fused, frames_seen=len(estimates_per_frame))
 
 

@@ -179,6 +179,21 @@ def cross(a: Array | Sequence[float], b: Array | Sequence[float]) -> Array:
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
+def skew(v: Array) -> Array:
+    """Matrices of the cross product with vectors.
+
+    Args:
+        v: Vectors, (..., 3).
+
+    Returns:
+        S with S @ b = v x b, (..., 3, 3).
+    """
+    S = np.zeros((*v.shape, 3))
+    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    S[..., 1, 0], S[..., 2, 0], S[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return S
+
+
 def frame_from_axes(*, z: Array, x: Array, p: Any = None) -> Array:
     """Build a pose from the directions of its z and x axes.
 

@@ -9,6 +9,6 @@ here, so that training runs on a bare GPU machine.
 
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.estimator import PoseEstimator
-from toolee_robot.perception.pose.fusion import fuse_in_hand
+from toolee_robot.perception.pose.fusion import UNKNOWN_CAMERA, fuse_in_hand
 
-__all__ = ["CloudEstimator", "PoseEstimator", "PoseResult", "fuse_in_hand"]
+__all__ = ["UNKNOWN_CAMERA", "CloudEstimator", "PoseEstimator", "PoseResult", "fuse_in_hand"]

@@ -10,7 +10,7 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
-from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraError, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 _SIGMA = 1e-4
 """[m, rad] Standard deviation of the reported covariances, which must be positive."""
@@ -59,6 +59,7 @@ class PerfectPerception:
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
+        camera: CameraError | None = None,  # noqa: ARG002
     ) -> InHandEstimate:
         """The true in-hand pose at the last frame.
 
@@ -66,6 +67,7 @@ class PerfectPerception:
             estimates_per_frame: Estimates of each frame.
             Xs_camera_hand: Pose of the hand in the camera, 4x4, for each frame.
             category: Category of the end effector; the hammer's face, or None.
+            camera: As of `ToolPerception`; a true pose does not depend on it.
 
         Returns:
             The in-hand pose.

@@ -197,7 +197,7 @@ def test_an_expected_pose_rules_out_the_opposite_end(perception: ToolPerception)
     back = estimate(head, 0.1)
     flipped = replace(back, X_camera_ee=transform(np.diag([1.0, -1.0, -1.0]), [0.1, 0.0, 0.7]))
     expected = transform(None, [0.1, 0.0, 0.7])
-    fused = perception.fuse([[flipped, back], [flipped]], [np.eye(4)] * 2, head, expected)
+    fused = perception.fuse([[flipped, back], [flipped]], [np.eye(4)] * 2, head, X_hand_ee_expected=expected)
     assert (fused.frames_used, fused.frames_seen) == (1, 2)
     np.testing.assert_allclose(fused.X_hand_ee[:3, 2], [0, 0, 1], atol=1e-6)
 

@@ -12,7 +12,15 @@ from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
-from toolee_robot.types import CameraIntrinsics, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import (
+    CameraError,
+    CameraIntrinsics,
+    Detection,
+    HoldingHand,
+    InHandEstimate,
+    RgbdFrame,
+    ToolEstimate,
+)
 
 NOMINAL = transform(Rotation.from_rotvec([0.1, 0.2, 0.3]), [0.24, 0.0, 0.03])
 SEEN = transform(Rotation.from_rotvec([0.3, 0.1, 0.2]), [0.25, 0.01, 0.02])
@@ -31,6 +39,7 @@ class Sees:
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],  # noqa: ARG002
         Xs_camera_hand: Sequence[Array],  # noqa: ARG002
         category: Category | None = None,  # noqa: ARG002
+        camera: CameraError | None = None,  # noqa: ARG002
     ) -> InHandEstimate:
         return InHandEstimate(Category.HAMMER_HEAD, SEEN, np.eye(6) * 1e-6, 0.9, 6, 6, True, "ok")
 

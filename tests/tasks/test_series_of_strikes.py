@@ -20,7 +20,7 @@ from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.nail import SLIDE
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.nail_gauge import NailGauge
-from toolee_robot.types import InHandEstimate, ToolEstimate
+from toolee_robot.types import CameraError, InHandEstimate, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=30)
 
@@ -166,8 +166,9 @@ class FarSighted(PerfectPerception):
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
+        camera: CameraError | None = None,
     ) -> InHandEstimate:
-        seen = super().fuse(estimates_per_frame, Xs_camera_hand, category)
+        seen = super().fuse(estimates_per_frame, Xs_camera_hand, category, camera)
         return replace(seen, X_hand_ee=seen.X_hand_ee @ transform(p=[0.0, 0.0, 0.006]))
 
 

@@ -75,7 +75,9 @@ class RecordingObserver(TaskObserver):
             self._recorder.record_pose(stamp, "hand", str(estimate.category), estimate.X_hand_ee)
         verdict = "believed" if estimate.usable else f"not believed, {estimate.reason}"
         reason = f"{estimate.frames_used} of {estimate.frames_seen} frames agree: {verdict}"
-        self._recorder.record_decision(stamp, "pose_in_hand", reason, {"usable": estimate.usable})
+        data: dict[str, Any] = {"usable": estimate.usable}
+        data |= {"camera_error": None if estimate.camera is None else estimate.camera.mean.tolist()}
+        self._recorder.record_decision(stamp, "pose_in_hand", reason, data)
 
     def planned(self, stamp: float, plan: StrikePlan) -> None:
         data: dict[str, Any] = {"speed": plan.speed, "spin": plan.theta, "clearance": plan.clearance.distance}

@@ -5,6 +5,7 @@ from toolee_robot.types.efforts import HandEfforts
 from toolee_robot.types.mount import MOUNT, ToolMount
 from toolee_robot.types.mounting import HandMounting
 from toolee_robot.types.perception import (
+    CameraError,
     CameraIntrinsics,
     Detection,
     HeldRegion,
@@ -18,6 +19,7 @@ from toolee_robot.types.perception import (
 __all__ = [
     "MOUNT",
     "ArmModel",
+    "CameraError",
     "CameraIntrinsics",
     "Detection",
     "DhCalibration",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, skew
 
 
 @dataclass(frozen=True)
@@ -188,6 +188,35 @@ class ToolEstimate:
         return self.detection.category
 
 
+@dataclass(frozen=True, eq=False)
+class CameraError:
+    """What is known of the error of a camera's calibration, with the arm's own where the tool was seen.
+
+    With the translation d and the rotation vector w of `mean` a point that the calibration has at p truly is at
+    p + d + w x p, in the camera's frame.
+
+    Attributes:
+        mean: Translation [m] and rotation vector [rad], camera's axes, (6,).
+        covariance: Its covariance, (6, 6).
+    """
+
+    mean: Array
+    covariance: Array
+
+    def at(self, p_camera: Array) -> tuple[float, float]:
+        """How far a point is off.
+
+        Args:
+            p_camera: The point in the camera's frame, (3,) [m].
+
+        Returns:
+            Distance [m], and the standard deviation of its least certain direction [m].
+        """
+        J = np.hstack([np.eye(3), -skew(p_camera)])
+        sigma = np.sqrt(np.linalg.eigvalsh(J @ self.covariance @ J.T)[-1])
+        return float(np.linalg.norm(J @ self.mean)), float(sigma)
+
+
 @dataclass(frozen=True)
 class InHandEstimate:
     """Pose of the EE in the hand, fused over several frames.
@@ -201,6 +230,7 @@ class InHandEstimate:
         frames_seen: Number of frames that were given.
         usable: Whether the estimate may be acted on.
         reason: Why it is not usable, or "ok".
+        camera: What the frames tell of the camera's error; None where it was not estimated.
     """
 
     category: Category
@@ -211,6 +241,7 @@ class InHandEstimate:
     frames_seen: int
     usable: bool
     reason: str
+    camera: CameraError | None = None
 
     @property
     def sigma_position(self) -> float:

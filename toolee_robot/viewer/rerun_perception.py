@@ -112,12 +112,12 @@ def look_again(history: RunHistory, config: StationConfig, perception: ToolPerce
     perception = perception or ToolPerception.load()
     robot = RobotModel.of_station(config)
     nominal = np.array(json.loads(history.metadata["X_hand_ee"]))
-    looks, begin = [], 0
+    looks, begin, camera = [], 0, None
     ends = history.in_hand.stamps or ([history.end] if len(history.images) else [])
     for stamp in ends:
         end = history.images.index(stamp) + 1
         fused = _Fused()
-        look = Look(config, robot, perception, fused, nominal)
+        look = Look(config, robot, perception, fused, nominal, camera)
         reason = ""
         try:
             for i in range(begin, end):
@@ -127,6 +127,7 @@ def look_again(history: RunHistory, config: StationConfig, perception: ToolPerce
             look.fuse(stamp)
         except (PerceptionError, DeviceError) as error:
             reason = str(error)
+        camera = fused.estimate.camera if fused.estimate is not None and not reason else camera
         recorded = history.in_hand.at(stamp) if len(history.in_hand) else None
         looks.append(LookAgain(stamp, end - begin, recorded, fused.estimate, reason))
         begin = end

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
-from toolee_robot.frames import Array, angle_between, transform
+from toolee_robot.frames import Array, angle_between, skew, transform
 from toolee_robot.perception.pose.fusion import FLOOR_ANGLE, FLOOR_POSITION, fuse_in_hand
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE
 from toolee_robot.types import InHandEstimate
@@ -146,3 +146,88 @@ def test_contradicting_or_unusable_frames_are_refused() -> None:
     assert "0 of 4" in result.reason
     with raises(PerceptionError, code="perception.no_frames"):
         fuse_in_hand([], [])
+
+
+def calibrated(Xs_camera_hand: list[Array], error: Array) -> list[Array]:
+    """The same poses by a calibration with an error: translation [m] and rotation vector [rad], camera's axes, (6,)."""
+    off = transform(Rotation.from_rotvec(error[3:]), error[:3])
+    return [np.linalg.inv(off) @ X for X in Xs_camera_hand]
+
+
+def turned(rng: np.random.Generator, n: int, spread: float) -> list[Array]:
+    """Poses of the hand before the camera whose orientations differ by about `spread` [rad]."""
+    middle = Rotation.random(rng=rng)
+    turns = [Rotation.from_rotvec(rng.normal(0.0, spread / np.sqrt(3), 3)) for _ in range(n)]
+    return [transform(turn * middle, rng.normal([0.0, 0.0, 0.6], 0.05)) for turn in turns]
+
+
+def seen_by(
+    rng: np.random.Generator, hands: list[Array], sigma_p: float = 0.001, sigma_r: float = np.deg2rad(1.0)
+) -> list[Frame]:
+    """What a network sees of the tool in these poses."""
+    frames = []
+    for X_camera_hand in hands:
+        X = X_camera_hand @ X_TRUE
+        X = transform(Rotation.from_rotvec(rng.normal(0, sigma_r, 3)) * Rotation.from_matrix(X[:3, :3]), X[:3, 3])
+        X[:3, 3] += rng.normal(0, sigma_p, 3)
+        C = np.diag([sigma_p**2] * 3 + [sigma_r**2] * 3)
+        frames.append(Frame(Category.HAMMER_HEAD, X, C))
+    return frames
+
+
+def test_views_tell_the_cameras_error_from_the_tools_pose() -> None:
+    """Six views whose orientations differ by 35 deg: a camera 12 mm and 1 deg off displaces a tool that is looked at
+    from one by over 12 mm."""
+    rng = np.random.default_rng(6)
+    one, six, squared, found = [], [], [], []
+    for _ in range(40):
+        error = np.concatenate([rng.normal(0, 0.007, 3), rng.normal(0, np.deg2rad(0.6), 3)])
+        hands = turned(rng, 6, np.deg2rad(35.0))
+        frames = seen_by(rng, hands)
+        result = fuse_in_hand(frames, calibrated(hands, error))
+        assert result.usable
+        assert result.frames_used == 6
+        single = fuse_in_hand(frames[:1], calibrated(hands[:1], error))
+        one.append(np.linalg.norm(single.X_hand_ee[:3, 3] - X_TRUE[:3, 3]))
+        off = result.X_hand_ee[:3, 3] - X_TRUE[:3, 3]
+        six.append(np.linalg.norm(off))
+        squared.append(off @ np.linalg.solve(result.covariance[:3, :3], off) / 3)
+        assert result.camera is not None
+        p = (hands[0] @ X_TRUE)[:3, 3]
+        J = np.hstack([np.eye(3), -skew(p)])
+        found.append(np.linalg.norm(J @ (result.camera.mean - error)))
+        assert result.camera.at(p)[0] == pytest.approx(np.linalg.norm(J @ result.camera.mean))
+    assert np.median(one) > 0.010
+    assert np.median(six) < 0.002
+    assert np.median(found) < 0.002
+    assert np.mean(squared) < 1.2
+
+
+def test_views_alike_leave_the_cameras_error_in_the_covariance() -> None:
+    """What turns with neither hand nor camera cannot be told apart: the pose is what the camera says, and uncertain."""
+    rng = np.random.default_rng(7)
+    hands = [turned(rng, 1, 0.0)[0]] * 6
+    frames = seen_by(rng, hands)
+    result = fuse_in_hand(frames, calibrated(hands, np.array([0.008, 0.0, 0.0, 0.0, 0.0, 0.0])))
+    off = result.X_hand_ee[:3, 3] - X_TRUE[:3, 3]
+    assert 0.007 < np.linalg.norm(off) < 0.009
+    assert result.sigma_position > 0.008
+
+
+def test_a_later_look_knows_the_camera() -> None:
+    """Two views say more once six have told the camera's error."""
+    rng = np.random.default_rng(8)
+    knowing, anew = [], []
+    for _ in range(40):
+        error = np.concatenate([rng.normal(0, 0.007, 3), rng.normal(0, np.deg2rad(0.6), 3)])
+        hands = turned(rng, 6, np.deg2rad(35.0))
+        first = fuse_in_hand(seen_by(rng, hands), calibrated(hands, error))
+        hands = turned(rng, 2, np.deg2rad(20.0))
+        frames, told = seen_by(rng, hands), calibrated(hands, error)
+        assert first.camera is not None
+        later = fuse_in_hand(frames, told, camera=first.camera)
+        knowing.append(np.linalg.norm(later.X_hand_ee[:3, 3] - X_TRUE[:3, 3]))
+        anew.append(np.linalg.norm(fuse_in_hand(frames, told).X_hand_ee[:3, 3] - X_TRUE[:3, 3]))
+        assert later.sigma_position < 0.008
+    assert np.median(knowing) < 0.003
+    assert np.median(knowing) < 0.6 * np.median(anew)

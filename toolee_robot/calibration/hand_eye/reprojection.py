@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.observation import Observation
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array, skew, transform
 from toolee_robot.types import CameraIntrinsics
 
 CAMERA, BOARD, SCALE = slice(0, 6), slice(6, 12), 12
@@ -122,25 +122,17 @@ class Views:
         by_parameters = np.concatenate(
             [
                 -D,
-                D @ _skew(about_camera),
+                D @ skew(about_camera),
                 D_flange,
-                -D_flange @ _skew(estimate.scale * turned),
+                -D_flange @ skew(estimate.scale * turned),
                 D_flange @ turned[..., None],
             ],
             axis=3,
         )
-        by_flange = np.concatenate([D, -D @ _skew(about_flange)], axis=3)
+        by_flange = np.concatenate([D, -D @ skew(about_flange)], axis=3)
         keep = self._valid[..., None]
         return Projection(
             (residuals * keep).reshape(n, 2 * m),
             (by_parameters * keep[..., None]).reshape(n, 2 * m, 13),
             (by_flange * keep[..., None]).reshape(n, 2 * m, 6),
         )
-
-
-def _skew(v: Array) -> Array:
-    """Cross-product matrices of vectors, (..., 3) -> (..., 3, 3)."""
-    S = np.zeros((*v.shape, 3))
-    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    S[..., 1, 0], S[..., 2, 0], S[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return S

@@ -265,6 +265,7 @@ class HammerJob:
                     "confidence": estimate.confidence,
                     "frames_used": estimate.frames_used,
                     "frames_seen": estimate.frames_seen,
+                    "camera_error": None if estimate.camera is None else estimate.camera.mean.tolist(),
                 }
                 for stamp, estimate in result.estimates
             ],

@@ -9,7 +9,7 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
-from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 Change = Callable[[InHandEstimate], InHandEstimate]
 
@@ -44,11 +44,12 @@ class ScriptedPerception(PerfectPerception):
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
+        camera: CameraError | None = None,
     ) -> InHandEstimate:
         """See `PerfectPerception`."""
         self.hands.append(Xs_camera_hand[-1])
         change = self.changes.pop(0) if len(self.changes) > 1 else self.changes[0]
-        return change(super().fuse(estimates_per_frame, Xs_camera_hand, category))
+        return change(super().fuse(estimates_per_frame, Xs_camera_hand, category, camera))
 
 
 def right(estimate: InHandEstimate) -> InHandEstimate:

@@ -15,7 +15,7 @@ from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.held_region import held_region
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 LEAST_DISPLACEMENT = 0.10
 """Distance from its nominal position in the hand that is plausible for any face [m]."""
@@ -25,6 +25,8 @@ TURN = 0.30
 """Tilt of a handle in the hand [rad]."""
 MAX_MISALIGNMENT = np.deg2rad(60.0)
 """Largest plausible angle of the face's normal from its nominal direction in the hand [rad]."""
+CAMERA_OFF = 0.004
+"""Displacement of the tool by the camera's error beyond which a calibration is to be repeated [m]."""
 MIN_DEPTH = 0.3
 """Least share of a frame's pixels with a known depth; with less, the camera is blinded or covered."""
 
@@ -68,6 +70,7 @@ class Perceiver(Protocol):
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
+        camera: CameraError | None = None,
     ) -> InHandEstimate:
         """Fuse the estimates of several frames.
 
@@ -75,6 +78,7 @@ class Perceiver(Protocol):
             estimates_per_frame: Estimates of each frame.
             Xs_camera_hand: Pose of the hand in the camera frame at each frame, (4, 4).
             category: Category to fuse; None for the one seen most.
+            camera: What an earlier result says of the error of the camera's calibration; None: nothing is known.
 
         Returns:
             The pose of the end effector in the hand.
@@ -93,6 +97,7 @@ class Look:
         perceiver: Estimates poses from frames.
         observer: Receives frames and estimates.
         X_hand_ee_nominal: Pose of the end effector in the hand in a nominal grasp, (4, 4).
+        camera: What an earlier look says of the error of the camera's calibration; None for the first.
     """
 
     def __init__(
@@ -102,7 +107,9 @@ class Look:
         perceiver: Perceiver,
         observer: TaskObserver,
         X_hand_ee_nominal: Array,
+        camera: CameraError | None = None,
     ) -> None:
+        self._camera = camera
         self._X_camera_base = inverse(config.camera.X_base_camera)
         self._robot = robot
         self._R_hand_tool = robot.description.hand.grasp.R_hand_tool
@@ -171,12 +178,13 @@ class Look:
         Raises:
             PerceptionError: The face was not seen, its pose is too uncertain, or it is implausible for a held hammer.
         """
-        estimate = self._perceiver.fuse(self._seen, self._hands, Category.HAMMER_HEAD)
+        estimate = self._perceiver.fuse(self._seen, self._hands, Category.HAMMER_HEAD, self._camera)
         self._observer.in_hand(stamp, estimate)
         if not estimate.usable:
             raise PerceptionError(
                 f"the hammer head's pose is not to be relied on: {estimate.reason}", code="perception.not_usable"
             )
+        self._tell_of_camera(estimate)
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
         if not (displacement <= self._largest and misalignment <= MAX_MISALIGNMENT):  # NaN included
             raise PerceptionError(
@@ -185,6 +193,15 @@ class Look:
                 code="perception.implausible",
             )
         return estimate
+
+    def _tell_of_camera(self, estimate: InHandEstimate) -> None:
+        if estimate.camera is None or self._camera is not None:
+            return
+        distance, sigma = estimate.camera.at((self._hands[-1] @ estimate.X_hand_ee)[:3, 3])
+        advice = "; calibrate it again" if distance - 2.0 * sigma > CAMERA_OFF else ""
+        self._observer.message(
+            f"by the views the camera is {distance * 1e3:.0f} ± {sigma * 1e3:.0f} mm off at the tool, allowed for{advice}"
+        )
 
     def _plausible(self, estimate: ToolEstimate, X_camera_hand: Array) -> bool:
         """Whether it can be the striking face, not a club hammer's other face or a hammer on the table."""

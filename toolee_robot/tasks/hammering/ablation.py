@@ -12,7 +12,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.tasks.common.look import Perceiver
-from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraError, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 
 class Ablation(StrEnum):
@@ -58,9 +58,10 @@ class Wrapped:
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
+        camera: CameraError | None = None,
     ) -> InHandEstimate:
         """See `Perceiver`."""
-        return self._perceiver.fuse(estimates_per_frame, Xs_camera_hand, category)
+        return self._perceiver.fuse(estimates_per_frame, Xs_camera_hand, category, camera)
 
 
 class PartlyNominal(Wrapped):
@@ -81,9 +82,10 @@ class PartlyNominal(Wrapped):
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
+        camera: CameraError | None = None,
     ) -> InHandEstimate:
         """See `Perceiver`; a part of the pose is nominal."""
-        fused = super().fuse(estimates_per_frame, Xs_camera_hand, category)
+        fused = super().fuse(estimates_per_frame, Xs_camera_hand, category, camera)
         place, turn = (fused.X_hand_ee, self._nominal) if self._position else (self._nominal, fused.X_hand_ee)
         return replace(fused, X_hand_ee=transform(turn[:3, :3], place[:3, 3]))
 

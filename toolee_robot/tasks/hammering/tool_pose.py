@@ -105,7 +105,8 @@ class ToolPose:
             JobEnded: The tool has slipped too far since the last look.
             TooleeError: A motion or a device failed.
         """
-        look = Look(self._config, self._robot, self._perceiver, self._observer, self._X_hand_ee)
+        known = self.estimates[-1][1].camera if self._related else None
+        look = Look(self._config, self._robot, self._perceiver, self._observer, self._X_hand_ee, known)
         for attempt in (1, 2):
             with self._stages(Stage.VIEW):
                 q_hand = self._motions.q_hand
