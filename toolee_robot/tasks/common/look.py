@@ -199,9 +199,8 @@ class Look:
             return
         distance, sigma = estimate.camera.at((self._hands[-1] @ estimate.X_hand_ee)[:3, 3])
         advice = "; calibrate it again" if distance - 2.0 * sigma > CAMERA_OFF else ""
-        self._observer.message(
-            f"by the views the camera is {distance * 1e3:.0f} ± {sigma * 1e3:.0f} mm off at the tool, allowed for{advice}"
-        )
+        off = f"{distance * 1e3:.0f} ± {sigma * 1e3:.0f} mm"
+        self._observer.message(f"by the views the camera is {off} off at the tool, allowed for{advice}")
 
     def _plausible(self, estimate: ToolEstimate, X_camera_hand: Array) -> bool:
         """Whether it can be the striking face, not a club hammer's other face or a hammer on the table."""
