@@ -120,7 +120,7 @@ def fuse_in_hand(
     # First those that agree if the camera may be off, then those that do with its error taken out.
     doubt = frames.by_camera[:, :3] @ camera.covariance @ np.swapaxes(frames.by_camera[:, :3], -1, -2)
     off = float(np.sqrt(np.linalg.eigvalsh(doubt)[:, -1].max()))
-    agreeing = _consensus(frames.corrected(camera.mean), group, frames.confidence, INLIER_DISTANCE + off)
+    agreeing = _consensus(frames.corrected(camera.mean), group, frames.confidence, INLIER_DISTANCE + 3.0 * off)
     error = _solve(frames.only(agreeing), group, camera).camera.mean
     agreeing = _consensus(frames.corrected(error), group, frames.confidence, INLIER_DISTANCE)
     frames = frames.only(agreeing)
@@ -174,6 +174,14 @@ class _Frames:
 
 @dataclass(frozen=True)
 class _Solution:
+    """What explains the frames best.
+
+    Attributes:
+        X: Pose of the tool in the hand, (4, 4).
+        covariance: Its covariance, hand's axes, (6, 6).
+        camera: The camera's error.
+    """
+
     X: Array
     covariance: Array
     camera: CameraError
@@ -185,13 +193,12 @@ def _solve(frames: _Frames, group: SymmetryGroup, camera: CameraError) -> _Solut
     floor = np.diag([FLOOR_POSITION**2] * 3 + [FLOOR_ANGLE**2] * 3)
     information = np.linalg.inv(frames.covariances + floor)
     J = np.concatenate([np.broadcast_to(np.eye(6), (n, 6, 6)), frames.by_camera], axis=-1)
-    prior = np.zeros((12, 12))
-    prior[6:, 6:] = np.linalg.inv(camera.covariance)
+    known, prior = np.linalg.inv(camera.covariance), np.zeros((12, 12))
     Xs = frames.corrected(camera.mean)
     aligned = align(Xs[:, :3, :3], Xs[best, :3, :3], group)
     R, p, error = aligned[best], np.median(Xs[:, :3, 3], axis=0), camera.mean
     total, squared = np.eye(12), np.zeros(n)
-    for _ in range(8):
+    for _ in range(15):
         Xs = frames.corrected(error)
         aligned = align(Xs[:, :3, :3], R, group)
         residual = np.concatenate([Xs[:, :3, 3] - p, Rotation.from_matrix(aligned @ R.T).as_rotvec()], axis=1)
@@ -199,16 +206,20 @@ def _solve(frames: _Frames, group: SymmetryGroup, camera: CameraError) -> _Solut
         weight = 1 / (1 + squared / 12.0)  # Cauchy, 6 degrees of freedom
         total = np.einsum("f,fia,fij,fjb->ab", weight, J, information, J)
         right = np.einsum("f,fia,fij,fj->a", weight, J, information, residual)
-        right[6:] -= prior[6:, 6:] @ (error - camera.mean)
+        # The same loss, so that a camera that was moved far is found.
+        off = error - camera.mean
+        prior[6:, 6:] = known / (1 + off @ known @ off / 6.0)
+        right[6:] -= prior[6:, 6:] @ off
         step = np.linalg.solve(total + prior, right)
         p, error = p + step[:3], error + step[6:]
         R = Rotation.from_rotvec(step[3:6]).as_matrix() @ R
     # Scatter beyond the covariances inflates the result; less scatter does not shrink it (frames are correlated).
     inflation = max(1.0, float(squared.sum()) / max(6 * (n - 1), 1)) if n > 1 else 1.0
-    shared = inflation * (CORRELATION * n + 1 - CORRELATION)
-    covariance = np.linalg.inv(total / shared + prior)
-    known = CameraError(error, np.asarray(covariance[6:, 6:] + ELSEWHERE))
-    return _Solution(transform(R, p), covariance[:6, :6] + floor, known)
+    covariance = np.linalg.inv(total / inflation + prior)
+    # What the network makes of a tool in every frame moves with the hand: it is in the pose, not in the camera's error.
+    common = CORRELATION * inflation * n * np.linalg.inv(total[:6, :6])
+    found = CameraError(error, np.asarray(covariance[6:, 6:] + ELSEWHERE))
+    return _Solution(transform(R, p), covariance[:6, :6] + common + floor, found)
 
 
 def _by_camera(p_camera: Array, X_camera_hand: Array) -> Array:

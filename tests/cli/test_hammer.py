@@ -292,3 +292,15 @@ def test_a_nail_of_fifty_millimetres_needs_no_pilot_hole(tmp_path: Path, model: 
     plans = [decision.data for _, decision in history.decisions if decision.name == "plan"]
     assert plans
     assert max(plan["brake_length"] for plan in plans) <= deepest
+
+
+@pytest.mark.nightly
+def test_a_camera_that_was_moved_is_noticed_and_allowed_for(tmp_path: Path) -> None:
+    """It is some 20 mm and 3 deg off: a face that is seen from one place is 30 mm beside where it is."""
+    (tmp_path / "moved.yaml").write_text("camera_position: 0.02\ncamera_rotation: 0.05\n")
+    job = _whole_job(tmp_path, "--errors", "moved.yaml")
+    assert job.returncode == 0, job.err
+    assert job.record["errors"]["camera_mm"] > 15.0
+    assert job.record["pose_error_mm"] < 5.0
+    assert job.record["strike_offset_mm"] < 5.0
+    assert "calibrate it again" in " ".join(job.err.split())

@@ -25,7 +25,7 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
-from toolee_robot.types import RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraError, RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=80)
 
@@ -191,6 +191,26 @@ def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, 
     look.take(bench.station)
     with pytest.raises(PerceptionError, match=reason):
         look.fuse(0.0)
+
+
+@pytest.mark.parametrize(
+    ("millimetres", "sigma", "again"), [(3.0, 0.001, False), (9.0, 0.004, False), (9.0, 0.001, True)]
+)
+def test_a_look_tells_how_far_the_camera_is_off(bench: Bench, millimetres: float, sigma: float, again: bool) -> None:
+    found = CameraError(np.array([0.0, 1e-3 * millimetres, 0.0, 0.0, 0.0, 0.0]), np.eye(6) * 1e-12)
+    found.covariance[:3, :3] = np.eye(3) * sigma**2
+    perceiver = ScriptedPerception(bench.sim.judge, lambda e: replace(e, camera=found))
+    said = []
+    for known in (None, found):
+        log = Log()
+        look = Look(CONFIG, RobotModel.load(), perceiver, log, bench.true_grasp.X_hand_ee, known)
+        look.take(bench.station)
+        look.fuse(0.0)
+        said.append([text for text in log.messages if "camera" in text])
+    assert said[1] == [], "once a job"
+    (text,) = said[0]
+    assert f"{millimetres:.0f} ± {1e3 * sigma:.0f} mm off" in text
+    assert ("calibrate it again" in text) is again
 
 
 def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> None:
