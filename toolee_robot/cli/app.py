@@ -33,6 +33,7 @@ from toolee_robot.cli.estimate import Estimate
 from toolee_robot.cli.evaluate import Evaluate
 from toolee_robot.cli.faults import Faults
 from toolee_robot.cli.hammering.command import Hammer
+from toolee_robot.cli.hand.command import Hand
 from toolee_robot.cli.hand_emulator import HandEmulator
 from toolee_robot.cli.replaying.replay import Replay
 from toolee_robot.cli.replaying.runs import Runs
@@ -61,6 +62,7 @@ Command = (
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Faults, tyro.conf.subcommand("faults")]
+    | Annotated[Hand, tyro.conf.subcommand("hand")]
     | Annotated[HandEmulator, tyro.conf.subcommand("hand-emulator")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Runs, tyro.conf.subcommand("runs")]
@@ -87,6 +89,7 @@ AnyCommand = (
     | Doctor
     | Evaluate
     | Faults
+    | Hand
     | HandEmulator
     | Replay
     | Runs

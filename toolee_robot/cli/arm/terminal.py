@@ -11,7 +11,8 @@ from contextlib import contextmanager
 
 from rich.console import Console
 
-from toolee_robot.errors import PersonNearError, UserError
+from toolee_robot.cli.terminal import require_terminal
+from toolee_robot.errors import PersonNearError
 
 
 class TerminalPerson:
@@ -30,12 +31,8 @@ class TerminalPerson:
     """
 
     def __init__(self, console: Console, *, absent: bool = False) -> None:
-        if not absent and not sys.stdin.isatty():
-            raise UserError(
-                "a person confirms each motion at the terminal, and the standard input is none: start it from one "
-                "(with a stand-in, --yes asks nobody)",
-                code="user.no_terminal",
-            )
+        if not absent:
+            require_terminal("a person confirms each motion", "with a stand-in, --yes asks nobody")
         self._console, self._absent, self._enabled = console, absent, False
 
     def confirm(self, question: str) -> None:

@@ -1,0 +1,143 @@
+"""`toolee hand` at emulated hands: what their fingers do, and who has to agree first."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pty
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
+from toolee_robot.config import HandConfig, load_station
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.sim_backend.hand_wire import HandEmulator, happen
+from toolee_robot.stations.hand import emulated_hand, open_hand
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PACE = 4.0
+"""Rate of the emulated motors' time."""
+INSPIRE = EXAMPLES / "inspire.yaml"
+TCP = "tcp://127.0.0.1:0"
+BENT = {"inspire_rh56": "index_knuckle", "ability_hand": "index_knuckle", "shadow_right": "rh_FFJ3"}
+"""A joint of each hand that is bent in the closed one."""
+
+
+@contextmanager
+def _emulated(station: Path, handle: float | None = None, port: str | None = None) -> Iterator[HandEmulator[Any]]:
+    with emulated_hand(_config(station, port), pace=PACE) as emulator:
+        emulator.hold(handle)
+        yield emulator
+
+
+def _config(station: Path, port: str | None) -> HandConfig:
+    return replace(load_station(station).hand, port=port)
+
+
+def _hand(
+    capsys: pytest.CaptureFixture[str], station: Path, emulator: HandEmulator[Any], *words: str
+) -> tuple[int, dict[str, Any]]:
+    code = run(["hand", *words, "--station", str(station), "--port", emulator.port, "--json"])
+    out = capsys.readouterr()
+    return code, json.loads(out.out.splitlines()[-1]) if out.out else {"said": out.err}
+
+
+@pytest.fixture
+def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """The other end of a terminal that is the standard input."""
+    master, slave = pty.openpty()
+    with os.fdopen(slave) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        yield master
+    os.close(master)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("name", "port", "handle"),
+    [("inspire", None, 400.0), ("inspire", TCP, 400.0), ("ability", None, 55.0), ("shadow", None, 55.0)],
+    ids=["inspire-rs485", "inspire-modbus", "ability", "shadow"],
+)
+def test_every_hand_closes_on_a_handle_and_opens_again(
+    name: str, port: str | None, handle: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    station = EXAMPLES / f"{name}.yaml"
+    joint = BENT[_config(station, None).model]
+    with _emulated(station, handle, port) as emulator:
+        code, closed = _hand(capsys, station, emulator, "close", "--yes")
+        assert code == 0, closed
+        assert closed["holding"]
+        assert max(closed["contact_forces"].values()) > 0
+        code, opened = _hand(capsys, station, emulator, "open", "--yes")
+        assert code == 0, opened
+        assert not opened["holding"]
+        assert opened["joints"][joint] < closed["joints"][joint] - 0.3
+        code, state = _hand(capsys, station, emulator, "state")
+        assert (code, state["holding"], state["fault"]) == (0, False, "")
+
+
+@pytest.mark.realtime
+def test_what_one_command_gripped_the_next_one_finds_in_the_hand(
+    capsys: pytest.CaptureFixture[str], keyboard: int
+) -> None:
+    """As after a job that ended with the hammer in the closed hand."""
+    with _emulated(INSPIRE, 400.0) as emulator:
+        assert _hand(capsys, INSPIRE, emulator, "close", "--yes")[0] == 0
+        code, state = _hand(capsys, INSPIRE, emulator, "state")
+        assert (code, state["holding"]) == (0, True)
+        os.write(keyboard, b"y\n")
+        code, told = _hand(capsys, INSPIRE, emulator, "open")
+        assert code == EXIT_FAILED
+        assert "not confirmed: nothing was moved" in told["said"]
+        assert "The hand holds something." in told["said"]
+        assert _hand(capsys, INSPIRE, emulator, "state")[1]["holding"]
+        os.write(keyboard, b"yes\n")
+        code, opened = _hand(capsys, INSPIRE, emulator, "open")
+        assert (code, opened["holding"]) == (0, False)
+
+
+@pytest.mark.realtime
+def test_a_fault_is_exit_1(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    with _emulated(INSPIRE) as emulator:
+        happen(emulator, "heat index 75")
+        assert run(["hand", "state", "--station", str(INSPIRE), "--port", emulator.port]) == EXIT_FAILED
+        told = capsys.readouterr().out
+        assert "75 °C" in told
+        assert "index" in told[told.index("fault") :]
+
+
+def test_two_programs_do_not_command_a_hand_on_a_serial_port(capsys: pytest.CaptureFixture[str]) -> None:
+    with (
+        _emulated(INSPIRE) as emulator,
+        open_hand(_config(INSPIRE, emulator.port), HostClock()),
+    ):
+        code, told = _hand(capsys, INSPIRE, emulator, "open", "--yes")
+    assert code == EXIT_FAILED
+    assert "no other program uses it" in " ".join(told["said"].split())
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["open", "--station", str(INSPIRE)], "standard input is none"),
+        (["close", "--station", str(INSPIRE)], "standard input is none"),
+        (["open", "--station", str(EXAMPLES / "mount.yaml")], "neither motors nor sensors"),
+        (["state", "--station", str(EXAMPLES / "lab.yaml")], "neither motors nor sensors"),
+        (["state", "--station", "none.yaml"], "none.yaml"),
+        (["state", "--station", str(INSPIRE), "--port", "ws://127.0.0.1:1"], "is not for inspire_rh56"),
+    ],
+)
+def test_what_nobody_attends_or_has_no_fingers_is_exit_2(
+    words: list[str], text: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    assert run(["hand", *words]) == EXIT_USER
+    assert text in " ".join(capsys.readouterr().err.split())

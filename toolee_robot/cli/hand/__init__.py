@@ -1,0 +1,1 @@
+"""Command `toolee hand`: the hand alone, without a job."""
