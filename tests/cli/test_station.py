@@ -100,6 +100,22 @@ def test_an_answer_adds_one_line_to_a_file_and_taking_it_back_removes_it(tmp_pat
     assert yaml.safe_load(path.read_text()) == yaml.safe_load(LAB.read_text())
 
 
+def test_enter_gives_the_answer_that_is_offered(tmp_path: Path) -> None:
+    path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
+    del said["work"]["block_xy"], said["tool_envelope"]["claw_radius"], said["strike"]
+    path.write_text(yaml.safe_dump(said))
+    untouched = _new(path, [])
+    assert untouched.returncode == 0, "a file from before they were asked for is complete"
+    assert "  work: block_xy (until then the default holds)  (ruler" in untouched.stdout
+    told = _new(path, ["", "0.06", ""])
+    assert told.returncode == 0, told.stdout
+    assert "(Enter: 0.4)" in told.stdout
+    assert "by default the simulated station's: arm.acceleration, supervisor.unattended_speed;" in told.stdout
+    after = load_lab_station(path)
+    assert (after.work.block_xy, after.tool_envelope.claw_radius, after.strike.speed) == (None, 0.06, 0.4)
+    assert "until then the default holds" not in told.stdout
+
+
 def test_a_layout_that_is_not_edited_loses_no_answer(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
     path.write_text("frame: base_link\narm: &arm {model: UR10}\nother: *arm\n")

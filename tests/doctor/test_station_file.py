@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from toolee_robot.config import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig, StationConfig
+from toolee_robot.config import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig, StationConfig, load_station
 from toolee_robot.doctor.configuration import check_calibration, check_limits
 from toolee_robot.doctor.reach import check_reach
 from toolee_robot.doctor.weights import check_weights
@@ -55,6 +55,15 @@ def test_limits_that_do_not_fit(
     assert found[name].level is level
     assert expected_text in found[name].message
     assert found[name].remedy
+
+
+def test_a_hand_without_a_wrist_needs_strikes_that_turn_back() -> None:
+    """Its arm would go on by some 90 mm behind the contact, and nothing gives way."""
+    config = load_station(Path(__file__).parents[2] / "examples" / "inspire.yaml")
+    assert "strike.deepest" not in {f.name for f in check_limits(config)}
+    found = {f.name: f for f in check_limits(replace(config, strike=replace(config.strike, deepest=None)))}
+    assert found["strike.deepest"].level is Level.FAIL
+    assert "0.01 m" in found["strike.deepest"].remedy
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import load_lab_station
+from toolee_robot.config import ToolEnvelope, load_lab_station
 from toolee_robot.errors import UserError
 from toolee_robot.stations.interview import Question, put, questions
 from toolee_robot.stations.lab import Purpose, check_purpose
@@ -82,6 +82,17 @@ def test_a_list_may_be_copied_from_a_file() -> None:
     question = next(q for q in questions({}) if q.name == "scene.home")
     assert question.form == "6 numbers"
     assert question.parse("[0.0, -1.9, 1.9, -1.57, -1.57, 0.0]") == [0.0, -1.9, 1.9, -1.57, -1.57, 0.0]
+
+
+def test_what_would_stay_the_simulations_unseen_is_offered_and_written_down() -> None:
+    offered = {question.name: question for question in questions({}) if question.offered}
+    assert {"strike.speed", "work.block_xy", "tool_envelope.head_radius"} <= set(offered)
+    envelope = {q.path[-1]: q.parse(q.offered) for q in offered.values() if q.path[0] == "tool_envelope"}
+    assert ToolEnvelope(**envelope) == ToolEnvelope()
+    assert offered["work.block_xy"].parse(offered["work.block_xy"].offered) is None
+    assert offered["work.block_xy"].parse("0.75, 0.10") == [0.75, 0.10]
+    assert offered["work.block_xy"].form == "2 numbers"
+    assert offered["strike.speed"].parse(offered["strike.speed"].offered) == 0.4
 
 
 def test_a_contact_that_is_not_there_is_none() -> None:

@@ -22,11 +22,13 @@ def test_an_empty_file_lacks_everything_once_what_is_typed_first() -> None:
     assert [entry.typed for entry in found] == sorted((entry.typed for entry in found), reverse=True)
     names = [f"{entry.section}.{name}" for entry in found if not entry.note for name in entry.names]
     assert len(set(names)) == len(names)
-    asked = {question.name for question in questions({})}
+    asked = {question.name for question in questions({}) if not question.offered}
     assert {name.removeprefix(".") for name in names} == asked | {"calibration"}
     assert {f"{s}.{n}" for s, fields in MEASURED.items() for n in fields} - set(names) == {"hand.weighed"}, (
         "which is asked of a hand, once its model is known"
     )
+    defaults = {f"{entry.section}.{name}" for entry in found if entry.typed and entry.note for name in entry.names}
+    assert defaults == {question.name for question in questions({}) if question.offered}
     commands = [entry.source.split()[:3] for entry in found if not entry.typed]
     assert [" ".join(words[1:]) for words in commands] == [
         "camera show", "doctor --config", "arm lag", "calibrate camera", "calibrate nail",
@@ -48,6 +50,16 @@ def test_a_field_that_is_taken_out_is_on_one_line(taken: tuple[str, ...]) -> Non
     new = [line for line in told(open_fields(said, FILE), FILE).splitlines() if line not in before]
     assert any(line.lstrip().startswith(taken[0]) and taken[-1] in line for line in new)
     assert all("my lab.yaml'" in line for line in new if "--station" in line), "a command that can be copied"
+
+
+def test_a_hand_without_a_wrist_needs_the_place_where_a_strike_turns_back() -> None:
+    """A default would let the arm go on into a hand that cannot give way."""
+    lab = yaml.safe_load(LAB.read_text())
+    assert not any("deepest" in entry.names for entry in open_fields(lab, FILE)), "a mount yields"
+    lab["hand"] = {"model": "inspire_rh56"}
+    (entry,) = (entry for entry in open_fields(lab, FILE) if "deepest" in entry.names)
+    assert (entry.section, entry.note, entry.typed) == ("strike", "", True), "a job is not without it"
+    assert "strike.deepest" not in {q.name for q in questions({"hand": {"model": "shadow_right"}})}
 
 
 def test_the_commands_are_commands(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ What is asked follows from what was answered. The words are those of the fields'
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
@@ -20,7 +20,9 @@ from toolee_robot.config import (
     PersonConfig,
     SceneConfig,
     StationConfig,
+    StrikeConfig,
     ToolData,
+    ToolEnvelope,
     WorkConfig,
     given_by_nails,
 )
@@ -39,6 +41,11 @@ NONE = "none"
 INTRINSICS = ("fx", "fy", "cx", "cy", "width", "height")
 """Fields of `camera` that its driver tells, where it is connected."""
 _DEVICE = ("driver", "serial", "least_range")
+_FIRST_SPEED = "0.4"
+"""Speed of the first strikes on a robot [m/s], as docs/how-to/bring_up_a_ur.md has it."""
+
+_UNASKED = (("scene", "obstacles"), ("arm", "acceleration"), ("supervisor", "unattended_speed"))
+"""What a lab may have to say and no question asks for: lists of records, and limits that grow step by step."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,8 @@ class Question:
         text: What it is, with its unit.
         choices: The answers that there are; empty where it is not a choice.
         optional: Whether a lab may have none.
+        offered: The answer that Enter gives, of a field without which the simulated station's value would hold unseen;
+            empty where there is none that could do.
     """
 
     path: tuple[str, ...]
@@ -58,6 +67,7 @@ class Question:
     text: str
     choices: tuple[str, ...] = ()
     optional: bool = False
+    offered: str = ""
 
     @property
     def name(self) -> str:
@@ -123,6 +133,18 @@ def questions(data: dict[str, Any]) -> Iterator[Question]:
     for question in _all(data):
         if not _given(data, question.path):
             yield question
+
+
+def unasked(data: dict[str, Any]) -> list[str]:
+    """List what a station file leaves to a default that belongs to no lab, and no question asks for.
+
+    Args:
+        data: What it says.
+
+    Returns:
+        Names of the fields, such as `scene.obstacles`.
+    """
+    return [".".join(path) for path in _UNASKED if not _given(data, path)]
 
 
 def put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
@@ -195,10 +217,23 @@ def _all(data: dict[str, Any]) -> Iterator[Question]:
     yield from _of(SceneConfig, ("scene",), MEASURED["scene"])
     of_nails = given_by_nails((data.get("work") or {}).get("nails"))
     yield from _of(WorkConfig, ("work",), [name for name in MEASURED["work"] if f"work.{name}" not in of_nails])
+    (block,) = _of(WorkConfig, ("work",), ("block_xy",))
+    yield replace(block, optional=True, offered=NONE)
     for question in _of(PersonConfig, ("person",), [field.name for field in fields(PersonConfig)]):
         optional = type(None) in get_args(question.hint)
         yield Question(question.path, question.hint, question.text, optional=optional)
     yield from _of(ToolData, ("tool",), [field.name for field in fields(ToolData)])
+    for question in _of(ToolEnvelope, ("tool_envelope",), [field.name for field in fields(ToolEnvelope)]):
+        yield replace(question, offered=f"{getattr(ToolEnvelope(), question.path[-1]):g}")
+    yield from _of_strikes(data.get("hand") or {})
+
+
+def _of_strikes(hand: dict[str, Any]) -> Iterator[Question]:
+    (speed,) = _of(StrikeConfig, ("strike",), ("speed",))
+    yield replace(speed, text=f"{speed.text} On a robot {_FIRST_SPEED} at first.", offered=_FIRST_SPEED)
+    model = HANDS.get(str(hand.get("model")))
+    if model is not None and model.yielding is None:
+        yield from _of(StrikeConfig, ("strike",), ("deepest",))
 
 
 def _of_hand(hand: dict[str, Any]) -> Iterator[Question]:
@@ -225,6 +260,8 @@ def _of(record: type[Any], path: tuple[str, ...], names: Any) -> Iterator[Questi
 
 def _count(hint: Any) -> int:
     """How many numbers a field holds; 0 for a single value."""
+    if type(None) in get_args(hint):
+        (hint,) = (kind for kind in get_args(hint) if kind is not type(None))
     return len(get_args(hint)) if get_origin(hint) is tuple else 0
 
 

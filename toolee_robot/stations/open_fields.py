@@ -20,8 +20,12 @@ _SOURCES = {
     "work": "ruler, calliper; the wood's kind",
     "person": "how door and switch are wired",
     "tool": "ruler and scales",
+    "tool_envelope": "calliper",
+    "strike": "docs/how-to/bring_up_a_ur.md",
 }
 """Where the numbers of a section come from that a person types in."""
+STANDS_IN = "until then the default holds"
+"""Note of fields that a job does not refuse to be without."""
 
 
 @dataclass(frozen=True)
@@ -58,17 +62,18 @@ def open_fields(data: dict[str, Any], path: Path) -> list[OpenFields]:
     Returns:
         What is open, in the order in which a lab does it: first everything that is typed in, then the commands.
     """
-    by_section: dict[str, list[str]] = {}
+    by_section: dict[tuple[str, str], list[str]] = {}
     intrinsics = []
     for question in questions(data):
         *sections, name = question.path
         if question.path[0] == "camera" and name in INTRINSICS:
             intrinsics.append(name)
         else:
-            by_section.setdefault(".".join(sections), []).append(name)
+            note = STANDS_IN if question.offered else ""
+            by_section.setdefault((".".join(sections), note), []).append(name)
     typed = [
-        OpenFields(section, tuple(names), _source(section or names[0]), typed=True)
-        for section, names in by_section.items()
+        OpenFields(section, tuple(names), _source(section or names[0]), typed=True, note=note)
+        for (section, note), names in by_section.items()
     ]
     return [*typed, *_measured(data, tuple(intrinsics), shlex.quote(str(path)))]
 
@@ -92,7 +97,7 @@ def told(fields: list[OpenFields], path: Path) -> str:
         if not group:
             continue
         if typed:
-            lines += [head, *(f"  {entry.fields}  ({entry.source})" for entry in group)]
+            lines += [head, *(f"  {_marked(entry)}  ({entry.source})" for entry in group)]
         else:
             width = max(len(_marked(entry)) for entry in group)
             lines += [head, *(f"  {_marked(entry):<{width}}  {entry.source}" for entry in group)]

@@ -32,8 +32,8 @@ class New:
 
     Example: toolee station new lab.yaml
 
-    Enter leaves a field open; called again, the open ones are asked. "<" takes the answer before back. Every answer is
-    written at once. Nothing is moved.
+    Enter gives the answer that is offered, or leaves the field open; called again, the open ones are asked. "<" takes
+    the answer before back. Every answer is written at once. Nothing is moved.
 
     Exit code 0: the file is complete but for the calibration; 1: fields are open; they are listed.
     """
@@ -42,7 +42,7 @@ class New:
     """The station file; one that is there is completed."""
 
     def run(self) -> int:
-        from toolee_robot.stations.interview import questions
+        from toolee_robot.stations.interview import questions, unasked
         from toolee_robot.stations.open_fields import open_fields, told
 
         console = Console(highlight=False)
@@ -53,8 +53,8 @@ class New:
             raise UserError(f"{self.file} is no station file: give another name", code="user.not_a_station")
         before = copy.deepcopy(data)
         console.print(
-            'Enter leaves a field open, "<" takes the answer before back. Lengths in metres, angles in radians, masses '
-            "in kilograms; decimals with a point.\n",
+            'Enter gives the answer that is offered, or leaves the field open; "<" takes the answer before back. '
+            "Lengths in metres, angles in radians, masses in kilograms; decimals with a point.\n",
             soft_wrap=True,
         )
         try:
@@ -64,7 +64,7 @@ class New:
         name = f"[bold]{escape(str(self.file))}[/bold]"
         console.print(f"Nothing new for {name}." if data == before else f"Written to {name}.", soft_wrap=True)
         wrong = ""
-        if not (unanswered := any(questions(data))):
+        if not (unanswered := any(not question.offered for question in questions(data))):
             try:
                 to_station(data, self.file)
             except ConfigError as error:
@@ -75,6 +75,11 @@ class New:
             console.print(f"\n[yellow]{escape(wrong)}[/yellow]\nCorrect it in the file.", soft_wrap=True)
         if wrong or unanswered:
             return 1
+        if left := unasked(data):
+            console.print(
+                f"\nNot asked for, and by default the simulated station's: {', '.join(left)}; the file takes yours.",
+                soft_wrap=True,
+            )
         console.print(
             f"\nNext: `toolee station show {self.file}`, then rehearse, which moves nothing: "
             f"`toolee calibrate camera --station {self.file} --rehearse --write`.",
@@ -97,7 +102,7 @@ def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
             asked_camera = True
             if _told_by_the_camera(file, data, console):
                 continue
-        answer = _ask(question, str(data.get("frame", "base")), console)
+        answer = _ask(question, str(data.get("frame", "base")), console) or question.offered
         if answer == BACK:
             if answered:
                 _take_back(file, data, answered.pop(), console)
@@ -135,8 +140,9 @@ def _take_back(file: Path, data: dict[str, Any], answer: tuple[bytes, bytes], co
 def _ask(question: Question, frame: str, console: Console) -> str:
     more = f" [dim]({question.form})[/dim]" if question.form else ""
     none = " [dim](or: none)[/dim]" if question.optional else ""
+    offer = f" [dim](Enter: {question.offered})[/dim]" if question.offered else ""
     text = question.text.replace("in `base`", f"in {frame}")
-    console.print(f"  [cyan]{question.name}[/cyan]  {escape(text)}{more}{none}", soft_wrap=True)
+    console.print(f"  [cyan]{question.name}[/cyan]  {escape(text)}{more}{none}{offer}", soft_wrap=True)
     if not sys.stdin.isatty():  # no echo: show what was read
         line = sys.stdin.readline()
         if not line:
