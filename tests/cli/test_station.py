@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
 import sys
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,12 @@ import pytest
 import yaml
 
 from toolee_robot.cli.app import run
-from toolee_robot.config import load_lab_station
-from toolee_robot.stations.interview import put, questions
+from toolee_robot.config import CameraConfig, CameraDevice, load_lab_station
+from toolee_robot.hal import Clock
+from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
+from toolee_robot.stations import camera
+from toolee_robot.stations.interview import INTRINSICS, put, questions
 from toolee_robot.viewer.station_page import named_frames
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
@@ -114,6 +120,46 @@ def test_enter_gives_the_answer_that_is_offered(tmp_path: Path) -> None:
     after = load_lab_station(path)
     assert (after.work.block_xy, after.tool_envelope.claw_radius, after.strike.speed) == (None, 0.06, 0.4)
     assert "until then the default holds" not in told.stdout
+
+
+@pytest.fixture
+def realsense(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A RealSense as software, with one mode, which the driver finds."""
+    with SoftwareRealSense(pytest.importorskip("pyrealsense2", exc_type=ImportError)) as found:
+
+        def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
+            mode = RealSenseMode(config.width, config.height, device.fps)
+            return RealSenseStream(device.serial, mode, found.devices)
+
+        monkeypatch.setitem(camera._DRIVERS, "realsense", driver)
+        yield
+
+
+@pytest.mark.realtime
+@pytest.mark.usefixtures("realsense")
+def test_a_realsense_tells_its_intrinsics_in_the_mode_that_is_asked_for_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
+    for name in INTRINSICS:
+        del said["camera"][name]
+    assert said["camera"]["device"]["serial"] == SERIAL
+    path.write_text(yaml.safe_dump(said))
+    asked = [question.name for question in questions(said)]
+    assert asked[:2] == ["camera.width", "camera.height"]
+
+    def answer(*lines: str) -> str:
+        monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
+        run(["station", "new", str(path)])
+        return " ".join(capsys.readouterr().out.split())
+
+    told = answer("", "")
+    assert "without camera.width and camera.height" in told
+    told = answer(str(COLOR.width), "242", "<", str(COLOR.height))
+    assert "424x240" in told, "another size is refused with the modes that there are"
+    assert "the camera tells 424x240" in told
+    k = yaml.safe_load(path.read_text())["camera"]
+    assert {name: k[name] for name in INTRINSICS} == pytest.approx({n: getattr(COLOR, n) for n in INTRINSICS}, abs=1e-3)
 
 
 def test_a_layout_that_is_not_edited_loses_no_answer(tmp_path: Path) -> None:

@@ -62,6 +62,13 @@ def test_a_hand_without_a_wrist_needs_the_place_where_a_strike_turns_back() -> N
     assert "strike.deepest" not in {q.name for q in questions({"hand": {"model": "shadow_right"}})}
 
 
+def test_the_command_for_the_intrinsics_names_the_mode() -> None:
+    lab = yaml.safe_load(LAB.read_text())
+    del lab["camera"]["fx"], lab["camera"]["height"]
+    (entry,) = (entry for entry in open_fields(lab, FILE) if "fx" in entry.names)
+    assert entry.source == "toolee camera show --driver realsense --serial 832112070123 --size 640 H"
+
+
 def test_the_commands_are_commands(capsys: pytest.CaptureFixture[str]) -> None:
     for entry in open_fields({}, FILE):
         if not entry.typed:

@@ -18,8 +18,11 @@ from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStre
 from toolee_robot.hardware.cameras.recorded import RecordedStream
 from toolee_robot.stations.devices import installed, load
 
-REALSENSE, RECORDED = "realsense", "recorded"
-"""Names of drivers: of a camera whose SDK has software devices, and of recordings, which see nothing new."""
+REALSENSE, ORBBEC, RECORDED = "realsense", "orbbec", "recorded"
+"""Names of drivers: of a camera whose SDK has software devices, of another one, and of recordings, which see nothing
+new."""
+WITH_MODE = (REALSENSE, ORBBEC)
+"""Drivers that open the camera in the mode that the station file names: camera.width and height, camera.device.fps."""
 CameraDriver = Callable[[CameraConfig, CameraDevice, Clock], CameraStream]
 """What makes a driver's stream: from the station file's `camera`, its `camera.device`, and the station's clock."""
 
@@ -112,4 +115,4 @@ def _recorded(_config: CameraConfig, device: CameraDevice, clock: Clock) -> Came
     return RecordedStream(Path(device.folder), clock)
 
 
-_DRIVERS: dict[str, CameraDriver] = {REALSENSE: _realsense, "orbbec": _orbbec, RECORDED: _recorded}
+_DRIVERS: dict[str, CameraDriver] = {REALSENSE: _realsense, ORBBEC: _orbbec, RECORDED: _recorded}

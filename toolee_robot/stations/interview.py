@@ -32,13 +32,16 @@ from toolee_robot.errors import UserError
 from toolee_robot.frames import BaseFrame
 from toolee_robot.robots import HANDS, MOUNT
 from toolee_robot.robots.hands.model import UNMOUNTED
-from toolee_robot.stations.camera import camera_drivers
+from toolee_robot.stations.camera import WITH_MODE, camera_drivers
 from toolee_robot.stations.hand import hand_drivers
 from toolee_robot.types import ArmModel, HandMounting, HandWeight, ToolMount
 
 NONE = "none"
 """The answer of a lab that has no such thing."""
-INTRINSICS = ("fx", "fy", "cx", "cy", "width", "height")
+SIZE = ("width", "height")
+"""Fields of `camera` that are its mode."""
+_LENS = ("fx", "fy", "cx", "cy")
+INTRINSICS = (*_LENS, *SIZE)
 """Fields of `camera` that its driver tells, where it is connected."""
 _DEVICE = ("driver", "serial", "least_range")
 _FIRST_SPEED = "0.4"
@@ -213,7 +216,7 @@ def _all(data: dict[str, Any]) -> Iterator[Question]:
     device = ("camera", "device")
     yield Question((*device, "driver"), str, field_docs(CameraDevice)["driver"], tuple(camera_drivers()))
     yield from _of(CameraDevice, device, _DEVICE[1:])
-    yield from _of(CameraConfig, ("camera",), MEASURED["camera"])
+    yield from _of_camera((data.get("camera") or {}).get("device") or {})
     yield from _of(SceneConfig, ("scene",), MEASURED["scene"])
     of_nails = given_by_nails((data.get("work") or {}).get("nails"))
     yield from _of(WorkConfig, ("work",), [name for name in MEASURED["work"] if f"work.{name}" not in of_nails])
@@ -234,6 +237,17 @@ def _of_strikes(hand: dict[str, Any]) -> Iterator[Question]:
     model = HANDS.get(str(hand.get("model")))
     if model is not None and model.yielding is None:
         yield from _of(StrikeConfig, ("strike",), ("deepest",))
+
+
+def _of_camera(device: dict[str, Any]) -> Iterator[Question]:
+    names = MEASURED["camera"]
+    if device.get("driver") not in WITH_MODE:
+        yield from _of(CameraConfig, ("camera",), names)
+        return
+    # The mode first: the driver opens the camera in it, and the camera then tells the rest.
+    for question in _of(CameraConfig, ("camera",), sorted(names, key=lambda name: name in _LENS)):
+        mode = " Of a mode that the camera has." if question.path[-1] in SIZE else ""
+        yield replace(question, text=question.text + mode)
 
 
 def _of_hand(hand: dict[str, Any]) -> Iterator[Question]:

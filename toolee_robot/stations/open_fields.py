@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from toolee_robot.stations.camera import WITH_MODE
 from toolee_robot.stations.interview import INTRINSICS, questions
 
 _SOURCES = {
@@ -119,6 +120,8 @@ def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> I
     if intrinsics:
         device = camera.get("device") or {}
         which = f"--driver {device.get('driver', 'NAME')} --serial {device.get('serial', 'NUMBER')}"
+        if device.get("driver") in WITH_MODE:
+            which += f" --size {camera.get('width', 'W')} {camera.get('height', 'H')}"
         yield OpenFields("camera", intrinsics, f"toolee camera show {which}", typed=False)
     if "calibration" not in arm:
         command = f"toolee doctor --config {path} --json  # arm_calibration, docs/how-to/calibrate.md"

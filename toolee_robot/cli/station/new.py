@@ -156,16 +156,22 @@ def _told_by_the_camera(file: Path, data: dict[str, Any], console: Console) -> b
     """Fill in the intrinsics from the camera itself, if it is connected."""
     from toolee_robot.config import CameraConfig, CameraDevice
     from toolee_robot.runtime.clock import HostClock
-    from toolee_robot.stations.camera import open_camera
-    from toolee_robot.stations.interview import INTRINSICS, put
+    from toolee_robot.stations.camera import WITH_MODE, open_camera
+    from toolee_robot.stations.interview import INTRINSICS, SIZE, put
 
-    device = (data.get("camera") or {}).get("device") or {}
-    if device.keys() < {"driver", "serial", "least_range"}:
+    camera = data.get("camera") or {}
+    device, size = camera.get("device") or {}, {name: camera[name] for name in SIZE if name in camera}
+    if not device.keys() >= {"driver", "serial", "least_range"}:
         return False
+    if device["driver"] in WITH_MODE and len(size) < len(SIZE):
+        console.print("  [dim]without camera.width and camera.height the camera is not asked for its intrinsics[/dim]")
+        return False
+    rate = device.get("fps", CameraDevice.fps)
+    opened = CameraDevice(device["driver"], str(device["serial"]), device["least_range"], rate)
     try:
-        config = CameraConfig(device=CameraDevice(device["driver"], str(device["serial"]), device["least_range"]))
-        with open_camera(config, HostClock(), check_intrinsics=False) as camera:
-            k = camera.intrinsics
+        config = CameraConfig(device=opened, **size)
+        with open_camera(config, HostClock(), check_intrinsics=False) as connected:
+            k = connected.intrinsics
     except TooleeError as error:
         console.print(f"  [dim]the camera does not tell its intrinsics: {escape(str(error))}[/dim]", soft_wrap=True)
         return False
