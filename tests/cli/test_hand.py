@@ -22,7 +22,7 @@ from toolee_robot.sim_backend.hand_wire import HandEmulator, happen
 from toolee_robot.stations.hand import emulated_hand, open_hand
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-PACE = 4.0
+PACES = {"inspire_rh56": 4.0, "ability_hand": 4.0, "shadow_right": 1.0}
 """Rate of the emulated motors' time."""
 INSPIRE = EXAMPLES / "inspire.yaml"
 TCP = "tcp://127.0.0.1:0"
@@ -32,9 +32,14 @@ BENT = {"inspire_rh56": "index_knuckle", "ability_hand": "index_knuckle", "shado
 
 @contextmanager
 def _emulated(station: Path, handle: float | None = None, port: str | None = None) -> Iterator[HandEmulator[Any]]:
-    with emulated_hand(_config(station, port), pace=PACE) as emulator:
-        emulator.hold(handle)
-        yield emulator
+    config, interval = _config(station, port), sys.getswitchinterval()
+    sys.setswitchinterval(5e-4)  # driver and emulator are in this process
+    try:
+        with emulated_hand(config, pace=PACES[config.model]) as emulator:
+            emulator.hold(handle)
+            yield emulator
+    finally:
+        sys.setswitchinterval(interval)
 
 
 def _config(station: Path, port: str | None) -> HandConfig:
@@ -114,6 +119,7 @@ def test_a_fault_is_exit_1(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
         assert "index" in told[told.index("fault") :]
 
 
+@pytest.mark.realtime
 def test_two_programs_do_not_command_a_hand_on_a_serial_port(capsys: pytest.CaptureFixture[str]) -> None:
     with (
         _emulated(INSPIRE) as emulator,
