@@ -42,10 +42,8 @@ UNKNOWN_CAMERA = CameraError(np.zeros(6), np.diag([0.003**2] * 3 + [np.deg2rad(0
 """What is believed of a camera before a tool was seen with it: what eye-to-hand calibrations leave (0.7 to 3.2 mm at
 1 m). Its tails are those of the frames' loss, so that one that was moved is found, too. Chosen on 63 looks: research
 log, 2026-11-27."""
-
 ELSEWHERE = np.diag([0.001**2] * 3 + [np.deg2rad(0.1) ** 2] * 3)
-"""What an arm's own errors, which differ from place to place, add to the camera's between two looks. Assumed: half a
-millimetre at the flange."""
+"""What an arm's own errors, which differ from place to place, add to the camera's between two looks. Assumed."""
 
 
 class FrameEstimate(Protocol):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import pty
 import signal
 import sys
 import threading
@@ -220,16 +219,6 @@ def test_a_robots_station_file_that_leaves_out_what_is_measured_moves_nothing(
     """Otherwise the simulated camera, nail and person would be taken for the lab's."""
     assert run(["arm", "home", "--robot-host", "192.0.2.7", "--config", str(lab)]) == 2
     assert "camera.position" in capsys.readouterr().err
-
-
-@pytest.fixture
-def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """The other end of a terminal that is the standard input."""
-    master, slave = pty.openpty()
-    with os.fdopen(slave) as terminal:
-        monkeypatch.setattr(sys, "stdin", terminal)
-        yield master
-    os.close(master)
 
 
 def test_a_persons_key_or_a_closed_terminal_takes_the_confirmation_back(keyboard: int) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import pty
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -52,16 +51,6 @@ def _hand(
     code = run(["hand", *words, "--station", str(station), "--port", emulator.port, "--json"])
     out = capsys.readouterr()
     return code, json.loads(out.out.splitlines()[-1]) if out.out else {"said": out.err}
-
-
-@pytest.fixture
-def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """The other end of a terminal that is the standard input."""
-    master, slave = pty.openpty()
-    with os.fdopen(slave) as terminal:
-        monkeypatch.setattr(sys, "stdin", terminal)
-        yield master
-    os.close(master)
 
 
 @pytest.mark.realtime

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from toolee_robot.calibration.hand_eye.reprojection import SCALE, Estimate, Projection, Views
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, skew
 
 FITTING = float(chi2.ppf(0.999, 6))
 """Squared Mahalanobis distance of a view's flange pose up to which it has its full weight; beyond, the weight falls
@@ -119,8 +119,7 @@ def point_covariance(covariance: Array, X_base_camera: Array, p_camera: Array) -
     Returns:
         The covariance, (3, 3) [m^2].
     """
-    x, y, z = X_base_camera[:3, :3] @ p_camera
-    J = np.hstack([np.eye(3), np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])])
+    J = np.hstack([np.eye(3), -skew(X_base_camera[:3, :3] @ p_camera)])
     return np.asarray(J @ covariance[:6, :6] @ J.T)
 
 

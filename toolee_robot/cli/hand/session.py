@@ -13,6 +13,7 @@ from rich.table import Table
 from toolee_robot.cli.hand.options import HandMotionOptions, HandOptions
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.terminal import confirm_typed, require_terminal
+from toolee_robot.config import HandConfig
 from toolee_robot.hal import Hand, HandState
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.stations.hand import open_hand
@@ -24,22 +25,21 @@ MAX_AGE = 0.5
 
 
 @contextmanager
-def connected(options: HandOptions, console: Console) -> Iterator[Hand]:
+def connected(config: HandConfig, console: Console) -> Iterator[Hand]:
     """Connect to the hand, which moves nothing; leaving the context stops the fingers.
 
     Args:
-        options: Which hand.
+        config: What the station file says of the hand.
         console: The console.
 
     Yields:
         The hand.
 
     Raises:
-        UserError: It is a tool mount.
         ConfigError: The station file does not fit, or there is no driver.
         DeviceError: The hand does not answer, or another program has its port.
     """
-    config, clock = options.hand(), HostClock()
+    clock = HostClock()
     with ExitStack() as stack:
         with console.status(f"asking the hand at {escape(str(config.port))}"):
             hand = stack.enter_context(open_hand(config, clock))
@@ -62,13 +62,13 @@ def run_motion(options: HandMotionOptions, question: str, done: str, move: Calla
     Raises:
         UserError: Nobody can be asked.
         PersonNearError: It was not confirmed.
-        TooleeError: What `connected` and the motion raise.
+        TooleeError: What `HandOptions.hand`, `connected` and the motion raise.
     """
     console = Console(stderr=options.json, highlight=False)
-    options.hand()  # a mount is refused before anybody is asked for a terminal
+    config = options.hand()  # a mount is refused before anybody is asked for a terminal
     if not options.yes:
         require_terminal("a person confirms each motion of the hand", "--yes asks nobody")
-    with connected(options, console) as hand:
+    with connected(config, console) as hand:
         if hand.state(MAX_AGE).holding:
             console.print("The hand holds something.")
         if not options.yes:

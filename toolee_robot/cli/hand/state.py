@@ -24,7 +24,7 @@ class State(HandOptions):
         from toolee_robot.cli.hand.session import MAX_AGE, connected, tell
 
         console = Console(stderr=self.json, highlight=False)
-        with connected(self, console) as hand:
+        with connected(self.hand(), console) as hand:
             state = hand.state(MAX_AGE)
             tell(self, hand, state, console)
         return EXIT_FAULT if state.fault else 0

@@ -29,8 +29,8 @@ STEADY, STEADY_ANGLE = 0.00075, np.deg2rad(0.5)
 along its normal, and of its normal [rad]."""
 
 OWN_ERRORS = 0.5
-"""Share of the variances of two looks that is in their difference: errors of the camera's place, and what the network
-makes of this tool, are in both. Assumed."""
+"""Share of the variances of two looks that is in their difference: what is left of the camera's error, and what the
+network makes of this tool, are in both. Assumed."""
 
 
 @dataclass(frozen=True)
