@@ -9,6 +9,7 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription, WristJoint, write_urdf
+from toolee_robot.robots.fused import fuse_links
 from toolee_robot.sim_backend.physics.bullet import pb, pose_matrix, quiet
 from toolee_robot.sim_backend.physics.joint_springs import JointSprings
 from toolee_robot.types import Payload
@@ -24,8 +25,8 @@ class RobotBody:
     Commands are targets, which `before_step` converts to motor settings of the next step. Between two commands of the
     arm its target moves at the commanded velocity.
 
-    Fingers that nobody moves, at first and once they hold (`stiffen`), are rigid: their motors would take four fifths
-    of a step's time. A command for other positions makes them move again; pybullet then has another body.
+    Fingers that nobody moves, at first and once they hold (`stiffen`), are rigid, and one link: their motors would take
+    four fifths of a step's time. A command for other positions makes them move again; pybullet then has another body.
 
     Args:
         client: pybullet's physics client.
@@ -39,7 +40,7 @@ class RobotBody:
     Attributes:
         robot: Description of arm and hand.
         body: pybullet's id of the body.
-        link_index: pybullet's index of each link, by its name.
+        link_index: pybullet's index of each link, by its name; rigid fingers have none of their own.
         palm: Index of the palm's link.
         sensor_link: Index of the hand's root link, whose joint is the force sensor.
         hand_effort: Largest torques of the hand's joints, (n,) [Nm].
@@ -120,7 +121,8 @@ class RobotBody:
         moving = robot.hand_joints[:wrist] if rigid else robot.hand_joints
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "robot.urdf"
-            file.write_text(write_urdf(robot.urdf_path.stem, robot.tree.with_fixed(fixed)))
+            fused = fuse_links(robot.tree.with_fixed(fixed), robot.finger_links if rigid else ())
+            file.write_text(write_urdf(robot.urdf_path.stem, fused.tree))
             flags = pb.URDF_USE_INERTIA_FROM_FILE
             self.body = int(pb.loadURDF(str(file), useFixedBase=True, flags=flags, physicsClientId=client))
         infos = [pb.getJointInfo(self.body, i, physicsClientId=client) for i in range(self._joint_count())]
@@ -128,6 +130,7 @@ class RobotBody:
         self.link_index = {info[12].decode(): i for i, info in enumerate(infos)}
         self._arm = [joint_index[name] for name in robot.arm_joints]
         self._hand = [joint_index[name] for name in moving]  # those that move
+        self._fixed_places = fused.places
         self.palm = self.link_index[robot.hand_frame]
         self.sensor_link = self.link_index[robot.hand.tree.links[0].name]  # the joint of the hand's mount
         self._arm_effort = robot.effort[:6].tolist()
@@ -242,6 +245,12 @@ class RobotBody:
         """Pose X_base_link, 4x4, of the URDF frame of the link with this index."""
         state = pb.getLinkState(self.body, link, physicsClientId=self._client)
         return pose_matrix(state[4], state[5])
+
+    def link_poses(self) -> dict[str, Array]:
+        """Pose X_base_link, 4x4, of each link's URDF frame, by its name; the robot's root is not among them."""
+        poses = {name: self.link_pose(index) for name, index in self.link_index.items()}
+        placed = {name: poses[at] @ X for name, (at, X) in self._fixed_places.items()}
+        return {name: pose for name, pose in (poses | placed).items() if name in self.robot.tree.by_name}
 
     def sensor_reaction(self) -> Array:
         """Wrench of the arm on the hand in the last step, (6,) [N, Nm].

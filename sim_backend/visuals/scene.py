@@ -85,7 +85,7 @@ def scene_state(world: SimWorld, person: VisiblePerson) -> SceneState:
     Returns:
         The poses of everything visible.
     """
-    links = {name: world.robot.link_pose(index) for name, index in world.robot.link_index.items()}
+    links = world.robot.link_poses()
     heads = {name: nail.head_pose() for name, nail in world.nails.items()}
     return SceneState(links, world.X_base_tool(), heads, person.center.copy(), person.visible_arm)
 

@@ -87,6 +87,12 @@ class RobotDescription:
         """Name of the link that is the hand frame."""
         return self.hand.frame
 
+    @property
+    def finger_links(self) -> frozenset[str]:
+        """Names of the hand's links that neither are nor carry the hand frame."""
+        tree = self.hand.tree
+        return frozenset(tree.by_name) - frozenset(tree.ancestors(self.hand.frame))
+
     def link_poses(self, q_arm: Array, q_hand: Array) -> dict[str, Array]:
         """Forward kinematics of all links.
 

@@ -43,10 +43,10 @@ def test_fingers_move_when_commanded_and_stay_where_they_are_made_rigid(body: Ro
     run(body, 1000)
     q = body.hand_state()[0]
     assert np.abs(q - half)[wrist:].max() < 0.02
-    tip = body.link_pose(body.link_index["rh_ffdistal"])
+    tip = body.link_poses()["rh_ffdistal"]
     body.stiffen()
     np.testing.assert_allclose(body.hand_state()[0], q, atol=1e-6)
-    np.testing.assert_allclose(body.link_pose(body.link_index["rh_ffdistal"]), tip, atol=1e-5)
+    np.testing.assert_allclose(body.link_poses()["rh_ffdistal"], tip, atol=1e-5)
     run(body, 200)
     np.testing.assert_allclose(body.hand_state()[0][wrist:], q[wrist:], atol=1e-12)
     assert np.all(body.hand_state()[1][wrist:] == 0.0)
