@@ -55,6 +55,6 @@ class Rig:
         """Touch the nail from so far over it [m]; returns the height's error [m], NaN where nothing was met."""
         self.go_over(over)
         assert self.touch.prepare()
-        height = self.touch.lower("nail", over + 0.010)
+        contact = self.touch.lower("nail", over + 0.010)
         self.motions.straight("up", UP, 0.010)
-        return np.nan if height is None else height - self._world.nail.protrusion
+        return np.nan if contact is None else contact.felt - self._world.nail.protrusion

@@ -15,7 +15,8 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME
-from toolee_robot.motion.touch_force import deviation_of_mean, onset, touch_settings
+from toolee_robot.motion.onset import Course, Releases, onset
+from toolee_robot.motion.touch_force import deviation_of_mean, touch_settings
 from toolee_robot.sim_backend.ur_controller.profile import CB3
 
 NOISE, RATE = CB3.force.noise[0], 125.0
@@ -137,7 +138,7 @@ def test_the_onset_of_a_noisy_force_is_found(stiffness: float, share: float) -> 
         forces = stiffness * np.maximum(begin - heights, 0.0) + rng.normal(0.0, NOISE, len(heights))
         mean = np.convolve(forces, np.full(n, 1 / n))[: len(heights)]
         end = int(np.argmax((mean > 9.0) & (heights < begin))) + 1
-        rise = onset(heights[:end], forces[:end] + offset)
+        rise = onset(Course(heights[:end], forces[:end] + offset))
         assert rise is not None
         errors.append(rise.height - begin)
     assert np.mean(np.abs(errors) < 0.001) >= share
@@ -165,12 +166,36 @@ def test_a_slow_release_finds_the_onset_in_a_cb3s_noise(
     zeros = round(ZERO_TIME * RATE)
     readings = offset + noise(rng, zeros + len(heights), NOISE, CB3.force.correlation)[:, 0]
     forces = readings[zeros:] - np.mean(readings[:zeros]) + stiffness * np.maximum(begin - heights, 0.0)
-    rise = onset(heights, forces, zeros)
+    rise = onset(Course(heights, forces, zeros))
     assert rise is not None
     assert rise.height == pytest.approx(begin, abs=0.001)
     assert rise.stiffness == pytest.approx(stiffness, rel=0.75)
 
 
+def test_releases_tell_each_other_the_stiffness_and_their_heights_are_better_for_it() -> None:
+    """Jobs of four releases in a CB3's noise, of hands whose stiffness differs by a tenth from one to the next."""
+    rng, alone, together = np.random.default_rng(3), [], []
+    settings = touch_settings(noise(rng, 375, NOISE, CB3.force.correlation), RATE, CONFIG.strike)
+    for _ in range(100):
+        nominal, releases, begins = rng.uniform(4.5e3, 1e4), Releases(), []
+        for _ in range(4):
+            stiffness, begin = nominal * rng.normal(1.0, 0.08), rng.uniform(-0.001, 0.001)
+            heights = np.arange(begin - 12.0 / stiffness, begin + 0.002, settings.release_speed(stiffness) / RATE)
+            zeros = round(ZERO_TIME * RATE)
+            readings = noise(rng, zeros + len(heights), NOISE, CB3.force.correlation)[:, 0]
+            forces = readings[zeros:] - np.mean(readings[:zeros]) + stiffness * np.maximum(begin - heights, 0.0)
+            course = Course(heights, forces, zeros)
+            rise = onset(course)
+            assert rise is not None
+            releases.add(course, rise.stiffness)
+            begins.append(begin)
+            alone.append(rise.height - begin)
+        together += [releases.height(i, settings.variance) - begin for i, begin in enumerate(begins)]
+    print(f"\nstandard deviation alone {np.std(alone) * 1e3:.2f} mm, together {np.std(together) * 1e3:.2f} mm")
+    assert np.std(together) < 0.9 * np.std(alone)
+    assert np.max(np.abs(together)) < 0.001
+
+
 def test_a_force_that_falls_on_the_way_down_has_no_onset() -> None:
     heights = np.arange(0.008, -0.002, -0.0001)
-    assert onset(heights, 500.0 * heights) is None
+    assert onset(Course(heights, 500.0 * heights)) is None

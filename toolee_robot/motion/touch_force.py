@@ -1,4 +1,4 @@
-"""The force of a guarded touch: threshold, window and speeds by the noise at rest, and where the force begins."""
+"""The force of a guarded touch: threshold, window and speeds by the noise at rest."""
 
 from __future__ import annotations
 
@@ -37,8 +37,6 @@ MAX_PHANTOMS = 3
 LARGEST_OFFSET = 20.0
 """Largest force at rest that is taken for an offset of the reading [N], twice the accuracy that a CB3 is said to have.
 Beyond it the arm touches something, or its payload is wrong."""
-SLOPE_RANGE = 0.008
-"""Height above the end of a touch over which the rise of the force is examined [m]."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +49,14 @@ class TouchSettings:
         speed: Speed of the touch [m/s].
         release: Speed of the release after it by the stiffness [m/s per N/m]; None where the touch itself is precise
             enough.
+        variance: Variance of the force's noise that independent readings would have for a mean as uncertain [N^2].
     """
 
     force: float
     window: float
     speed: float
     release: float | None
+    variance: float = 0.0
 
     def release_speed(self, stiffness: float) -> float:
         """Speed of a release.
@@ -69,19 +69,6 @@ class TouchSettings:
         """
         assert self.release is not None, "a quiet arm releases nothing"
         return float(np.clip(self.release * stiffness, *RELEASE_SPEEDS))
-
-
-@dataclass(frozen=True)
-class Rise:
-    """Course of a force that is constant above a height and linear below it.
-
-    Attributes:
-        height: Height at which the line begins [m].
-        stiffness: Slope of the line [N/m].
-    """
-
-    height: float
-    stiffness: float
 
 
 def forces_at_rest(arm: Arm, clock: Clock, duration: float) -> Array:
@@ -153,7 +140,8 @@ def touch_settings(forces: Array, rate: float, strike: StrikeConfig) -> TouchSet
         )
     noisy = sigma > QUIET and deviation > PRECISE
     release = RELEASE * (QUIET / sigma) ** 2 if noisy else None
-    return TouchSettings(max(strike.touch_force, needed), window, speed, release)
+    variance = max(round(window * rate), 1) * deviation**2
+    return TouchSettings(max(strike.touch_force, needed), window, speed, release, variance)
 
 
 def deviation_of_mean(forces: Array, rate: float, duration: float) -> float:
@@ -172,29 +160,3 @@ def deviation_of_mean(forces: Array, rate: float, duration: float) -> float:
     means = np.stack([np.convolve(axis, np.full(n, 1.0 / n), mode="valid") for axis in centred.T])
     # The mean of all readings, which was subtracted, holds a share of each window's own deviation.
     return float(np.sqrt(np.mean(means**2) / (1.0 - n / len(forces))))
-
-
-def onset(heights: Array, forces: Array, zeros: int = 0) -> Rise | None:
-    """Find where a force began to rise, by the least squares of a force that is constant above and linear below.
-
-    Args:
-        heights: Heights, falling or rising, (N,) [m]; the lowest one is the end of a touch or the start of a release.
-        forces: Upward forces, (N,) [N].
-        zeros: Number of readings whose mean was made zero where nothing touched the face, and which count as well.
-
-    Returns:
-        The line; None if the force does not rise downwards.
-    """
-    lowest = float(np.min(heights))
-    near = heights < lowest + SLOPE_RANGE
-    x = np.concatenate([heights[near], np.full(zeros, np.inf)])
-    f = np.concatenate([forces[near], np.zeros(zeros)])
-    best, rise = np.inf, None
-    for begin in np.arange(lowest + 0.0001, lowest + 0.75 * SLOPE_RANGE, 0.0001):
-        ramp = np.maximum(begin - x, 0.0)
-        A = np.column_stack([np.ones_like(x), ramp])
-        solution, *_ = np.linalg.lstsq(A, f, rcond=None)
-        rest = float(np.sum((A @ solution - f) ** 2))
-        if solution[1] > 0.0 and rest < best:
-            best, rise = rest, Rise(float(begin), float(solution[1]))
-    return rise

@@ -14,7 +14,7 @@ from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
-from toolee_robot.tasks.hammering.touch import Touch
+from toolee_robot.tasks.hammering.touch import Contact, Touch
 
 TOLERANCE = 0.012
 """Largest deviation of a touch from the expected height at which it counts as the nail's head [m]."""
@@ -69,7 +69,9 @@ class NailGauge:
     def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
         self._motions, self._config, self._robot = motions, config, robot
         self._touch = Touch(motions, config, robot, observer)
-        self._reference = 0.0
+        self._known = 0.0  # height of the nail at the first measurement [m]
+        self._first: tuple[Contact, Contact] | None = None  # its touches: nail and wood
+        self._latest: tuple[Contact, Contact] | None = None  # those of the last one
         self._corrected: Array | None = None  # the face's place in the hand as the last measurement has left it
 
     @property
@@ -88,11 +90,11 @@ class NailGauge:
         """
         self.go_over(plan)
         known = self._config.work.nail_protrusion
-        self._reference = 0.0
+        self._first = None
         measured = self.measure(known)
-        self._reference = known - measured
+        self._known, self._first = known, self._latest
         self._corrected = None  # the place of the face will shift by the offset in the next measurement
-        if abs(self._reference) <= 0.5 * TOLERANCE:
+        if abs(known - measured) <= 0.5 * TOLERANCE:
             return
         if abs(measured) < NO_HEAD:
             raise JobEnded(
@@ -100,7 +102,7 @@ class NailGauge:
                 "where the nail's head should be the face met nothing above the wood: the nail is missing, or the face "
                 f"came down beside it; {CHECK}",
             )
-        off = f"{abs(self._reference) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
+        off = f"{abs(known - measured) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
         raise JobEnded(
             Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as work.nail_protrusion says; {CHECK}"
         )
@@ -141,7 +143,8 @@ class NailGauge:
         known = self._corrected is not None and np.array_equal(place, self._corrected)  # but for the slip of strikes
         # A strike may have driven the nail, which `expected` does not know of.
         lowest = self._height() - CLEAR - TOLERANCE - implausible
-        nail = self._lower("nail", expected + MARGIN if known else None, lowest, missed)
+        head = self._lower("nail", expected + MARGIN if known else None, lowest, missed)
+        nail = head.felt
         self._rise_to(nail + LIFT)
         # Towards the handle, so that the hand moves away from the block.
         aside = motions.X_base_ee[:3, 0] * [1.0, 1.0, 0.0]
@@ -151,14 +154,16 @@ class NailGauge:
         slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
         lowest = min(slipped, 0.0) - TOLERANCE
         wood = self._lower("wood", max(slipped, 0.0) + margin, lowest, Outcome.NAIL_MISSED)
-        if nail - wood + self._reference < expected - implausible:
+        if head.height - wood.height + self._reference < expected - implausible:
             # A force felt above the wood makes the nail seem driven deeper; none can be felt below it.
-            self._rise_to(wood + LIFT)
-            wood = min(wood, self._lower("wood", None, lowest, Outcome.NAIL_MISSED))
-        self._rise_to(max(nail, wood) + LIFT + MARGIN)
-        measured = nail - wood + self._reference
+            self._rise_to(wood.felt + LIFT)
+            again = self._lower("wood", None, lowest, Outcome.NAIL_MISSED)
+            wood = min(wood, again, key=lambda contact: contact.height)
+        self._rise_to(max(nail, wood.felt) + LIFT + MARGIN)
+        self._latest = head, wood
+        measured = head.height - wood.height + self._reference
         # Correct the face's position along its normal, from the nail's head that it rested on.
-        motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, nail - measured])
+        motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, head.height - measured])
         self._corrected = motions.X_hand_ee[:3, 3]
         return measured
 
@@ -175,6 +180,14 @@ class NailGauge:
         way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, plan, before=CLEAR)
         motions.transfer("to the touch", way)
 
+    @property
+    def _reference(self) -> float:
+        """What the difference of two touches is less than the nail's height [m]: the face is not square to the wood.
+
+        By what all touches so far tell of the first two.
+        """
+        return 0.0 if self._first is None else self._known - (self._first[0].height - self._first[1].height)
+
     def _height(self) -> float:
         """Height of the face's centre over the wood by its estimated pose [m], as `Touch.lower` tells it."""
         return protrusion(self._motions.X_base_ee, self._config.work.X_base_nail(0.0))
@@ -182,7 +195,7 @@ class NailGauge:
     def _rise_to(self, height: float) -> None:
         self._motions.straight("up", UP, max(height - self._height(), 0.0))
 
-    def _lower(self, what: str, above: float | None, lowest: float, missed: Outcome) -> float:
+    def _lower(self, what: str, above: float | None, lowest: float, missed: Outcome) -> Contact:
         """Touch something.
 
         Args:
@@ -192,7 +205,7 @@ class NailGauge:
             missed: Outcome of the job if nothing is met.
 
         Returns:
-            The thing's apparent height over the wood [m].
+            The contact with the thing.
         """
         motions = self._motions
         if not self._touch.prepare():
@@ -206,8 +219,8 @@ class NailGauge:
                 # The thing stands higher than expected, or the arm's own motion was felt: slowly from the start.
                 self._rise_to(begin)
         reach = self._height() - lowest
-        height = self._touch.lower(what, reach)
-        if height is None:
+        contact = self._touch.lower(what, reach)
+        if contact is None:
             motions.straight("up", UP, reach)
             raise JobEnded(missed, f"the face was lowered to where the {what} should be and met nothing; {CHECK}")
-        return height
+        return contact

@@ -3,10 +3,14 @@
 The motion ends when the mean force of a window exceeds a threshold that follows from the noise, which is measured at
 rest once in a job. What still presses on the face at rest is a contact; what does not was a phantom, and the face goes
 on. Where the face met the thing is the place from which the force has risen, found in the course of force over height:
-on the way down, or where the noise is too large for that, on a slow way up until the force is gone.
+on the way down, or where the noise is too large for that, on a slow way up until the force is gone. What that way up
+tells of the stiffness of tool and hand makes the heights of all others better, those before it included.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,13 +21,12 @@ from toolee_robot.control.slip import protrusion
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME, ContactGuard, MotionReport
+from toolee_robot.motion.onset import SLOPE_RANGE, Course, Releases, onset
 from toolee_robot.motion.touch_force import (
     CONFIRM_SHARE,
     MAX_PHANTOMS,
-    SLOPE_RANGE,
     WINDOW_WAY,
     TouchSettings,
-    onset,
     touch_settings,
 )
 from toolee_robot.tasks.common.motions import UP, Motions
@@ -44,6 +47,24 @@ FREE = 0.002
 """Way of a release beyond the place where the force should be gone [m]."""
 
 
+@dataclass(frozen=True)
+class Contact:
+    """What a touch met.
+
+    Attributes:
+        felt: Height over the wood [m] of the face's centre plane on the nail's axis where the face met it, by the
+            estimated pose of the face in the hand, as this touch alone tells it.
+    """
+
+    felt: float
+    _better: Callable[[], float] | None = None
+
+    @property
+    def height(self) -> float:
+        """That height [m] by what all touches of the job have told so far."""
+        return self.felt if self._better is None else self._better()
+
+
 class Touch:
     """Guarded touches of one job.
 
@@ -57,7 +78,7 @@ class Touch:
     def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
         self._motions, self._config, self._robot, self._observer = motions, config, robot, observer
         self._settings: TouchSettings | None = None
-        self._stiffnesses: list[float] = []  # that releases have told [N/m]
+        self._releases = Releases()
 
     @property
     def noisy(self) -> bool:
@@ -92,7 +113,7 @@ class Touch:
             self._settings = self._measured()
         return True
 
-    def lower(self, what: str, reach: float) -> float | None:
+    def lower(self, what: str, reach: float) -> Contact | None:
         """Lower the face until it touches something; `prepare` was called just before.
 
         Args:
@@ -101,8 +122,7 @@ class Touch:
                 averaged over, without which a contact at the very end would not be felt.
 
         Returns:
-            Height over the wood [m] of the face's centre plane on the nail's axis where the face met the thing, by the
-            estimated pose of the face in the hand; None if it met nothing.
+            What it met; None if it met nothing.
 
         Raises:
             DeviceError: The force jumps without a contact, again and again.
@@ -123,17 +143,17 @@ class Touch:
             pressing = float(np.mean(motions.forces(max(CONFIRM_TIME, settings.window)), axis=0) @ self._up)
             if pressing < CONFIRM_SHARE * settings.force:
                 continue
-            heights, forces = self._course(report, report.contact.stamp, X_flange_ee)
-            rise = onset(heights, forces, self._zeros)
-            height = float(heights[-1]) if rise is None else rise.height
+            course = self._course(report, report.contact.stamp, X_flange_ee)
+            rise = onset(course)
+            contact = Contact(float(course.heights[-1]) if rise is None else rise.height)
             if settings.release is not None:
-                released = self._release(what, height, pressing, X_flange_ee)
+                released = self._release(what, contact.felt, pressing, X_flange_ee)
                 if released is None:
                     continue
-                height = released
+                contact = released
             X_base_ee = self._robot.arm.fk(report.contact.q) @ X_flange_ee
-            self._observer.contact(report.contact.stamp, float(forces[-1]), X_base_ee)
-            return height
+            self._observer.contact(report.contact.stamp, float(course.forces[-1]), X_base_ee)
+            return contact
         raise DeviceError(
             f"{MAX_PHANTOMS} times the force rose above {settings.force:.0f} N while the {what} was approached, and "
             "nothing was there: see that nothing swings or pulls at tool and cables, then look at the force with "
@@ -171,31 +191,32 @@ class Touch:
         X_base_ee = self._robot.arm.fk(self._motions.q) @ X_flange_ee
         return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
 
-    def _release(self, what: str, height: float, force: float, X_flange_ee: Array) -> float | None:
+    def _release(self, what: str, height: float, force: float, X_flange_ee: Array) -> Contact | None:
         """Lift the face slowly from what it presses on with a force [N], upwards, and met at about `height` [m].
 
         Returns:
-            Height at which the force is gone [m]; None if no force goes with the way up, so that nothing was touched.
+            What was touched; None if no force goes with the way up, so that nothing was.
         """
-        motions, settings = self._motions, self._settings
+        motions, settings, releases = self._motions, self._settings, self._releases
         assert settings is not None, "prepare() comes first"
         way = max(height - self._height(X_flange_ee), 1e-6)
         # A release tells the stiffness far better than the way down does.
-        stiffness = float(np.median(self._stiffnesses)) if self._stiffnesses else force / way
+        stiffness = releases.stiffness or force / way
         pressed = min(force / stiffness, SLOPE_RANGE - FREE)
         speed = settings.release_speed(stiffness)
         up = plan_straight(self._robot, self._config, motions.world(), motions.q, pressed + FREE, UP, speed)
         report = motions.execute(f"release the {what}", up, at_work=True)
-        heights, forces = self._course(report, np.inf, X_flange_ee)
-        rise = onset(heights, forces, self._zeros)
-        if rise is None or rise.stiffness * (rise.height - np.min(heights)) < CONFIRM_SHARE * settings.force:
+        course = self._course(report, np.inf, X_flange_ee)
+        rise = onset(course)
+        if rise is None or rise.stiffness * (rise.height - np.min(course.heights)) < CONFIRM_SHARE * settings.force:
             return None
-        self._stiffnesses.append(rise.stiffness)
-        return rise.height
+        index, variance = releases.add(course, rise.stiffness), settings.variance
+        return Contact(rise.height, lambda: releases.height(index, variance))
 
-    def _course(self, report: MotionReport, until: float, X_flange_ee: Array) -> tuple[Array, Array]:
-        """Heights of the face over the wood [m] and upward forces [N] in a motion up to a time [s], (N,) each."""
+    def _course(self, report: MotionReport, until: float, X_flange_ee: Array) -> Course:
+        """The forces in a motion up to a time [s], over the height of the face above the wood."""
         rows = report.stamps <= until
         wood = self._config.work.X_base_nail(0.0)
         poses = self._robot.arm.fk(report.q_measured[rows]) @ X_flange_ee
-        return np.array([protrusion(X, wood) for X in poses]), report.wrenches[rows, :3] @ self._up
+        heights = np.array([protrusion(X, wood) for X in poses])
+        return Course(heights, report.wrenches[rows, :3] @ self._up, self._zeros)
