@@ -10,6 +10,7 @@ from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import inverse
 from toolee_robot.hal import HandState
 from toolee_robot.robots import PALM
+from toolee_robot.robots.fused import FUSED
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.physics.grip import AssistedGrip, GripLimits
 from toolee_robot.sim_backend.world import NORMAL, SimWorld
@@ -204,7 +205,7 @@ class SimHand:
         world = self._world
         names = {index: name for name, index in world.robot.link_index.items()}
         for contact in pb.getContactPoints(bodyA=world.robot.body, bodyB=world.tool.body, physicsClientId=world.client):
-            name = names.get(contact[3], "")
+            name = names.get(contact[3], "").removesuffix(FUSED)  # rigid fingers belong to what carries them
             if name in self._model.tree.by_name and contact[9] > 0:
                 forces[self._model.part_of(name)] += float(contact[9])
                 if contact[9] > CONTACT_FORCE:

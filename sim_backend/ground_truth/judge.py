@@ -108,7 +108,7 @@ class Judge:
             self._armed, self._open = True, False
             return
         X_base_nail = nail.head_pose()
-        gap = -float(inverse(X_base_nail).dot(X_base_ee)[2, 3])
+        gap = float(X_base_nail[:3, 2].dot(X_base_nail[:3, 3] - X_base_ee[:3, 3]))
         force, struck_by = self._contact(X_base_ee)
         if gap > REARM_GAP and struck_by is StruckBy.NOTHING:
             self._armed, self._open = True, False

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import StationConfig, load_station
+from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription, load_robot, write_urdf
 from toolee_robot.robots.fused import combined, fuse_links
-from toolee_robot.robots.tree import Inertial
+from toolee_robot.robots.tree import Inertial, Tree
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 HOME = np.array(StationConfig().scene.home)
+
+
+def description(station: str) -> RobotDescription:
+    """The robot of an example's station, or of the simulated one."""
+    config = load_station(EXAMPLES / f"{station}.yaml") if station else StationConfig()
+    return load_robot(config.arm.model, config.arm.calibration, config.hand)
 
 
 @pytest.fixture(scope="module")
 def robot() -> RobotDescription:
-    return load_robot()
+    return description("")
 
 
 @st.composite
@@ -44,13 +54,29 @@ def test_the_inertia_of_several_bodies_is_the_sum_of_theirs(parts: list[Inertial
     assert np.linalg.det(whole.X_link_com[:3, :3]) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("closed", [0.0, 0.3, 1.0])
-def test_a_robot_with_fused_fingers_has_the_same_dynamics_and_shapes(robot: RobotDescription, closed: float) -> None:
+def shapes(tree: Tree, poses: dict[str, Array], kind: str) -> list[tuple[str, tuple[float, ...]]]:
+    """What the shapes of a tree are and where, in an order of their own."""
+    return sorted(
+        (
+            f"{shape.kind} {shape.mesh} {shape.size} {shape.scale}",
+            tuple(np.round(poses[link.name] @ shape.X_link_shape, 6)[:3].ravel().tolist()),
+        )
+        for link in tree.links
+        for shape in getattr(link, kind)
+    )
+
+
+@pytest.mark.parametrize("closed", [0.0, 0.3])
+@pytest.mark.parametrize("station", ["", "ability", "inspire"])
+def test_a_robot_with_fused_fingers_has_the_same_dynamics_and_shapes(station: str, closed: float) -> None:
+    robot = description(station)
     wrist = len(robot.hand.wrist)
     q = (1.0 - closed) * robot.hand_open + closed * robot.hand_closed
     fixed = robot.tree.with_fixed(dict(zip(robot.hand_joints[wrist:], q[wrist:].tolist(), strict=True)))
     fused = fuse_links(fixed, robot.finger_links)
-    assert len(fused.tree.links) < len(fixed.links) - 15
+    assert len(fused.tree.links) < len(fixed.links) - 5
+    root = robot.hand.tree.links[0].name  # whose joint is the force sensor
+    assert fused.tree.by_name[root].inertial == fixed.by_name[root].inertial
     moving = np.concatenate([HOME, q[:wrist]])
     poses, expected = fused.tree.link_poses(moving), robot.link_poses(HOME, q)
     for name, (at, X) in fused.places.items():
@@ -61,15 +87,9 @@ def test_a_robot_with_fused_fingers_has_the_same_dynamics_and_shapes(robot: Robo
     one, other = (pin.computeGeneralizedGravity(model, model.createData(), moving) for model in models)
     np.testing.assert_allclose(one, other, atol=1e-7)
     for kind in ("visuals", "collisions"):
-        one, other = (
-            sorted(
-                np.round(pose[link.name] @ shape.X_link_shape, 6)[:3].ravel().tolist()
-                for link in tree.links
-                for shape in getattr(link, kind)
-            )
-            for tree, pose in ((fused.tree, poses), (fixed, expected))
-        )
-        np.testing.assert_allclose(one, other, atol=2e-6)
+        for a, b in zip(shapes(fused.tree, poses, kind), shapes(fixed, expected, kind), strict=True):
+            assert a[0] == b[0]
+            np.testing.assert_allclose(a[1], b[1], atol=2e-6)
 
 
 def test_what_a_fused_link_carries_is_carried_by_its_parent_and_joints_that_move_stay(robot: RobotDescription) -> None:

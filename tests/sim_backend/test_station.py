@@ -14,7 +14,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, LimitError, StaleDataError, UserError
 from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_angle, transform
 from toolee_robot.hal import Arm, Clock, ContactGuard, Hand, MotionOutcome, Person, RgbdCamera
-from toolee_robot.robots import SHADOW_HAND, load_robot
+from toolee_robot.robots import PALM, SHADOW_HAND, load_robot
 from toolee_robot.sim_backend import InHandOffset, SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.hand import SimHand
@@ -61,6 +61,16 @@ def test_devices_are_what_the_protocols_ask_for(empty: SimStation) -> None:
     assert isinstance(station.camera, RgbdCamera)
     assert isinstance(station.person, Person)
     assert isinstance(station.clock, Clock)
+
+
+def test_a_tool_against_fingers_that_nobody_moves_presses_on_the_hand(empty: SimStation) -> None:
+    """Rigid fingers are one link with what carries them."""
+    world = empty.world
+    world.tool.place(transform(p=world.robot.link_poses()["rh_mfmiddle"][:3, 3]))
+    world.run(0.002)
+    forces = empty.station.hand.state().contact_forces
+    assert forces[PALM] > 0.0
+    assert sum(forces.values()) == forces[PALM]
 
 
 def test_arm_tracks_a_trajectory_and_ends_at_rest(empty: SimStation) -> None:

@@ -70,6 +70,21 @@ def test_a_head_that_stands_higher_than_expected_ends_the_fast_way(bench: Bench)
     assert rig.log.motions.count("touch the nail") == 2
 
 
+def test_what_later_touches_tell_of_the_stiffness_counts_for_earlier_ones(bench: Bench) -> None:
+    rig = Rig(bench, 6)
+    gauge = NailGauge(rig.motions, CONFIG, RobotModel.of_station(CONFIG), rig.log)
+    protrusion = bench.sim.world.nail.protrusion
+    rig.go_over(CLEAR)
+    first = gauge.measure(protrusion)
+    touches = gauge.latest
+    assert touches is not None
+    rig.back_over(CLEAR)
+    assert gauge.measure(protrusion) == pytest.approx(protrusion, abs=0.0015)
+    assert gauge.protrusion(touches) == pytest.approx(protrusion, abs=0.0015)
+    assert gauge.protrusion(touches) != first
+    assert touches[0].height != touches[0].felt
+
+
 def test_a_knock_of_one_cycle_is_no_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """A servo packet that comes late shakes the arm by 10 N for a cycle."""
     knock_at_the_wood(bench, monkeypatch, force=20.0, seconds=0.008)

@@ -172,14 +172,16 @@ def test_a_slow_release_finds_the_onset_in_a_cb3s_noise(
     assert rise.stiffness == pytest.approx(stiffness, rel=0.75)
 
 
-def test_releases_tell_each_other_the_stiffness_and_their_heights_are_better_for_it() -> None:
-    """Jobs of four releases in a CB3's noise, of hands whose stiffness differs by a tenth from one to the next."""
+@pytest.mark.parametrize(("n", "share"), [(2, 1.0), (4, 0.95), (8, 0.9)])
+def test_releases_tell_each_other_the_stiffness_and_their_heights_are_better_for_it(n: int, share: float) -> None:
+    """Nails with n releases in a CB3's noise, of hands whose stiffness differs by 5 % from one to the next."""
     rng, alone, together = np.random.default_rng(3), [], []
     settings = touch_settings(noise(rng, 375, NOISE, CB3.force.correlation), RATE, CONFIG.strike)
     for _ in range(100):
-        nominal, releases, begins = rng.uniform(4.5e3, 1e4), Releases(), []
-        for _ in range(4):
-            stiffness, begin = nominal * rng.normal(1.0, 0.08), rng.uniform(-0.001, 0.001)
+        nominal, releases, begins, numbers = rng.uniform(4.5e3, 1e4), Releases(), [], []
+        releases.variance = settings.variance
+        for _ in range(n):
+            stiffness, begin = nominal * rng.normal(1.0, 0.05), rng.uniform(-0.001, 0.001)
             heights = np.arange(begin - 12.0 / stiffness, begin + 0.002, settings.release_speed(stiffness) / RATE)
             zeros = round(ZERO_TIME * RATE)
             readings = noise(rng, zeros + len(heights), NOISE, CB3.force.correlation)[:, 0]
@@ -187,13 +189,25 @@ def test_releases_tell_each_other_the_stiffness_and_their_heights_are_better_for
             course = Course(heights, forces, zeros)
             rise = onset(course)
             assert rise is not None
-            releases.add(course, rise.stiffness)
+            numbers.append(releases.add(course, rise.stiffness))
             begins.append(begin)
             alone.append(rise.height - begin)
-        together += [releases.height(i, settings.variance) - begin for i, begin in enumerate(begins)]
+        together += [releases.height(number) - begin for number, begin in zip(numbers, begins, strict=True)]
     print(f"\nstandard deviation alone {np.std(alone) * 1e3:.2f} mm, together {np.std(together) * 1e3:.2f} mm")
-    assert np.std(together) < 0.9 * np.std(alone)
+    assert np.std(together) < share * np.std(alone)
     assert np.max(np.abs(together)) < 0.001
+
+
+def test_a_release_that_was_none_tells_nothing() -> None:
+    heights = np.arange(-0.002, 0.002, 0.00001)
+    good, bad = (Course(heights, k * np.maximum(-heights, 0.0)) for k in (5e3, 2e4))
+    releases = Releases()
+    releases.variance = 65.0
+    first = releases.add(good, 5e3)
+    alone = releases.height(first)
+    releases.drop(releases.add(bad, 2e4))
+    assert releases.stiffness == 5e3
+    assert releases.height(first) == alone
 
 
 def test_a_force_that_falls_on_the_way_down_has_no_onset() -> None:

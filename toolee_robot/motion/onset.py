@@ -10,9 +10,12 @@ from toolee_robot.frames import Array
 
 SLOPE_RANGE = 0.008
 """Height above the end of a touch over which the rise of the force is examined [m]."""
-SPREAD = 0.1
-"""Standard deviation of the stiffness among the touches of one job, as a share of it. The hand yields, whatever the
-face presses on: of 60 simulated releases in eight jobs the true ones deviate by 8 % from their job's median."""
+SPREAD = 0.05
+"""Standard deviation of the stiffness among the touches of one nail, as a share of it. The hand yields, whatever the
+face presses on: of 60 simulated releases in eight jobs the true ones deviate by 4 % from their job's median."""
+ALONE = 0.15
+"""Standard deviation of the stiffness that one release with a CB3's noise tells by itself, as a share of it, of the
+same releases."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +46,26 @@ class Course:
     zeros: int = 0
 
 
-def onset(course: Course, stiffness: float | None = None, variance: float = 0.0) -> Rise | None:
+@dataclass(frozen=True)
+class Belief:
+    """What is known of the stiffness of tool and hand beside one touch.
+
+    Attributes:
+        stiffness: The stiffness [N/m].
+        deviation: Its standard deviation [N/m].
+    """
+
+    stiffness: float
+    deviation: float
+
+
+def onset(course: Course, belief: Belief | None = None, variance: float = 0.0) -> Rise | None:
     """Find where a force began to rise, by the least squares of a force that is constant above and linear below.
 
     Args:
         course: The forces.
-        stiffness: What other touches of the job have told of the slope [N/m], `SPREAD` being their spread; None for
-            nothing.
-        variance: Variance of the forces, as of independent readings [N^2]; of use with `stiffness`.
+        belief: What is known of the slope; None for nothing.
+        variance: Variance of the forces, as of independent readings [N^2]; of use with a belief.
 
     Returns:
         The line; None if the force does not rise downwards.
@@ -59,8 +74,8 @@ def onset(course: Course, stiffness: float | None = None, variance: float = 0.0)
     near = course.heights < lowest + SLOPE_RANGE
     x = np.concatenate([course.heights[near], np.full(course.zeros, np.inf)])
     f = np.concatenate([course.forces[near], np.zeros(course.zeros)])
-    weight = 0.0 if stiffness is None else float(np.sqrt(variance)) / (SPREAD * stiffness)
-    f = np.append(f, weight * (stiffness or 0.0))
+    weight = 0.0 if belief is None else float(np.sqrt(variance)) / belief.deviation
+    f = np.append(f, 0.0 if belief is None else weight * belief.stiffness)
     best, rise = np.inf, None
     for begin in np.arange(lowest + 0.0001, lowest + 0.75 * SLOPE_RANGE, 0.0001):
         A = np.zeros((len(f), 2))
@@ -73,19 +88,23 @@ def onset(course: Course, stiffness: float | None = None, variance: float = 0.0)
 
 
 class Releases:
-    """The releases of one job, each of which tells the others how stiff tool and hand are.
+    """The releases at one nail, each of which tells the others how stiff tool and hand are.
 
     How stiff they are is what the noise of the force hides most: a line that is fitted too steep begins too low.
+
+    Attributes:
+        variance: Variance of the forces, as of independent readings [N^2].
     """
 
     def __init__(self) -> None:
-        self._courses: list[Course] = []
-        self._stiffnesses: list[float] = []  # of each by itself [N/m]
+        self.variance = 0.0
+        self._known: dict[int, tuple[Course, float]] = {}  # forces, and the stiffness of each by itself [N/m]
+        self._count = 0
 
     @property
     def stiffness(self) -> float | None:
         """Stiffness that the releases have told [N/m]; None without any."""
-        return float(np.median(self._stiffnesses)) if self._stiffnesses else None
+        return float(np.median([stiffness for _, stiffness in self._known.values()])) if self._known else None
 
     def add(self, course: Course, stiffness: float) -> int:
         """Add a release.
@@ -95,23 +114,34 @@ class Releases:
             stiffness: What it tells by itself [N/m].
 
         Returns:
-            Its index.
+            Its number.
         """
-        self._courses.append(course)
-        self._stiffnesses.append(stiffness)
-        return len(self._courses) - 1
+        self._count += 1
+        self._known[self._count] = course, stiffness
+        return self._count
 
-    def height(self, index: int, variance: float) -> float:
+    def drop(self, number: int) -> None:
+        """Forget a release that was none.
+
+        Args:
+            number: Which release.
+        """
+        self._known.pop(number, None)
+
+    def height(self, number: int) -> float:
         """Height at which the face met the thing, by what all releases have told so far.
 
         Args:
-            index: Which release.
-            variance: Variance of the forces, as of independent readings [N^2].
+            number: Which release; one that was not dropped.
 
         Returns:
             The height [m].
         """
-        others = self._stiffnesses[:index] + self._stiffnesses[index + 1 :]
-        rise = onset(self._courses[index], float(np.median(others)) if others else None, variance)
+        others = [stiffness for other, (_, stiffness) in self._known.items() if other != number]
+        belief = None
+        if others:
+            stiffness = float(np.median(others))
+            belief = Belief(stiffness, stiffness * float(np.hypot(SPREAD, ALONE / np.sqrt(len(others)))))
+        rise = onset(self._known[number][0], belief, self.variance)
         assert rise is not None, "it rose when it was added"
         return rise.height

@@ -56,7 +56,7 @@ class TouchSettings:
     window: float
     speed: float
     release: float | None
-    variance: float = 0.0
+    variance: float
 
     def release_speed(self, stiffness: float) -> float:
         """Speed of a release.

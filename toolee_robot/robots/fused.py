@@ -10,6 +10,9 @@ import numpy as np
 from toolee_robot.frames import Array
 from toolee_robot.robots.tree import Inertial, Link, Shape, Tree
 
+FUSED = " fused"
+"""End of the name of a link that replaces others, after that of its parent."""
+
 
 @dataclass(frozen=True)
 class FusedTree:
@@ -55,7 +58,7 @@ def fuse_links(tree: Tree, names: Collection[str]) -> FusedTree:
         inertials = [_moved(link.inertial, X) for link, X in parts if link.inertial is not None]
         carried.append(
             Link(
-                f"{parent} fused",
+                f"{parent}{FUSED}",
                 parent,
                 np.eye(4),
                 f"{parent}_fused",

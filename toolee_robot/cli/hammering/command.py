@@ -38,7 +38,7 @@ class Hammer:
 
     Example: toolee hammer --seed 100 --json
 
-    Example: toolee hammer --station lab.yaml --rehearse
+    Example: toolee hammer --station rehearsal.yaml --rehearse
 
     Example: toolee hammer --station lab.yaml
 

@@ -80,9 +80,11 @@ class New:
                 f"\nNot asked for, and by default the simulated station's: {', '.join(left)}; the file takes yours.",
                 soft_wrap=True,
             )
+        rehearsal = self.file.with_name("rehearsal.yaml")
         console.print(
-            f"\nNext: `toolee station show {self.file}`, then rehearse, which moves nothing: "
-            f"`toolee calibrate camera --station {self.file} --rehearse --write`.",
+            f"\nNext: `toolee station show {self.file}`, then rehearse with a copy of it, which moves nothing: "
+            f"`cp {self.file} {rehearsal}`, and in the copy strike.speed 1.2, which drives a simulated nail; "
+            f"`toolee calibrate camera --station {rehearsal} --rehearse --write`.",
             soft_wrap=True,
         )
         return 0

@@ -18,7 +18,7 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.nail_forecast import NailForecast
-from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge, deepest_strike
+from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge, Touches, deepest_strike
 from toolee_robot.tasks.hammering.striking import Striking
 from toolee_robot.tasks.hammering.tool_pose import Holding
 from toolee_robot.types import Payload
@@ -81,6 +81,7 @@ class NailDriving:
         self._strikes_seen = 0
         self._holding = Holding()
         self._measured = False
+        self._taken: Touches | None = None  # of the measurement that the forecast has
         self._missed = 0  # strikes one after the other that did not meet the nail
         self._seen_too_near = 0.0  # along the face's normal, by the first touch after the first look [m]
 
@@ -156,7 +157,11 @@ class NailDriving:
             if self._missed or measured is None:
                 continue
             struck = forecast.unmeasured
-            progress, height = forecast.measured(measured), measured
+            progress, height = (
+                forecast.measured(measured, self._gauge.protrusion(self._taken) if self._taken else None),
+                measured,
+            )
+            self._taken = self._gauge.latest
             self.protrusion = height
             sank = max(progress, forecast.below)  # at least, in one strike: a mean hides one among several
             if sank > self._deepest:
@@ -170,7 +175,12 @@ class NailDriving:
             if height <= task.flush_protrusion:
                 return self._flush(f"two strikes moved it no further, {height * 1e3:.1f} mm over the wood")
             if doubted or not self._correction:
-                return Outcome.STUCK, f"two strikes moved the head under {task.min_progress * 1e3:.1f} mm"
+                slow = "strike.speed asks for" if plan.speed >= 0.99 * plan.wanted_speed else "arm and hand permit"
+                return Outcome.STUCK, (
+                    f"two strikes moved the head under {task.min_progress * 1e3:.1f} mm, and it stands "
+                    f"{height * 1e3:.1f} mm over the wood: it has met something hard, or the {plan.speed:.2f} m/s that "
+                    f"{slow} are too slow for it"
+                )
             # The edge of a face that has tilted in the hand meets the wood before the nail is flush.
             doubted, stalled = True, 0
             self._look(task.views)
@@ -198,6 +208,7 @@ class NailDriving:
             self._look(self._config.task.views, afresh=True)
             height = self._first_touch(known)
         self._forecast.measured(height)
+        self._taken = self._gauge.latest
         self.protrusion = height
 
     def _first_touch(self, known: float) -> float:

@@ -71,17 +71,20 @@ class NailForecast:
             return np.inf
         return max(float(self._depth(self._flush) ** 2 - self._depth(self.height) ** 2) / self._growth, 0.0)
 
-    def measured(self, height: float) -> float:
+    def measured(self, height: float, before: float | None = None) -> float:
         """Take over a measurement.
 
         Args:
             height: Measured protrusion [m].
+            before: That of the measurement before, where this one tells more of it [m]; None for what it was.
 
         Returns:
             Mean progress of the strikes since the last measurement [m]; 0 if there were none.
         """
         progress = 0.0
         self.below = 0.0 if self._growth is None else self.height - height
+        if before is not None:
+            self._measured = before
         if self.unmeasured:
             progress = (self._measured - height) / self.unmeasured
             self._strikes += self.unmeasured

@@ -39,6 +39,9 @@ CHECK = "look where the face stands, and check work.nail_xy, the height of the w
 ASIDE = 0.032
 """Distance from the nail to the touch point on the wood [m]: a face of up to 25 mm radius clears the nail's head."""
 
+Touches = tuple[Contact, Contact]
+"""Contacts of a measurement with the nail's head and with the wood."""
+
 
 def deepest_strike(mass: float, speed: float) -> float:
     """Depth that a strike can drive a nail at most; a head that sinks more has bent.
@@ -64,14 +67,17 @@ class NailGauge:
         config: Configuration of the station.
         robot: Kinematic model of arm and hand.
         observer: Receives the contacts.
+
+    Attributes:
+        latest: Touches of the last measurement; None before it.
     """
 
     def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
         self._motions, self._config, self._robot = motions, config, robot
         self._touch = Touch(motions, config, robot, observer)
+        self.latest: Touches | None = None
         self._known = 0.0  # height of the nail at the first measurement [m]
-        self._first: tuple[Contact, Contact] | None = None  # its touches: nail and wood
-        self._latest: tuple[Contact, Contact] | None = None  # those of the last one
+        self._first: Touches | None = None  # its touches: nail and wood
         self._corrected: Array | None = None  # the face's place in the hand as the last measurement has left it
 
     @property
@@ -90,9 +96,10 @@ class NailGauge:
         """
         self.go_over(plan)
         known = self._config.work.nail_protrusion
-        self._first = None
+        self._first = self.latest = None
+        self._touch.forget()
         measured = self.measure(known)
-        self._known, self._first = known, self._latest
+        self._known, self._first = known, self.latest
         self._corrected = None  # the place of the face will shift by the offset in the next measurement
         if abs(known - measured) <= 0.5 * TOLERANCE:
             return
@@ -154,14 +161,16 @@ class NailGauge:
         slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
         lowest = min(slipped, 0.0) - TOLERANCE
         wood = self._lower("wood", max(slipped, 0.0) + margin, lowest, Outcome.NAIL_MISSED)
-        if head.height - wood.height + self._reference < expected - implausible:
+        if self.protrusion((head, wood)) < expected - implausible:
             # A force felt above the wood makes the nail seem driven deeper; none can be felt below it.
             self._rise_to(wood.felt + LIFT)
             again = self._lower("wood", None, lowest, Outcome.NAIL_MISSED)
-            wood = min(wood, again, key=lambda contact: contact.height)
+            if again.felt < wood.felt:
+                wood.disbelieve()
+                wood = again
         self._rise_to(max(nail, wood.felt) + LIFT + MARGIN)
-        self._latest = head, wood
-        measured = head.height - wood.height + self._reference
+        self.latest = head, wood
+        measured = self.protrusion(self.latest)
         # Correct the face's position along its normal, from the nail's head that it rested on.
         motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, head.height - measured])
         self._corrected = motions.X_hand_ee[:3, 3]
@@ -180,16 +189,22 @@ class NailGauge:
         way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, plan, before=CLEAR)
         motions.transfer("to the touch", way)
 
-    @property
-    def _reference(self) -> float:
-        """What the difference of two touches is less than the nail's height [m]: the face is not square to the wood.
+    def protrusion(self, touches: Touches) -> float:
+        """Protrusion by the touches of a measurement, and the first two, which met a nail of known height.
 
-        By what all touches so far tell of the first two.
+        The face is not square to the wood, so that its centre does not come down to either.
+
+        Args:
+            touches: Those of nail and wood; what later touches tell of them counts as well.
+
+        Returns:
+            The protrusion [m].
         """
-        return 0.0 if self._first is None else self._known - (self._first[0].height - self._first[1].height)
+        offset = 0.0 if self._first is None else self._known - (self._first[0].height - self._first[1].height)
+        return touches[0].height - touches[1].height + offset
 
     def _height(self) -> float:
-        """Height of the face's centre over the wood by its estimated pose [m], as `Touch.lower` tells it."""
+        """Height of the face's centre over the wood by its estimated pose [m], as `Contact.felt` is."""
         return protrusion(self._motions.X_base_ee, self._config.work.X_base_nail(0.0))
 
     def _rise_to(self, height: float) -> None:

@@ -4,12 +4,11 @@ The motion ends when the mean force of a window exceeds a threshold that follows
 rest once in a job. What still presses on the face at rest is a contact; what does not was a phantom, and the face goes
 on. Where the face met the thing is the place from which the force has risen, found in the course of force over height:
 on the way down, or where the noise is too large for that, on a slow way up until the force is gone. What that way up
-tells of the stiffness of tool and hand makes the heights of all others better, those before it included.
+tells of the stiffness of tool and hand makes the heights of the other touches of the nail better, those before it too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,19 +53,27 @@ class Contact:
     Attributes:
         felt: Height over the wood [m] of the face's centre plane on the nail's axis where the face met it, by the
             estimated pose of the face in the hand, as this touch alone tells it.
+        releases: The releases of all touches; None where the way down told the height.
+        number: Which of them this one is.
     """
 
     felt: float
-    _better: Callable[[], float] | None = None
+    releases: Releases | None = None
+    number: int = 0
 
     @property
     def height(self) -> float:
-        """That height [m] by what all touches of the job have told so far."""
-        return self.felt if self._better is None else self._better()
+        """That height [m] by what all touches of this nail have told so far."""
+        return self.felt if self.releases is None else self.releases.height(self.number)
+
+    def disbelieve(self) -> None:
+        """Forget what it told of the stiffness: nothing was met here."""
+        if self.releases is not None:
+            self.releases.drop(self.number)
 
 
 class Touch:
-    """Guarded touches of one job.
+    """Guarded touches of one nail.
 
     Args:
         motions: The arm and what it carries.
@@ -112,6 +119,10 @@ class Touch:
         if self._settings is None:
             self._settings = self._measured()
         return True
+
+    def forget(self) -> None:
+        """Forget what the touches so far have told of the stiffness."""
+        self._releases = Releases()
 
     def lower(self, what: str, reach: float) -> Contact | None:
         """Lower the face until it touches something; `prepare` was called just before.
@@ -210,8 +221,8 @@ class Touch:
         rise = onset(course)
         if rise is None or rise.stiffness * (rise.height - np.min(course.heights)) < CONFIRM_SHARE * settings.force:
             return None
-        index, variance = releases.add(course, rise.stiffness), settings.variance
-        return Contact(rise.height, lambda: releases.height(index, variance))
+        releases.variance = settings.variance
+        return Contact(rise.height, releases, releases.add(course, rise.stiffness))
 
     def _course(self, report: MotionReport, until: float, X_flange_ee: Array) -> Course:
         """The forces in a motion up to a time [s], over the height of the face above the wood."""
