@@ -62,11 +62,9 @@ def test_strikes_are_simulated_faster_than_real_time(held: SimStation) -> None:
 
 
 def test_with_elastic_joints_a_strike_is_as_fast_and_drives_the_nail_about_as_far() -> None:
-    """The first 5 % further; the hand's wrist gives way first. The second 8 to 14 %, by rounding: the sum is judged."""
+    """5 and 8 % further; the hand's wrist gives way first."""
     with holding(0.0) as rigid, holding(1.0) as elastic:
-        driven = [_strike_twice(station)[2] for station in (elastic, rigid)]
-        assert driven[0][0] == pytest.approx(driven[1][0], rel=0.1)
-        assert sum(driven[0]) == pytest.approx(sum(driven[1]), rel=0.1)
+        np.testing.assert_allclose(_strike_twice(elastic)[2], _strike_twice(rigid)[2], rtol=0.1)
         fast, slow = ([strike.speed for strike in station.judge.strikes] for station in (elastic, rigid))
         np.testing.assert_allclose(fast, slow, rtol=0.01)
 
