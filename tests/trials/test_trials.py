@@ -207,7 +207,7 @@ def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Pa
     assert plan.hash.startswith("9e64e3f394f4")
     records = finished(plan, tmp_path)
     assert len(records) == len((tmp_path / RESULTS).read_text().splitlines()) - 1
-    assert load_plan(kept / "sweep.yaml").hash.startswith("fd46be305ab9")
+    assert load_plan(kept / "sweep.yaml").hash.startswith("122b571a6722")
 
 
 def test_every_seed_and_arm_gets_every_nail_in_every_wood(tmp_path: Path) -> None:
