@@ -267,6 +267,16 @@ class Nail:
         """Force that would drive the nail further now [N]."""
         return resistance(self.spec, self.protrusion, self.bend_angle)
 
+    def place(self, protrusion: float, bend: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Set the nail as if strikes had driven it so far and bent it so.
+
+        Args:
+            protrusion: Protrusion over the wood, along its axis [m].
+            bend: Angles of the two hinges at the wood's surface, about x and y of `X_world_surface` [rad].
+        """
+        for joint, value in ((HINGE_X, bend[0]), (HINGE_Y, bend[1]), (SLIDE, self.spec.protrusion - protrusion)):
+            pb.resetJointState(self.body, joint, value, physicsClientId=self._client)
+
     def head_pose(self) -> Array:
         """Current pose of the head's top, X_world_nail, 4x4."""
         # Called at every step of a strike, so written out: Rx(a) Ry(b), then up along the nail.

@@ -19,6 +19,7 @@ from rich.markup import escape
 
 from toolee_robot.cli.annotate import Annotate
 from toolee_robot.cli.arm.command import Arm
+from toolee_robot.cli.bench.bent_nails import BenchBentNails
 from toolee_robot.cli.bench.calibration import BenchCalibration
 from toolee_robot.cli.bench.command import Bench
 from toolee_robot.cli.bench.nail import BenchNail
@@ -53,6 +54,7 @@ Command = (
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[BenchCalibration, tyro.conf.subcommand("bench-calibration")]
     | Annotated[BenchNail, tyro.conf.subcommand("bench-nail")]
+    | Annotated[BenchBentNails, tyro.conf.subcommand("bench-bent-nails")]
     | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
     | Annotated[BenchSwing, tyro.conf.subcommand("bench-swing")]
     | Annotated[Camera, tyro.conf.subcommand("camera")]
@@ -80,6 +82,7 @@ AnyCommand = (
     | Bench
     | BenchCalibration
     | BenchNail
+    | BenchBentNails
     | BenchServo
     | BenchSwing
     | Camera

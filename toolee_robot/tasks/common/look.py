@@ -98,6 +98,9 @@ class Look:
         observer: Receives frames and estimates.
         X_hand_ee_nominal: Pose of the end effector in the hand in a nominal grasp, (4, 4).
         camera: What an earlier look says of the error of the camera's calibration; None for the first.
+
+    Attributes:
+        frames: The frames taken.
     """
 
     def __init__(
@@ -118,6 +121,7 @@ class Look:
         self._nominal = X_hand_ee_nominal
         self._largest = largest_displacement(X_hand_ee_nominal)
         self._region = held_region(config, X_hand_ee_nominal, self._largest)
+        self.frames: list[RgbdFrame] = []
         self._seen: list[list[ToolEstimate]] = []
         self._hands: list[Array] = []
 
@@ -159,6 +163,7 @@ class Look:
         except UserError as error:  # the frame is the camera's, not the user's
             raise DeviceError(f"the camera's frame is unusable: {error}", code="device.camera_frame") from error
         self._observer.frame(frame, estimates, X_camera_hand)
+        self.frames.append(frame)
         known = float(np.mean(frame.depth > 0.0))  # NaN included
         if known < MIN_DEPTH:
             self._observer.message(f"only {100 * known:.0f} % of the frame's depth is known: it does not count")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -19,9 +19,10 @@ from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.nail_forecast import NailForecast
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge, Touches, deepest_strike
+from toolee_robot.tasks.hammering.nail_watch import NailWatch
 from toolee_robot.tasks.hammering.striking import Striking
 from toolee_robot.tasks.hammering.tool_pose import Holding
-from toolee_robot.types import Payload
+from toolee_robot.types import Payload, RgbdFrame
 
 SURELY_FLUSH = 0.5
 """Share of `flush_protrusion` up to which one measurement is enough, after a strike at a nail that was flush before it
@@ -47,6 +48,7 @@ class NailDriving:
         observer: Receives the events of the job.
         look: Looks at the tool from the given number of views, and whether it forgets the looks before; sets
             `motions.X_hand_ee` and returns how the tool is held.
+        frames: Returns what the camera took at the last look.
         tool: Mass [kg] and centre of mass of the tool in the frame of its end effector [m].
         correction: Whether the estimated in-hand pose is used.
 
@@ -64,6 +66,7 @@ class NailDriving:
         stages: Stages,
         observer: TaskObserver,
         look: Callable[[int, bool], Holding],
+        frames: Callable[[], Sequence[RgbdFrame]],
         tool: Payload,
         *,
         correction: bool,
@@ -72,7 +75,8 @@ class NailDriving:
         self.seconds = 0.0
         self._motions, self._config, self._clock = motions, config, clock
         self._stages, self._observer = stages, observer
-        self._look_from = look
+        self._look_from, self._frames = look, frames
+        self._watch = NailWatch(config, observer)
         self._striking = Striking(motions, config, robot, clock, observer, tool)
         self._correction = correction
         self._gauge = NailGauge(motions, config, robot, observer)
@@ -199,6 +203,7 @@ class NailDriving:
         self._holding = Holding()
         known = self._config.work.nail_protrusion if self.protrusion is None else self._forecast.height
         self._strikes_seen = len(self.strikes)
+        self._watch.look(self._frames(), known, self._forecast.sigma)
         try:
             height = self._first_touch(known)
         except JobEnded as end:
@@ -229,6 +234,7 @@ class NailDriving:
             self._holding = self._look_from(views, afresh)
             # The camera's and the arm's errors are those of the look before, which the touch has told along the normal.
             self._motions.X_hand_ee = self._motions.X_hand_ee @ transform(p=[0.0, 0.0, self._seen_too_near])
+            self._watch.look(self._frames(), self._forecast.height, self._forecast.sigma)
         self._strikes_seen = len(self.strikes)
 
     def _strike_nail(self, plan: StrikePlan, before: float, *, home: bool = False) -> float | None:

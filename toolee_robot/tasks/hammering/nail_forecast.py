@@ -22,6 +22,8 @@ driven by less than `LITTLE` is measured after every strike."""
 LITTLE = 0.0025
 """Depth that says little of the course [m]: a measurement that is 1.2 mm short of it would put the forecast off by more
 than 2 mm within three strikes."""
+MEASURED, FORECAST = 0.0005, 0.25
+"""Standard deviation of a measured height [m], and of what strikes are forecast to drive, as a share of it."""
 DISAGREEMENT, LATENESS = 0.003, 1.5
 """Deviation of a contact from the forecast above which the nail is measured [m], beyond the arm's travel in so many
 control cycles: a force is felt up to a cycle late, and another one where it is noisy. In the mean of the last k
@@ -63,6 +65,13 @@ class NailForecast:
     def unknown(self) -> int:
         """Number of strikes of which the height before the last one knew nothing."""
         return self.unmeasured if self._growth is None else 1
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the height [m]: of a measurement, and of what was forecast since then."""
+        if self.unmeasured and self._growth is None:
+            return np.inf
+        return float(np.hypot(MEASURED, FORECAST * (self._measured - self.height)))
 
     @property
     def left(self) -> float:

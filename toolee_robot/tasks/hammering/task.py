@@ -92,7 +92,7 @@ class HammeringTask:
             [
                 (name, NailDriving(
                     motions, replace(config, work=config.work.only(name)), robot, station.clock, stages, observer,
-                    self._look, grasp.swung, correction=correction,
+                    self._look, lambda: self._tool_pose.frames, grasp.swung, correction=correction,
                 ))
                 for name in names
             ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
 from toolee_robot.tasks.common.stages import Stages
-from toolee_robot.types import InHandEstimate
+from toolee_robot.types import InHandEstimate, RgbdFrame
 
 SETTLE = 0.3
 """Time at standstill before a frame is taken, so that arm, wrist and tool have stopped swinging [s]."""
@@ -66,6 +66,7 @@ class ToolPose:
 
     Attributes:
         estimates: Fused pose of each look, with its time on the station's clock [s].
+        frames: What the camera took at the last look.
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class ToolPose:
         strikes_since_look: Callable[[], int],
     ) -> None:
         self.estimates: list[tuple[float, InHandEstimate]] = []
+        self.frames: Sequence[RgbdFrame] = ()
         self._station, self._perceiver, self._config, self._robot = station, perceiver, config, robot
         self._motions, self._stages, self._observer = motions, stages, observer
         self._X_hand_ee = X_hand_ee
@@ -143,6 +145,7 @@ class ToolPose:
                     raise
                 self._observer.message(f"{error}; looking again")
         self.estimates.append((self._station.clock.now(), estimate))
+        self.frames = look.frames
         self._motions.X_hand_ee = estimate.X_hand_ee
         self._related = True
         return holding

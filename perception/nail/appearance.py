@@ -1,0 +1,192 @@
+"""What a nail looks like: its shank and head as a camera covers them, and how well an image agrees.
+
+A nail is some pixels high and one wide, so that pixels are covered in part. The brightness of what is around it, and at
+first of its two parts, is unknown and follows by linear least squares: a fit needs no model of lamps, steel and wood.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.frames import Array
+from toolee_robot.types import CameraIntrinsics
+
+SUBPIXELS = 8
+"""Number of subpixels along a pixel's edge that a coverage is counted by."""
+FIXED = 4
+"""Bits after the point of the polygons' corners, in subpixels."""
+RIM = np.linspace(0.0, 2.0 * np.pi, 17)[:-1]
+"""Angles at which the circles of shank and head are sampled [rad]."""
+KNOWN = 1.0
+"""Weight of the colours of shank and head as seen before, as the root of a number of pixels: a nail that bends turns to
+other lamps, and a knot in the wood is no nail."""
+HEAD_THICKNESS = 0.001
+"""Thickness of a nail's head [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class NailPose:
+    """Where a nail stands.
+
+    Attributes:
+        foot: Where its axis enters the wood, `base`, (3,) [m].
+        head: Middle of its head's top, `base`, (3,) [m].
+    """
+
+    foot: Array
+    head: Array
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of an image.
+
+    Attributes:
+        left: First column.
+        top: First row.
+        right: First column beyond it.
+        bottom: First row beyond it.
+    """
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    def cut(self, image: NDArray[Any]) -> NDArray[Any]:
+        """The part of an image, (H, W) or (H, W, n)."""
+        return image[self.top : self.bottom, self.left : self.right]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.bottom - self.top, self.right - self.left
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """How a part of an image compares with a nail.
+
+    Attributes:
+        residuals: Differences from the closest picture of a nail, (h * w * n,); then, where they are known, those of
+            its colours from what they were.
+        without: Differences from the closest picture without one, (h * w * n,).
+        colours: How much brighter than what is around them shank and head are, (2, n).
+    """
+
+    residuals: Array
+    without: Array
+    colours: Array
+
+    @property
+    def left(self) -> float:
+        """Mean square that the nail leaves unexplained."""
+        return float(np.mean(self.residuals**2))
+
+    @property
+    def explained(self) -> float:
+        """Share of the variance that is the nail."""
+        variance = float(np.mean(self.without**2))
+        return 1.0 - self.left / variance if variance else 0.0
+
+
+class Appearance:
+    """A nail in a camera's image.
+
+    Args:
+        intrinsics: Pinhole model of the image.
+        X_camera_base: Pose of `base` in the camera frame, (4, 4).
+        radius: Radius of the shank [m].
+        head_radius: Radius of the head [m].
+        blur: Standard deviation of the camera's blur [pixel].
+    """
+
+    def __init__(
+        self, intrinsics: CameraIntrinsics, X_camera_base: Array, radius: float, head_radius: float, blur: float
+    ) -> None:
+        self._intrinsics, self._X_camera_base = intrinsics, X_camera_base
+        self._radius, self._head_radius, self.blur = radius, head_radius, blur
+
+    def pixels(self, points: Array) -> Array:
+        """Project points.
+
+        Args:
+            points: In `base`, (N, 3) [m].
+
+        Returns:
+            Their pixels, (N, 2), in which whole numbers are the middles of pixels.
+        """
+        K = self._intrinsics
+        x, y, z = (points @ self._X_camera_base[:3, :3].T + self._X_camera_base[:3, 3]).T
+        return np.stack([K.fx * x / z + K.cx, K.fy * y / z + K.cy], axis=1)
+
+    def depth(self, point: Array) -> float:
+        """Depth of a point in `base`, (3,) [m], along the optical axis [m]."""
+        return float(self._X_camera_base[2, :3] @ point + self._X_camera_base[2, 3])
+
+    def window(self, pose: NailPose, margin: float) -> Window | None:
+        """The part of the image around a nail.
+
+        Args:
+            pose: Where it stands.
+            margin: What is to be around foot and head [pixel].
+
+        Returns:
+            The part; None where it is not all in the image.
+        """
+        corners = self.pixels(np.stack([pose.foot, pose.head]))
+        left, top = np.floor(corners.min(axis=0) - margin).astype(int).tolist()
+        right, bottom = (np.ceil(corners.max(axis=0) + margin).astype(int) + 1).tolist()
+        inside = left >= 0 and top >= 0 and right <= self._intrinsics.width and bottom <= self._intrinsics.height
+        return Window(left, top, right, bottom) if inside else None
+
+    def compare(
+        self, image: NDArray[np.float64], window: Window, pose: NailPose, colours: Array | None = None
+    ) -> Comparison:
+        """Compare a part of an image with a nail over a plane of brightness.
+
+        Args:
+            image: The part of the image, (h, w, n), n channels.
+            window: Which part it is.
+            pose: Where the nail stands.
+            colours: How much brighter than what is around them shank and head were before, (2, n); None where that is
+                unknown.
+
+        Returns:
+            How they compare.
+        """
+        axis = (pose.head - pose.foot) / np.linalg.norm(pose.head - pose.foot)
+        across = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.5 else [0.0, 1.0, 0.0])
+        across /= np.linalg.norm(across)
+        rim = np.outer(np.cos(RIM), across) + np.outer(np.sin(RIM), np.cross(axis, across))
+        shank = [pose.foot + self._radius * rim, pose.head + self._radius * rim]
+        head = [pose.head + self._head_radius * rim, pose.head - HEAD_THICKNESS * axis + self._head_radius * rim]
+        covered = self._coverage(window, np.concatenate(head))
+        both = [self._coverage(window, np.concatenate(shank)) * (1.0 - covered), covered]
+        rows, columns = np.indices(window.shape, dtype=float)
+        plane = [np.ones(window.shape), columns - columns.mean(), rows - rows.mean()]
+        around = np.stack([part.ravel() for part in plane], axis=1)
+        nail = np.stack([part.ravel() for part in both], axis=1)
+        pixels = image.reshape(len(around), -1)
+        without = pixels - around @ np.linalg.lstsq(around, pixels, rcond=None)[0]
+        A = np.hstack([around, nail])
+        if colours is not None:  # as so many pixels more that show nothing but the one or the other
+            A = np.vstack([A, KNOWN * np.eye(2, 5, 3)])
+            pixels = np.vstack([pixels, KNOWN * colours])
+        fitted = np.linalg.lstsq(A, pixels, rcond=None)[0]
+        return Comparison((pixels - A @ fitted).ravel(), without.ravel(), fitted[3:])
+
+    def _coverage(self, window: Window, points: Array) -> Array:
+        """Share of each pixel that the convex hull of points (N, 3) covers, blurred, (h, w)."""
+        rows, columns = window.shape
+        corners = (self.pixels(points) - [window.left, window.top] + 0.5) * SUBPIXELS - 0.5
+        hull = cv2.convexHull(corners.astype(np.float32))[:, 0]
+        mask = np.zeros((rows * SUBPIXELS, columns * SUBPIXELS), np.uint8)
+        cv2.fillConvexPoly(mask, np.round(hull * 2**FIXED).astype(np.int32), 255, shift=FIXED)
+        share = cv2.resize(mask, (columns, rows), interpolation=cv2.INTER_AREA).astype(float) / 255.0
+        return np.asarray(cv2.GaussianBlur(share, (0, 0), self.blur), float)

@@ -1,0 +1,247 @@
+"""A nail by a camera that does not move: how it leans, and how far its head has been pushed off its axis.
+
+The camera's calibration may be off by more than what is looked for. So the first images, of the nail as it was set,
+tell where foot and head appear, and the later ones where the head appears since then: what the calibration displaces,
+it displaces in all of them. A head along whose line of sight nothing shows moves with the height that is known of it.
+
+    sight = NailSight(X_base_camera, foot, diameter, head_diameter)
+    lean = sight.first(frames, 0.020)      # None: it is not seen
+    ...                                    # it is driven
+    moved = sight.again(frames, 0.008, 0.0003)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from toolee_robot.frames import Array, inverse
+from toolee_robot.perception.nail.appearance import Appearance, Comparison, NailPose, Window
+from toolee_robot.types import RgbdFrame
+
+SEARCH, STEP = 0.018, 0.0012
+"""How far from where it is believed a nail is looked for on the wood, and in which steps [m]: three deviations of a
+camera that is 2 mm and 0.3 deg off at a metre."""
+BLURS = (0.3, 0.5, 0.8, 1.3)
+"""Blurs of cameras that are tried [pixel]; the one that explains the first image best is this camera's."""
+MARGIN, WIDE = 3.0, 4.0
+"""What is compared around foot and head where the nail is looked for, and where its pose is fitted [pixel]."""
+EXPLAINED = 0.4
+"""Least share of the variance around a nail that is the nail."""
+ASIDE = (0.003, 0.006)
+"""Distances from the axis at which a head is looked for that is not on it [m]."""
+BETTER = 0.9
+"""A head aside of its axis has to leave less than this share of what one on it leaves unexplained."""
+NEARER, SPECKS = 0.06, 0.05
+"""What is nearer to the camera than the nail by so much hides it [m], if it is more than this share of the pixels."""
+SEEN_PART = 0.3
+"""Least share of the pixels around a nail with a known depth: else nothing tells that it is not hidden."""
+SPREAD = 3.0
+"""Errors as a multiple of what independent pixels would leave: wood has a grain. By `toolee bench-bent-nails`."""
+DIFFERENCE = 2.5e-4
+"""Step of the derivatives [m]: a tenth of a pixel or more."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeadOffset:
+    """Where a nail's head is, from where it should be.
+
+    Attributes:
+        offset: Displacement in the plane of the wood, x and y of `base`, (2,) [m].
+        covariance: Its covariance, (2, 2) [m^2].
+    """
+
+    offset: Array
+    covariance: Array
+
+    @property
+    def distance(self) -> float:
+        """Length of the displacement [m]."""
+        return float(np.hypot(*self.offset))
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation along the displacement's own direction [m]."""
+        along = self.offset / max(self.distance, 1e-9)
+        return float(np.sqrt(along @ self.covariance @ along))
+
+    def surely_beyond(self, limit: float) -> bool:
+        """Whether the head is farther off than a limit [m], and by more than chance.
+
+        Args:
+            limit: The limit [m].
+
+        Returns:
+            Whether it is farther, and three standard deviations from no displacement at all.
+        """
+        deviations = float(self.offset @ np.linalg.solve(self.covariance, self.offset))
+        return self.distance > limit and deviations > 3.0**2
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A pose of a nail that was fitted to an image.
+
+    Attributes:
+        pose: The pose.
+        covariance: Covariance of foot and head, x and y, (4, 4) [m^2].
+        comparison: How the image compares with it; None where it is not all in the image.
+    """
+
+    pose: NailPose
+    covariance: Array
+    comparison: Comparison | None
+
+    @property
+    def left(self) -> float:
+        """Mean square that is left unexplained."""
+        return np.inf if self.comparison is None else self.comparison.left
+
+
+class NailSight:
+    """One nail, as a camera sees it.
+
+    Args:
+        X_base_camera: Pose of the camera in `base`, (4, 4).
+        foot: Where the nail's axis is believed to enter the wood, `base`, (3,) [m]; it stands upright.
+        diameter: Diameter of its shank [m].
+        head_diameter: Diameter of its head [m].
+    """
+
+    def __init__(self, X_base_camera: Array, foot: Array, diameter: float, head_diameter: float) -> None:
+        self._X_camera_base = inverse(X_base_camera)
+        self._camera = X_base_camera[:3, 3]
+        self._believed, self._radii = foot, (0.5 * diameter, 0.5 * head_diameter)
+        self._blur = BLURS[0]
+        self._set: NailPose | None = None  # as it was set, as seen
+        self._covariance = np.zeros((4, 4))  # of its foot and head, x and y
+        self._colours: Array | None = None
+
+    def first(self, frames: Sequence[RgbdFrame], height: float) -> HeadOffset | None:
+        """See the nail as it was set.
+
+        Args:
+            frames: Images of it.
+            height: Height of its head over the wood [m].
+
+        Returns:
+            How its head stands beside its foot; None where it is hidden, outside of the image or not found.
+        """
+        image = self._mean(frames, self._upright(self._believed, height))
+        if image is None:
+            return None
+        found = self._find(frames[0], image, height)
+        if found is None:
+            return None
+        fits = [(self._fit(self._look(frames[0], blur), image, found, foot=True), blur) for blur in BLURS]
+        fit, self._blur = min(fits, key=lambda fit: fit[0].left)
+        if fit.comparison is None or fit.comparison.explained < EXPLAINED:
+            return None
+        self._set, self._covariance, self._colours = fit.pose, fit.covariance, fit.comparison.colours
+        across = np.hstack([-np.eye(2), np.eye(2)])
+        return HeadOffset((self._set.head - self._set.foot)[:2], across @ self._covariance @ across.T)
+
+    def again(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> HeadOffset | None:
+        """See where the head is after strikes.
+
+        Args:
+            frames: Images of the nail.
+            height: Height of its head over the wood [m].
+            sigma: Standard deviation of that height [m].
+
+        Returns:
+            How far the head is from the axis on which it was set; None where the nail was not or is not seen.
+        """
+        if self._set is None:
+            return None
+        share = height / (self._set.head - self._set.foot)[2]
+        expected = NailPose(self._set.foot, self._set.foot + share * (self._set.head - self._set.foot))
+        image = self._mean(frames, expected)
+        if image is None:
+            return None
+        look = self._look(frames[0], self._blur)
+        fits = [self._fit(look, image, start, foot=False) for start in self._starts(expected)]
+        on_axis, best = fits[0], min(fits, key=lambda fit: fit.left)
+        fit = best if best.left < BETTER * on_axis.left else on_axis
+        axis = np.hstack([(1.0 - share) * np.eye(2), share * np.eye(2)])
+        ray = expected.head - self._camera
+        along = ray[:2] / ray[2]  # a head that is higher than believed looks as if it were nearer to the camera
+        total = fit.covariance[2:, 2:] + axis @ self._covariance @ axis.T + sigma**2 * np.outer(along, along)
+        return HeadOffset((fit.pose.head - expected.head)[:2], total)
+
+    def _upright(self, foot: Array, height: float) -> NailPose:
+        return NailPose(foot, foot + np.array([0.0, 0.0, height]))
+
+    def _look(self, frame: RgbdFrame, blur: float) -> Appearance:
+        return Appearance(frame.intrinsics, self._X_camera_base, *self._radii, blur)
+
+    def _mean(self, frames: Sequence[RgbdFrame], pose: NailPose) -> NDArray[np.float64] | None:
+        """The mean of those images in which nothing hides the nail; None if there is none."""
+        seen = [frame.rgb for frame in frames if self._in_sight(frame, pose)]
+        return np.mean(seen, axis=0) if seen else None
+
+    def _in_sight(self, frame: RgbdFrame, pose: NailPose) -> bool:
+        look = self._look(frame, BLURS[0])
+        window = look.window(pose, WIDE)
+        if window is None:
+            return False
+        depth = window.cut(frame.depth)
+        known = depth[depth > 0.0]  # NaN is not
+        if known.size < SEEN_PART * depth.size:
+            return False
+        return bool(np.quantile(known, SPECKS) > look.depth(pose.head) - NEARER)
+
+    def _find(self, frame: RgbdFrame, image: NDArray[np.float64], height: float) -> NailPose | None:
+        """Look for an upright nail around the place where it is believed."""
+        look, best = self._look(frame, BLURS[len(BLURS) // 2]), None
+        steps = np.arange(-SEARCH, SEARCH + 0.5 * STEP, STEP)
+        for x in steps:
+            for y in steps[np.hypot(x, steps) <= SEARCH]:
+                pose = self._upright(self._believed + np.array([x, y, 0.0]), height)
+                window = look.window(pose, MARGIN)
+                if window is None:
+                    continue
+                found = look.compare(window.cut(image), window, pose)
+                gain = float(np.sum(found.without**2) - np.sum(found.residuals**2))
+                if best is None or gain > best[0]:
+                    best = gain, pose
+        return None if best is None else best[1]
+
+    def _starts(self, expected: NailPose) -> list[NailPose]:
+        """The expected pose, and some with the head off the axis."""
+        angles = np.arange(0.0, 2.0 * np.pi, np.pi / 4)
+        aside = [radius * np.array([np.cos(a), np.sin(a), 0.0]) for radius in ASIDE for a in angles]
+        return [expected, *(NailPose(expected.foot, expected.head + offset) for offset in aside)]
+
+    def _fit(self, look: Appearance, image: NDArray[np.float64], start: NailPose, *, foot: bool) -> Fit:
+        """Fit the head's place at its height, and where `foot` is true the foot's and the colours."""
+        window: Window | None = look.window(start, WIDE)
+        if window is None:
+            return Fit(start, np.full((4, 4), np.inf), None)
+        part, free = window.cut(image), slice(0 if foot else 2, 4)
+
+        def pose(x: Array) -> NailPose:
+            moved = np.zeros(4)
+            moved[free] = x
+            return NailPose(start.foot + np.array([*moved[:2], 0.0]), start.head + np.array([*moved[2:], 0.0]))
+
+        colours = None if foot else self._colours
+
+        def residuals(x: Array) -> Array:
+            return look.compare(part, window, pose(x), colours).residuals
+
+        def slopes(x: Array) -> Array:
+            steps = DIFFERENCE * np.eye(len(x))
+            return np.stack([(residuals(x + s) - residuals(x - s)) / (2 * DIFFERENCE) for s in steps], axis=1)
+
+        n = 4 if foot else 2
+        fit = least_squares(residuals, np.zeros(n), jac=slopes, x_scale=1e-3, max_nfev=20)
+        left = 2.0 * fit.cost / max(len(fit.fun) - n, 1)
+        covariance = np.zeros((4, 4))
+        information = fit.jac.T @ fit.jac + 1e-6 * left * np.eye(n) / DIFFERENCE**2
+        covariance[free, free] = SPREAD**2 * left * np.linalg.inv(information)
+        return Fit(pose(fit.x), covariance, look.compare(part, window, pose(fit.x), colours))

@@ -1,0 +1,104 @@
+"""The camera's view of a nail, on rendered frames of the simulated station, whose calibration is off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.config import StationConfig
+from toolee_robot.frames import Array, transform
+from toolee_robot.perception.nail.sight import HeadOffset, NailSight
+from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.physics.nail import Nail
+from toolee_robot.types import RgbdFrame
+
+pytestmark = pytest.mark.sim(seconds=15)
+
+CONFIG = StationConfig()
+WORK = CONFIG.work
+SIGMA = 3e-4  # [m] of a height
+OFF = transform(Rotation.from_rotvec([0.004, -0.005, 0.003]), [0.002, -0.003, 0.002])
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Iterator[SimStation]:
+    with SimStation.build(CONFIG, 0, SimOptions(hands_over=False)) as simulation:
+        yield simulation
+
+
+@pytest.fixture
+def nail(simulation: SimStation) -> Nail:
+    """As it was set, upright."""
+    nail = simulation.world.nail
+    nail.place(nail.spec.protrusion)
+    return nail
+
+
+@pytest.fixture
+def sight() -> NailSight:
+    """With a camera that is 4 mm and 0.4 deg from where it is believed."""
+    foot = np.array([*WORK.nail_xy, WORK.wood_height])
+    return NailSight(CONFIG.camera.X_base_camera @ OFF, foot, WORK.nail_diameter, WORK.nail_head_diameter)
+
+
+def _frames(simulation: SimStation) -> Sequence[RgbdFrame]:
+    return [simulation.station.camera.read(), simulation.station.camera.read()]
+
+
+def _head(nail: Nail) -> Array:
+    """Its head from its foot, (3,) [m]."""
+    return np.asarray(nail.head_pose()[:3, 3] - nail.X_world_surface[:3, 3])
+
+
+def test_a_lean_is_seen_within_its_uncertainty(simulation: SimStation, nail: Nail, sight: NailSight) -> None:
+    nail.place(nail.spec.protrusion, (0.15, -0.2))
+    seen = sight.first(_frames(simulation), float(_head(nail)[2]))
+    assert seen is not None
+    off = seen.offset - _head(nail)[:2]
+    assert off @ np.linalg.solve(seen.covariance, off) < 3.0**2
+    assert seen.sigma < 0.002
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.004, 0.006])
+@pytest.mark.parametrize("towards", [0.0, 1.5, 3.0, 4.5])
+def test_a_head_pushed_aside_is_seen_and_one_on_its_axis_is_not(
+    simulation: SimStation, nail: Nail, sight: NailSight, aside: float, towards: float
+) -> None:
+    assert sight.first(_frames(simulation), nail.spec.protrusion) is not None
+    angle = np.arcsin(aside / 0.012)
+    nail.place(0.012, (float(angle * np.cos(towards)), float(angle * np.sin(towards))))
+    seen = sight.again(_frames(simulation), float(_head(nail)[2]), SIGMA)
+    assert seen is not None
+    assert np.linalg.norm(seen.offset - _head(nail)[:2]) < 0.0025
+    assert seen.surely_beyond(0.0023) == (aside > 0.0)
+
+
+def test_a_height_that_is_not_known_hides_what_moves_along_the_line_of_sight() -> None:
+    ray = np.array([0.8, 0.6])
+    head = HeadOffset(0.004 * ray, 1e-8 * np.eye(2) + 0.002**2 * np.outer(ray, ray))
+    assert not head.surely_beyond(0.0023)
+    across = HeadOffset(np.array([-0.0024, 0.0032]), head.covariance)
+    assert across.distance == pytest.approx(0.004)
+    assert across.surely_beyond(0.0023)
+    assert across.sigma == pytest.approx(1e-4, rel=0.1)
+
+
+def test_what_is_hidden_or_not_there_or_not_in_the_image_is_not_seen(
+    simulation: SimStation, nail: Nail, sight: NailSight
+) -> None:
+    frames, height = _frames(simulation), nail.spec.protrusion
+    assert sight.again(frames, height, SIGMA) is None, "it was not seen as it was set"
+    near = [replace(frame, depth=np.full_like(frame.depth, 0.5)) for frame in frames]
+    assert sight.first(near, height) is None, "something is in front of it"
+    unknown = [replace(frame, depth=np.zeros_like(frame.depth)) for frame in frames]
+    assert sight.first(unknown, height) is None, "nothing tells what is in front of it"
+    nail.place(0.0)
+    assert sight.first(_frames(simulation), height) is None, "there is wood only"
+    away = NailSight(CONFIG.camera.X_base_camera, np.array([0.9, 0.6, 0.3]), WORK.nail_diameter, 0.006)
+    assert away.first(frames, height) is None, "not in the image"
+    assert sight.first([*near, *frames], height) is not None, "in some of the frames it is"
+    assert sight.again(near, height, SIGMA) is None

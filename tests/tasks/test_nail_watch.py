@@ -1,0 +1,61 @@
+"""A nail that leans as it was set, or that strikes have bent, is seen by the camera and struck no further."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.tasks.bench import Log, is_home
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
+from toolee_robot.tasks.common.outcome import Outcome, Strike
+
+pytestmark = pytest.mark.sim(seconds=30)
+
+USUAL = CONFIG.task.strikes_between_looks
+LONG = replace(CONFIG, task=replace(CONFIG.task, max_strikes=20))
+
+
+def test_a_nail_that_leans_as_it_was_set_is_not_struck(bench: Bench) -> None:
+    nail = bench.sim.world.nail
+    nail.place(nail.spec.protrusion, (0.0, np.deg2rad(25)))
+    log = Log()
+    result = bench.seeing_task(log).run()
+    assert result.outcome is Outcome.BENT
+    assert "the camera sees the nail lean" in result.reason
+    assert "touch" not in " ".join(log.motions)
+    assert not result.strikes
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+class Bending(Log):
+    """Pushes the nail's head aside after the last strike before a look at the tool."""
+
+    def __init__(self, bench: Bench, aside: float) -> None:
+        super().__init__()
+        self._bench, self._aside = bench, aside
+
+    def strike(self, strike: Strike) -> None:
+        super().strike(strike)
+        if len(self.strikes) == USUAL:
+            nail = self._bench.sim.world.nail
+            nail.place(nail.protrusion, (float(np.arcsin(self._aside / nail.protrusion)), 0.0))
+
+
+@pytest.mark.parametrize(("aside", "bent"), [(0.0, False), (0.004, True)])
+def test_a_nail_that_strikes_have_bent_is_seen_at_the_next_look(bench: Bench, aside: float, bent: bool) -> None:
+    log = Bending(bench, aside)
+    result = bench.seeing_task(log, LONG).run()
+    if not bent:
+        assert result.outcome is Outcome.FLUSH, result.reason
+        assert not any("does not see the nail" in message for message in log.messages)
+        return
+    assert result.outcome is Outcome.BENT
+    assert "the camera sees the nail's head" in result.reason
+    assert len(result.strikes) == USUAL
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)

@@ -1,0 +1,114 @@
+"""Simulated labs whose nail is straight, leans or is bent, and what the camera's view of it says in each.
+
+Drawn from the seed, and unknown to whoever looks: room, lamps and wood, how the calibration of the camera is off, how
+the nail was set, how far it is driven, and how far the measured height of its head is off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.config import StationConfig
+from toolee_robot.frames import Array, transform
+from toolee_robot.perception.nail.sight import HeadOffset, NailSight
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.types import RgbdFrame
+
+CAMERA, CAMERA_ANGLE = 0.002, np.deg2rad(0.3)
+"""Nominal error of the camera's calibration, about each axis [m], [rad]."""
+LEAN = np.deg2rad(2.0)
+"""Nominal lean of a nail, to each side [rad]."""
+HEIGHT = 3e-4
+"""Error of the measured height of the head [m]."""
+SIGMA = 5e-4
+"""What a job takes for that error [m]."""
+FRAMES = 2
+"""Images of a look."""
+DRIVEN = 0.003, 0.017
+"""Range of heights of a nail that has been driven [m]."""
+PUSHED, BENT = (0.003, 0.008), (np.deg2rad(10.0), np.deg2rad(60.0))
+"""How far the heads of bent nails are pushed aside [m], and by what angle the nails are bent [rad]."""
+LEANS = np.deg2rad(12.0), np.deg2rad(25.0)
+"""Lean of nails that are not to be struck [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What one look at a nail said.
+
+    Attributes:
+        kind: `straight`, `bent`, or, as it was set, `set` or `leaning`.
+        height: Height of the head over the wood [m].
+        offset: True displacement of the head from the axis on which the nail was set, or of a nail as it was set, of
+            its head from its foot, x and y of `base`, (2,) [m].
+        found: What was seen; None if nothing was.
+    """
+
+    kind: str
+    height: float
+    offset: Array
+    found: HeadOffset | None
+
+
+def look_at_nails(seed: int, config: StationConfig | None = None) -> Iterator[Seen]:
+    """Look at the nails of one simulated lab.
+
+    Args:
+        seed: Seed of the lab.
+        config: The station as it is; the default one if None.
+
+    Returns:
+        The looks: at a nail as it was set, straight and bent after strikes, and at one that leans.
+    """
+    config = config or StationConfig()
+    rng = np.random.default_rng([seed, 28])
+    off = transform(Rotation.from_rotvec(rng.normal(0.0, CAMERA_ANGLE, 3)), rng.normal(0.0, CAMERA, 3))
+    lean = rng.normal(0.0, LEAN, 2)
+    yield from _looks(seed, config, off, lean, "set", rng)
+    direction, size = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*LEANS)
+    yield from _looks(seed, config, off, size * np.array([np.cos(direction), np.sin(direction)]), "leaning", rng)
+
+
+def _looks(
+    seed: int, config: StationConfig, off: Array, lean: Array, kind: str, rng: np.random.Generator
+) -> Iterator[Seen]:
+    work = config.work
+    foot = np.array([*work.nail_xy, work.wood_height])
+    X_base_camera = config.camera.X_base_camera @ off
+    sight = NailSight(X_base_camera, foot, work.nail_diameter, work.nail_head_diameter)
+    options = SimOptions(hands_over=False, nail_leans=((float(lean[0]), float(lean[1])),))
+    with SimStation.build(config, seed, options) as simulation:
+        nail = simulation.world.nail
+
+        def head() -> Array:
+            return np.asarray(nail.head_pose()[:3, 3] - nail.X_world_surface[:3, 3])
+
+        def frames() -> Sequence[RgbdFrame]:
+            return [simulation.station.camera.read() for _ in range(FRAMES)]
+
+        set_so = head()
+        yield Seen(
+            kind, float(set_so[2]), set_so[:2], sight.first(frames(), float(set_so[2] + rng.normal(0.0, HEIGHT)))
+        )
+        if kind == "leaning":
+            return
+        for what in ("straight", "bent"):
+            nail.place(*_driven(what, rng))
+            at = head()
+            found = sight.again(frames(), float(at[2] + rng.normal(0.0, HEIGHT)), SIGMA)
+            yield Seen(what, float(at[2]), (at - at[2] / set_so[2] * set_so)[:2], found)
+
+
+def _driven(kind: str, rng: np.random.Generator) -> tuple[float, tuple[float, float]]:
+    """Protrusion [m] and bend [rad] of a nail that has been struck."""
+    if kind == "straight":
+        return float(rng.uniform(*DRIVEN)), (0.0, 0.0)
+    while True:
+        pushed, angle, direction = rng.uniform(*PUSHED), rng.uniform(*BENT), rng.uniform(0.0, 2.0 * np.pi)
+        if DRIVEN[0] <= (protrusion := pushed / np.sin(angle)) <= DRIVEN[1]:
+            return float(protrusion), (float(angle * np.cos(direction)), float(angle * np.sin(direction)))

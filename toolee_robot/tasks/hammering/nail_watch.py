@@ -1,0 +1,91 @@
+"""Look at the nail itself whenever the tool is looked at: one that leans or has been bent is not struck."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.perception.nail.sight import HeadOffset, NailSight
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import JobEnded, Outcome
+from toolee_robot.types import RgbdFrame
+
+LEANS, SURE = np.deg2rad(10.0), 2.0
+"""Lean of a nail as it was set that is not struck [rad], and how surely, in standard deviations of the lean."""
+ASIDE = 0.0023
+"""Distance of its head from the axis on which it was set at which a nail counts as bent [m]: of heads pushed by 3 mm or
+more next to none is missed, and no straight nail was taken for one (`toolee bench-bent-nails`)."""
+STANDS = 0.010
+"""Least height of a nail whose foot and head can be told apart [m]."""
+
+
+class NailWatch:
+    """The camera's view of one nail in the course of a job.
+
+    Args:
+        config: Configuration of the station with this nail.
+        observer: Receives messages.
+    """
+
+    def __init__(self, config: StationConfig, observer: TaskObserver) -> None:
+        work = config.work
+        foot = np.array([*work.nail_xy, work.wood_height])
+        self._sight = NailSight(config.camera.X_base_camera, foot, work.nail_diameter, work.nail_head_diameter)
+        self._observer = observer
+        self._begun = self._told = False
+
+    def look(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> None:
+        """See whether the nail stands as it should.
+
+        Args:
+            frames: What the camera took at this look at the tool; none, and nothing is seen.
+            height: Height of the nail's head over the wood [m].
+            sigma: Standard deviation of it [m]; infinite where it is not known.
+
+        Raises:
+            JobEnded: The nail leans or is bent.
+        """
+        if not frames or not np.isfinite(sigma) or height < ASIDE:
+            return
+        if self._begun:
+            head = self._sight.again(frames, height, sigma)
+            if head is not None and is_bent(head):
+                raise JobEnded(
+                    Outcome.BENT,
+                    f"the camera sees the nail's head {head.distance * 1e3:.0f} ± {head.sigma * 1e3:.0f} mm beside the "
+                    "axis on which it was set: it is bent; pull it out",
+                )
+            return
+        if height < STANDS:
+            return
+        lean = self._sight.first(frames, height)
+        self._begun = lean is not None
+        if lean is None:
+            if not self._told:
+                self._observer.message("the camera does not see the nail: it is not watched for bending")
+            self._told = True
+        elif leans(lean, height):
+            angle, sigma = np.rad2deg(np.arctan2([lean.distance, lean.sigma], height))
+            raise JobEnded(
+                Outcome.BENT, f"the camera sees the nail lean by {angle:.0f} ± {sigma:.0f}°: set it upright, or another"
+            )
+
+
+def is_bent(head: HeadOffset) -> bool:
+    """Whether a head that was seen beside its nail's axis is that of a bent nail."""
+    return head.surely_beyond(ASIDE)
+
+
+def leans(lean: HeadOffset, height: float) -> bool:
+    """Whether a nail leans too far to be struck.
+
+    Args:
+        lean: Where its head is seen, from its foot.
+        height: Height of the head over the wood [m].
+
+    Returns:
+        Whether it does.
+    """
+    return lean.distance - SURE * lean.sigma > height * float(np.tan(LEANS))
