@@ -45,7 +45,7 @@ def test_show_prints_what_the_station_file_needs(folder: Path, capsys: pytest.Ca
     assert seen.shape == (72, 192, 3)
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_record_writes_what_can_be_played(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder.parent / "again"
     config = station(folder.parent / "lab.yaml", folder)
@@ -65,7 +65,7 @@ def test_record_writes_what_can_be_played(folder: Path, capsys: pytest.CaptureFi
     assert all(b - a >= 0.5 for a, b in itertools.pairwise(stamps))
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_doctor_ends_by_what_it_found(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for least, code in ((0.2, 0), (0.6, EXIT_FAILED)):
         config = station(folder.parent / "lab.yaml", folder, least_range=least)

@@ -53,7 +53,7 @@ def _hand(
     return code, json.loads(out.out.splitlines()[-1]) if out.out else {"said": out.err}
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 @pytest.mark.parametrize(
     ("name", "port", "handle"),
     [("inspire", None, 400.0), ("inspire", TCP, 400.0), ("ability", None, 55.0), ("shadow", None, 55.0)],
@@ -77,7 +77,7 @@ def test_every_hand_closes_on_a_handle_and_opens_again(
         assert (code, state["holding"], state["fault"]) == (0, False, "")
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_what_one_command_gripped_the_next_one_finds_in_the_hand(
     capsys: pytest.CaptureFixture[str], keyboard: int
 ) -> None:
@@ -97,7 +97,7 @@ def test_what_one_command_gripped_the_next_one_finds_in_the_hand(
         assert (code, opened["holding"]) == (0, False)
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_a_fault_is_exit_1(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     with _emulated(INSPIRE) as emulator:
@@ -108,7 +108,7 @@ def test_a_fault_is_exit_1(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
         assert "index" in told[told.index("fault") :]
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_two_programs_do_not_command_a_hand_on_a_serial_port(capsys: pytest.CaptureFixture[str]) -> None:
     with (
         _emulated(INSPIRE) as emulator,

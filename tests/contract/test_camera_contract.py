@@ -107,8 +107,8 @@ class LabRig(Rig):
 
 TIERS = {
     "simulated": pytest.mark.sim,
-    "recorded": pytest.mark.realtime,
-    "realsense": pytest.mark.realtime,
+    "recorded": pytest.mark.realtime(light=True),
+    "realsense": pytest.mark.realtime(light=True),
     "lab": pytest.mark.realtime,
 }
 

@@ -172,10 +172,10 @@ def at_handover() -> Array:
 TIERS = {
     "simulated": pytest.mark.sim,
     "mount": pytest.mark.unit,
-    "inspire": pytest.mark.realtime,
-    "inspire_tcp": pytest.mark.realtime,
-    "ability": pytest.mark.realtime,
-    "shadow": pytest.mark.realtime,
+    "inspire": pytest.mark.realtime(light=True),
+    "inspire_tcp": pytest.mark.realtime(light=True),
+    "ability": pytest.mark.realtime(light=True),
+    "shadow": pytest.mark.realtime(light=True),
 }
 
 

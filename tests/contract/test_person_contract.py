@@ -137,8 +137,8 @@ def sim() -> Iterator[SimStation]:
 @pytest.fixture(
     params=[
         pytest.param("simulated", marks=pytest.mark.sim),
-        pytest.param("one contact", marks=pytest.mark.realtime),
-        pytest.param("two contacts", marks=pytest.mark.realtime),
+        pytest.param("one contact", marks=pytest.mark.realtime(light=True)),
+        pytest.param("two contacts", marks=pytest.mark.realtime(light=True)),
     ]
 )
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:

@@ -51,7 +51,7 @@ def test_the_least_range_is_compared_with_the_views(least: float, level: Level) 
     assert check_range(config).level is Level.WARN
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_the_stream(tmp_path: Path) -> None:
     toy_recording(tmp_path / "r", 40)
     clock = HostClock()

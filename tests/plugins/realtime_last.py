@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import OrderedDict
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -12,19 +13,38 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
+BOUND = ("realtime", "light")
+"""What is bound to the clock: what needs a machine that does nothing else, and what may run beside it."""
+_FEWEST = 4
+"""Workers of which two wait: at least as many run what is not bound to the clock."""
+
+
+@dataclass
+class _Share:
+    """What one worker runs when the processes of all that do not wait have ended.
+
+    Attributes:
+        files: Their names in the queue.
+        worker: The one that waits for it, or runs it; none where it died and its successor is not there yet.
+    """
+
+    files: frozenset[str]
+    worker: WorkerController | None = None
+
 
 class RealtimeLast(LoadFileScheduling):
-    """Whole files go to the workers, as with `--dist loadfile`, but one worker waits until the processes of all others
-    have ended. Then it runs the tests marked `realtime`, one after another, on a machine that does nothing else and in
-    a process that has run no other test. Where nothing is marked so, it works like the others; a single worker runs
-    the tests marked `realtime` after all others.
+    """Whole files go to the workers, as with `--dist loadfile`, but two workers wait until the processes of all others
+    have ended. Then one of them runs the tests marked `realtime`, one after another, and the other one, at the same
+    time, those marked `realtime(light=True)`, one after another: on a machine that does nothing else, and in processes
+    that have run no other test. Of two or three workers one waits, and runs the light ones after the others. Where
+    nothing is marked so, nobody waits; a single worker runs the tests marked `realtime` after all others.
 
     Args:
         config: of the controlling process.
         log: xdist's debug log.
         tiers: a file that the workers have written when they have collected: JSON, `{tier: {node id: seconds}}`, with
-            what the marker says of how long the test's file takes. (What a worker tells of its collection is the node
-            ids, without markers.)
+            what the marker says of how long the test's file takes; the light ones are a tier of their own, `light`.
+            (What a worker tells of its collection is the node ids, without markers.)
     """
 
     collection: list[str] | None
@@ -33,17 +53,8 @@ class RealtimeLast(LoadFileScheduling):
     def __init__(self, config: pytest.Config, log: Producer | None, tiers: Path) -> None:
         super().__init__(config, log)
         self._tiers = tiers
-        self._bound: frozenset[str] = frozenset()
-        self._realtime: OrderedDict[str, dict[str, bool]] = OrderedDict()
-        self._waiting: WorkerController | None = None
-
-    @property
-    def tests_finished(self) -> bool:
-        return not self._realtime and super().tests_finished
-
-    @property
-    def has_pending(self) -> bool:
-        return bool(self._realtime) or super().has_pending
+        self._bound: dict[str, str] = {}
+        self._shares: list[_Share] = []
 
     def schedule(self) -> None:
         """Called when all workers have collected, and again when one has that replaces a crashed one."""
@@ -51,23 +62,24 @@ class RealtimeLast(LoadFileScheduling):
             if not self._check_nodes_have_same_collection():
                 return
             self.collection = list(next(iter(self.registered_collections.values())))
-            self._fill_queues()
-        if self._realtime and self._waiting is None:
-            self._waiting = self.nodes[-1]
-        for node in self.nodes:
-            self._reschedule(node)
-        self._start_realtime()
+            self._fill_queue()
+        for share in self._shares:
+            if share.worker is None and any(file in share.files for file in self.workqueue):
+                free = [node for node in self.nodes if self._share(node) is None and not node.shutting_down]
+                share.worker = free[-1] if free else None
+        self._reschedule_all()
 
     def remove_node(self, node: WorkerController) -> str | None:
-        if node is self._waiting:
-            self._waiting = None
+        share = self._share(node)
+        if share is not None:
+            share.worker = None
         crashed_in = super().remove_node(node)
-        self._start_realtime()
+        self._reschedule_all()
         return crashed_in
 
-    def _fill_queues(self) -> None:
+    def _fill_queue(self) -> None:
         tiers: dict[str, dict[str, float]] = json.loads(self._tiers.read_text())
-        self._bound = frozenset(tiers["realtime"])
+        self._bound = {nodeid: tier for tier in BOUND for nodeid in tiers[tier]}
         seconds = {**tiers["unit"], **tiers["sim"]}
 
         def order(file: tuple[str, dict[str, bool]]) -> tuple[float, int]:
@@ -75,15 +87,18 @@ class RealtimeLast(LoadFileScheduling):
             return -max(seconds[nodeid] for nodeid in file[1]), -len(file[1])
 
         self.workqueue.update(sorted(self._files(seconds).items(), key=order))
-        self._realtime = self._files(tiers["realtime"])
-        if len(self.nodes) == 1:
-            self.workqueue.update(self._realtime)
-            self._realtime = OrderedDict()
+        bound = [files for tier in BOUND if (files := self._files(tiers[tier]))]
+        for files in bound:
+            self.workqueue.update(files)
+        if len(self.nodes) >= _FEWEST:
+            self._shares = [_Share(frozenset(files)) for files in bound]
+        elif len(self.nodes) > 1 and bound:
+            self._shares = [_Share(frozenset().union(*bound))]
 
     def _split_scope(self, nodeid: str) -> str:
-        """The file; its tests that are bound to the clock are a group of their own."""
+        """The file; its tests that are bound to the clock are a group of their own, and the light ones another."""
         file = super()._split_scope(nodeid)
-        return f"{file} (realtime)" if nodeid in self._bound else file
+        return f"{file} ({self._bound[nodeid]})" if nodeid in self._bound else file
 
     def _files(self, nodeids: Iterable[str]) -> OrderedDict[str, dict[str, bool]]:
         """Their tests by file, none of them done."""
@@ -92,18 +107,31 @@ class RealtimeLast(LoadFileScheduling):
             files.setdefault(self._split_scope(nodeid), {})[nodeid] = False
         return files
 
+    def _share(self, node: WorkerController) -> _Share | None:
+        return next((share for share in self._shares if share.worker is node), None)
+
+    def _next_file(self, share: _Share | None) -> str | None:
+        """The first one in the queue of this share, or of what nobody waits for."""
+        kept = frozenset[str]().union(*(share.files for share in self._shares))
+        return next((file for file in self.workqueue if (file in share.files if share else file not in kept)), None)
+
+    def _waits(self) -> bool:
+        """Whether there is work left for those that do not wait, or any of their processes."""
+        return self._next_file(None) is not None or any(self._share(node) is None for node in self.nodes)
+
+    def _reschedule_all(self) -> None:
+        for node in self.nodes:
+            self._reschedule(node)
+
     def _reschedule(self, node: WorkerController) -> None:
-        if node is self._waiting or node.shutting_down or node not in self.registered_collections:
+        if node.shutting_down or node not in self.registered_collections:
+            return
+        share = self._share(node)
+        if share is not None and self._waits():
             return
         # A worker starts a test when it knows what follows: another one, or the end.
-        while self.workqueue and self._pending_of(self.assigned_work[node]) <= 2:
+        while (file := self._next_file(share)) is not None and self._pending_of(self.assigned_work[node]) <= 2:
+            self.workqueue.move_to_end(file, last=False)  # from where it is taken
             self._assign_work_unit(node)
-        if not self.workqueue:
+        if file is None:
             node.shutdown()
-
-    def _start_realtime(self) -> None:
-        """If the worker that waits for it is the only one left."""
-        if self._realtime and not self.workqueue and self.nodes == [self._waiting]:
-            node, self._waiting = self.nodes[0], None
-            self.workqueue, self._realtime = self._realtime, OrderedDict()
-            self._reschedule(node)

@@ -1,8 +1,8 @@
 """The tiers of the tests, which of them run, and in how many processes.
 
 `unit`: what no other marker claims. `sim`: simulated stations, renderings, small trainings, whole jobs. `realtime`:
-bound to the wall clock; they run one at a time, after all others (`realtime_last.py`). `nightly`: long ones, of any
-tier; they run with --nightly, with `-m nightly`, or by their name.
+bound to the wall clock; they run one at a time, after all others, and beside each of them at most a light one
+(`realtime_last.py`). `nightly`: long ones, of any tier; they run with --nightly, with `-m nightly`, or by their name.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 TIERS = ("unit", "sim", "realtime")
 _MOST_CORES = 8
-"""That get a process each, of about 1 GB; more would wait for the longest file."""
+"""That get a process each; more would wait for the longest file."""
+_MEMORY = 2e9
+"""Of the machine for each process [B]."""
 _FOLDER = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 _LIST = "tiers"
 """Of a worker's input: the path of the file in which it says what tier each test is of."""
@@ -74,13 +76,15 @@ def _has_examples(item: pytest.Item) -> bool:
 
 @pytest.hookimpl(optionalhook=True, tryfirst=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One for each core, one more since tests also wait, and one for those marked `realtime`. A choice of tests runs in
-    this process."""
+    """One for each core, one more since tests also wait, and two for those marked `realtime`: one fewer where memory is
+    short. A choice of tests runs in this process."""
     files = any(Path(str(argument).partition("::")[0]).suffix == ".py" for argument in config.args)
     options = any(getattr(config.option, name, None) for name in ("keyword", "lf", "hardware"))
     if files or options or config.getoption("-m") == "realtime":
         return 0
-    return min(len(os.sched_getaffinity(0)), _MOST_CORES) + 2
+    workers = min(len(os.sched_getaffinity(0)), _MOST_CORES) + 3
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return workers if memory >= workers * _MEMORY else workers - 1
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -104,10 +108,11 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     given: dict[str, Any] = getattr(session.config, "workerinput", {})
     if _LIST not in given:
         return
-    tiers: dict[str, dict[str, float]] = {tier: {} for tier in TIERS}
+    tiers: dict[str, dict[str, float]] = {tier: {} for tier in (*TIERS, "light")}
     for item in session.items:
         (marker,) = (marker for tier in TIERS if (marker := item.get_closest_marker(tier)))
-        tiers[marker.name][item.nodeid] = marker.kwargs.get("seconds", 0.0)
+        tier = "light" if marker.kwargs.get("light") else marker.name
+        tiers[tier][item.nodeid] = marker.kwargs.get("seconds", 0.0)
     path = Path(given[_LIST])
     own = path.with_suffix(f".{given['workerid']}")
     own.write_text(json.dumps(tiers))

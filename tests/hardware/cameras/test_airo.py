@@ -68,7 +68,7 @@ class SoftwareCamera(RGBDCamera):
         raise NotImplementedError
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_it_gives_frames_and_its_failures_are_typed() -> None:
     camera = SoftwareCamera()
     with StreamedCamera(AiroStream(lambda: camera, "42"), HostClock()) as streamed:

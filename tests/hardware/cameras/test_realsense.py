@@ -52,7 +52,7 @@ def test_its_profile_is_the_devices(device: SoftwareRealSense) -> None:
     assert color.get_option(rs.option.exposure) == 80, "in units of 0.1 ms"
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_frames_are_undistorted_and_registered(device: SoftwareRealSense) -> None:
     k = COLOR
     # A chessboard's corner at a known place of the true picture, and a step of the depth there.
@@ -141,7 +141,7 @@ def test_an_unknown_lens_is_refused() -> None:
         stream(device).open()
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_unplugged_it_says_so_and_can_be_opened_again(device: SoftwareRealSense) -> None:
     camera = StreamedCamera(stream(device), HostClock())
     with camera:
@@ -160,7 +160,7 @@ def test_unplugged_it_says_so_and_can_be_opened_again(device: SoftwareRealSense)
         camera.read()
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_it_plays_a_recording_of_the_sdk(device: SoftwareRealSense, tmp_path: Path) -> None:
     path = tmp_path / "frames.db3"
     _record(device, path)

@@ -22,7 +22,7 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.tasks.common.person_proof import PersonProof
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(light=True)
 
 CLOCK = HostClock()
 said: list[str] = []

@@ -152,7 +152,7 @@ def test_messages_have_the_fields_of_their_definitions(bench: Bench) -> None:
     assert {"key": "Temperature", "value": "70.000000"} in hot["values"]
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_another_client_finds_its_topics_and_moves_it() -> None:
     with ShadowEmulator() as emulator, connect(emulator.port) as client:
         for topic in ("/joint_states", "/diagnostics", "/rh_trajectory_controller/state"):

@@ -19,7 +19,7 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator, Hand
 from toolee_robot.sim_backend.hand_wire import happen
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(light=True)
 
 HANDLE = 55.0
 """Angle at which the fingers meet a handle [deg]."""

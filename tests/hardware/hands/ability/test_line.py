@@ -17,7 +17,7 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator, Hand
 from toolee_robot.sim_backend.hand_wire import LineFault
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(light=True)
 
 HERE = (10.0, 20.0, 30.0, 40.0, 50.0, -60.0)
 

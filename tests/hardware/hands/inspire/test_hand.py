@@ -19,7 +19,7 @@ from toolee_robot.robots import HandModel
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.inspire_hand import Hand, InspireEmulator
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(light=True)
 
 HANDLE = 400
 """Angle at which the fingers meet a handle [counts]."""

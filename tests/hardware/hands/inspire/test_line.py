@@ -20,7 +20,7 @@ from toolee_robot.hardware.hands.inspire.serial_line import SerialLine
 from toolee_robot.sim_backend.hand_wire import LineFault
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(light=True)
 
 
 Line = HandLine[Any]

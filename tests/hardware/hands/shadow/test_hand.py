@@ -22,7 +22,7 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hand_wire import LineFault, happen
 from toolee_robot.sim_backend.shadow_hand import Hand, ShadowEmulator
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(light=True)
 
 HANDLE = 55.0
 """Angle at which the knuckles meet a handle [deg]."""

@@ -65,7 +65,7 @@ def test_the_station_file_names_the_driver(config: StationConfig) -> None:
     assert isinstance(open_hand(config.hand, HostClock()), ShadowHand)
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(light=True)
 def test_the_doctor_looks_at_it_and_moves_nothing(config: StationConfig) -> None:
     with ShadowEmulator() as emulator:
         at = replace(config, hand=replace(config.hand, port=emulator.port))
