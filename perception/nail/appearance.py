@@ -22,9 +22,11 @@ FIXED = 4
 """Bits after the point of the polygons' corners, in subpixels."""
 RIM = np.linspace(0.0, 2.0 * np.pi, 17)[:-1]
 """Angles at which the circles of shank and head are sampled [rad]."""
-KNOWN = 1.0
+KNOWN = 0.5
 """Weight of the colours of shank and head as seen before, as the root of a number of pixels: a nail that bends turns to
 other lamps, and a knot in the wood is no nail."""
+BESIDE = 2.0
+"""How far beside a nail the camera's blur may show it [pixel]."""
 HEAD_THICKNESS = 0.001
 """Thickness of a nail's head [m]."""
 
@@ -160,18 +162,10 @@ class Appearance:
         Returns:
             How they compare.
         """
-        axis = (pose.head - pose.foot) / np.linalg.norm(pose.head - pose.foot)
-        across = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.5 else [0.0, 1.0, 0.0])
-        across /= np.linalg.norm(across)
-        rim = np.outer(np.cos(RIM), across) + np.outer(np.sin(RIM), np.cross(axis, across))
-        shank = [pose.foot + self._radius * rim, pose.head + self._radius * rim]
-        head = [pose.head + self._head_radius * rim, pose.head - HEAD_THICKNESS * axis + self._head_radius * rim]
-        covered = self._coverage(window, np.concatenate(head))
-        both = [self._coverage(window, np.concatenate(shank)) * (1.0 - covered), covered]
+        nail = self._covered(window, pose)
         rows, columns = np.indices(window.shape, dtype=float)
         plane = [np.ones(window.shape), columns - columns.mean(), rows - rows.mean()]
         around = np.stack([part.ravel() for part in plane], axis=1)
-        nail = np.stack([part.ravel() for part in both], axis=1)
         pixels = image.reshape(len(around), -1)
         without = pixels - around @ np.linalg.lstsq(around, pixels, rcond=None)[0]
         A = np.hstack([around, nail])
@@ -180,6 +174,35 @@ class Appearance:
             pixels = np.vstack([pixels, KNOWN * colours])
         fitted = np.linalg.lstsq(A, pixels, rcond=None)[0]
         return Comparison((pixels - A @ fitted).ravel(), without.ravel(), fitted[3:])
+
+    def without(self, image: NDArray[np.float64], pose: NailPose, colours: Array) -> NDArray[np.float64]:
+        """Take a nail out of an image.
+
+        Args:
+            image: The image, (H, W, n).
+            pose: Where the nail stands.
+            colours: How much brighter than what is around them shank and head are, (2, n).
+
+        Returns:
+            What is behind it, (H, W, n).
+        """
+        behind, window = image.copy(), self.window(pose, BESIDE)
+        if window is not None:
+            part = window.cut(behind)  # a view
+            part -= (self._covered(window, pose) @ colours).reshape(part.shape)
+        return behind
+
+    def _covered(self, window: Window, pose: NailPose) -> Array:
+        """Share of each pixel that shank and head cover, (h * w, 2)."""
+        axis = (pose.head - pose.foot) / np.linalg.norm(pose.head - pose.foot)
+        across = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.5 else [0.0, 1.0, 0.0])
+        across /= np.linalg.norm(across)
+        rim = np.outer(np.cos(RIM), across) + np.outer(np.sin(RIM), np.cross(axis, across))
+        shank = [pose.foot + self._radius * rim, pose.head + self._radius * rim]
+        head = [pose.head + self._head_radius * rim, pose.head - HEAD_THICKNESS * axis + self._head_radius * rim]
+        covered = self._coverage(window, np.concatenate(head))
+        bare = self._coverage(window, np.concatenate(shank)) * (1.0 - covered)
+        return np.stack([bare.ravel(), covered.ravel()], axis=1)
 
     def _coverage(self, window: Window, points: Array) -> Array:
         """Share of each pixel that the convex hull of points (N, 3) covers, blurred, (h, w)."""

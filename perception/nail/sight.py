@@ -34,7 +34,7 @@ EXPLAINED = 0.4
 """Least share of the variance around a nail that is the nail."""
 ASIDE = (0.003, 0.006)
 """Distances from the axis at which a head is looked for that is not on it [m]."""
-BETTER = 0.9
+BETTER = 0.85
 """A head aside of its axis has to leave less than this share of what one on it leaves unexplained."""
 NEARER, SPECKS = 0.06, 0.05
 """What is nearer to the camera than the nail by so much hides it [m], if it is more than this share of the pixels."""
@@ -42,6 +42,8 @@ SEEN_PART = 0.3
 """Least share of the pixels around a nail with a known depth: else nothing tells that it is not hidden."""
 SPREAD = 3.0
 """Errors as a multiple of what independent pixels would leave: wood has a grain. By `toolee bench-bent-nails`."""
+SURE = 2.5
+"""Standard deviations that a displacement must have to be one."""
 DIFFERENCE = 2.5e-4
 """Step of the derivatives [m]: a tenth of a pixel or more."""
 
@@ -76,10 +78,10 @@ class HeadOffset:
             limit: The limit [m].
 
         Returns:
-            Whether it is farther, and three standard deviations from no displacement at all.
+            Whether it is farther, and `SURE` standard deviations from no displacement at all.
         """
         deviations = float(self.offset @ np.linalg.solve(self.covariance, self.offset))
-        return self.distance > limit and deviations > 3.0**2
+        return self.distance > limit and deviations > SURE**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +122,7 @@ class NailSight:
         self._set: NailPose | None = None  # as it was set, as seen
         self._covariance = np.zeros((4, 4))  # of its foot and head, x and y
         self._colours: Array | None = None
+        self._behind: NDArray[np.float64] | None = None  # the image without it
 
     def first(self, frames: Sequence[RgbdFrame], height: float) -> HeadOffset | None:
         """See the nail as it was set.
@@ -137,13 +140,14 @@ class NailSight:
         found = self._find(frames[0], image, height)
         if found is None:
             return None
-        fits = [(self._fit(self._look(frames[0], blur), image, found, foot=True), blur) for blur in BLURS]
+        fits = [(self._fit(self._look(frames[0], blur), image, found), blur) for blur in BLURS]
         fit, self._blur = min(fits, key=lambda fit: fit[0].left)
         if fit.comparison is None or fit.comparison.explained < EXPLAINED:
             return None
         self._set, self._covariance, self._colours = fit.pose, fit.covariance, fit.comparison.colours
+        self._behind = self._look(frames[0], self._blur).without(image, self._set, self._colours)
         across = np.hstack([-np.eye(2), np.eye(2)])
-        return HeadOffset((self._set.head - self._set.foot)[:2], across @ self._covariance @ across.T)
+        return HeadOffset((fit.pose.head - fit.pose.foot)[:2], across @ self._covariance @ across.T)
 
     def again(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> HeadOffset | None:
         """See where the head is after strikes.
@@ -156,15 +160,17 @@ class NailSight:
         Returns:
             How far the head is from the axis on which it was set; None where the nail was not or is not seen.
         """
-        if self._set is None:
+        if self._set is None or self._behind is None:
             return None
-        share = height / (self._set.head - self._set.foot)[2]
-        expected = NailPose(self._set.foot, self._set.foot + share * (self._set.head - self._set.foot))
+        foot, head = self._set.foot, self._set.head
+        share = height / (head - foot)[2]
+        expected = NailPose(foot, foot + share * (head - foot))
         image = self._mean(frames, expected)
-        if image is None:
+        if image is None or image.shape != self._behind.shape:
             return None
+        added = image - self._behind
         look = self._look(frames[0], self._blur)
-        fits = [self._fit(look, image, start, foot=False) for start in self._starts(expected)]
+        fits = [self._fit(look, added, start, self._colours) for start in self._starts(expected)]
         on_axis, best = fits[0], min(fits, key=lambda fit: fit.left)
         fit = best if best.left < BETTER * on_axis.left else on_axis
         axis = np.hstack([(1.0 - share) * np.eye(2), share * np.eye(2)])
@@ -217,19 +223,17 @@ class NailSight:
         aside = [radius * np.array([np.cos(a), np.sin(a), 0.0]) for radius in ASIDE for a in angles]
         return [expected, *(NailPose(expected.foot, expected.head + offset) for offset in aside)]
 
-    def _fit(self, look: Appearance, image: NDArray[np.float64], start: NailPose, *, foot: bool) -> Fit:
-        """Fit the head's place at its height, and where `foot` is true the foot's and the colours."""
+    def _fit(self, look: Appearance, image: NDArray[np.float64], start: NailPose, colours: Array | None = None) -> Fit:
+        """Fit the head's place, and where the colours are not known, these and the foot's place, too."""
         window: Window | None = look.window(start, WIDE)
         if window is None:
             return Fit(start, np.full((4, 4), np.inf), None)
-        part, free = window.cut(image), slice(0 if foot else 2, 4)
+        part, free = window.cut(image), slice(0 if colours is None else 2, 4)
 
         def pose(x: Array) -> NailPose:
             moved = np.zeros(4)
             moved[free] = x
             return NailPose(start.foot + np.array([*moved[:2], 0.0]), start.head + np.array([*moved[2:], 0.0]))
-
-        colours = None if foot else self._colours
 
         def residuals(x: Array) -> Array:
             return look.compare(part, window, pose(x), colours).residuals
@@ -238,7 +242,7 @@ class NailSight:
             steps = DIFFERENCE * np.eye(len(x))
             return np.stack([(residuals(x + s) - residuals(x - s)) / (2 * DIFFERENCE) for s in steps], axis=1)
 
-        n = 4 if foot else 2
+        n = 4 if colours is None else 2
         fit = least_squares(residuals, np.zeros(n), jac=slopes, x_scale=1e-3, max_nfev=20)
         left = 2.0 * fit.cost / max(len(fit.fun) - n, 1)
         covariance = np.zeros((4, 4))
