@@ -10,6 +10,7 @@ import pytest
 from tests.tasks.bench import Log, is_home
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from toolee_robot.tasks.common.outcome import Outcome, Strike
+from toolee_robot.tasks.hammering.nail_driving import SOON
 
 pytestmark = pytest.mark.sim(seconds=30)
 
@@ -46,7 +47,9 @@ class Bending(Log):
 
 
 @pytest.mark.parametrize(("aside", "bent"), [(0.0, False), (0.004, True)])
-def test_a_nail_that_strikes_have_bent_is_seen_at_the_next_look(bench: Bench, aside: float, bent: bool) -> None:
+def test_a_nail_that_strikes_have_bent_is_seen_and_struck_no_further_once_it_is_seen_again(
+    bench: Bench, aside: float, bent: bool
+) -> None:
     log = Bending(bench, aside)
     result = bench.seeing_task(log, LONG).run()
     if not bent:
@@ -55,7 +58,9 @@ def test_a_nail_that_strikes_have_bent_is_seen_at_the_next_look(bench: Bench, as
         return
     assert result.outcome is Outcome.BENT
     assert "the camera sees the nail's head" in result.reason
-    assert len(result.strikes) == USUAL
+    assert "for the second time" in result.reason
+    assert any("it may be bent" in message for message in log.messages), "it is told at the first look"
+    assert len(result.strikes) == USUAL + SOON
     assert is_home(bench.sim)
     assert at_rest(bench.sim)
     assert grip_kept(bench.sim)

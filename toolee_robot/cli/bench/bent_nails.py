@@ -76,11 +76,11 @@ class BenchBentNails:
 def _figures(looks: list[Seen]) -> dict[str, float]:
     import numpy as np
 
-    from toolee_robot.tasks.hammering.nail_watch import is_bent, leans
+    from toolee_robot.tasks.hammering.nail_watch import is_aside, leans
 
     said = [look for look in looks if look.found is not None]
     alarms = sum(
-        (leans(look.found, look.height) if look.kind in ("set", "leaning") else is_bent(look.found))
+        (leans(look.found, look.height) if look.kind in ("set", "leaning") else is_aside(look.found))
         for look in said
         if look.found is not None
     )

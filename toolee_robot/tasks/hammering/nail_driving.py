@@ -30,6 +30,8 @@ by forecast; more needs another strike, since after slip a measurement is accura
 SURE_IN_NOISE = 0.3
 """The same share where touches are noisy, and good for half a millimetre. Over it one more strike follows; under it
 none, because a strike on a flush nail is the hardest that an arm gets."""
+SOON = 2
+"""Number of strikes before the next look at a nail that looked bent."""
 BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
 CONFIRMED = 0.0005
@@ -101,6 +103,8 @@ class NailDriving:
 
     def _look_due(self, strikes: int) -> bool:
         """Whether to look again after so many strikes; not if a steadily held tool is about to finish the nail."""
+        if self._watch.suspected:
+            return strikes >= SOON
         usual = self._config.task.strikes_between_looks
         return strikes >= usual and not (self._holding.steady and strikes + self._forecast.left <= 1.5 * usual)
 
@@ -258,7 +262,8 @@ class NailDriving:
             met = verdict.meeting is Meeting.EXPECTED
             load = self._striking.load(report)
             last = len(self.strikes) + 1 >= self._config.task.max_strikes or bool(load.excess(self._config.strike))
-            measure = (self._forecast.struck(verdict, plan.speed) or last) and not home if met else True
+            unsure = self._forecast.struck(verdict, plan.speed) if met else True
+            measure = not home and (unsure or last or self._watch.suspected) if met else True
             if verdict.meeting in (Meeting.LATE, Meeting.NONE):
                 self._forecast.unfelt(f"{verdict}: measuring whether the nail was hit")
             look_due = self._look_due(self.strikes_since_look + 1)
