@@ -15,8 +15,8 @@ from toolee_robot.types import RgbdFrame
 LEANS, SURE = np.deg2rad(10.0), 2.0
 """Lean of a nail as it was set that is not struck [rad], and how surely, in standard deviations of the lean."""
 ASIDE = 0.0023
-"""Distance of its head from the axis on which it was set at which a nail may be bent [m]: of heads pushed by 3 mm or more
-few are missed, and few straight nails look so (`toolee bench-bent-nails`): it has to be seen twice."""
+"""Distance of its head from the axis on which it was set at which a nail may be bent [m]: of heads pushed by 3 mm or
+more few are missed, and few straight nails look so (`toolee bench-bent-nails`): it has to be seen twice."""
 STANDS = 0.010
 """Least height of a nail whose foot and head can be told apart [m]."""
 
