@@ -16,8 +16,9 @@ from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME
 from toolee_robot.motion.onset import Course, Releases, onset
-from toolee_robot.motion.touch_force import deviation_of_mean, touch_settings
+from toolee_robot.motion.touch_force import MAX_PHANTOMS, deviation_of_mean, touch_settings
 from toolee_robot.sim_backend.ur_controller.profile import CB3
+from toolee_robot.types import Payload
 
 NOISE, RATE = CB3.force.noise[0], 125.0
 
@@ -66,7 +67,34 @@ def test_a_force_too_noisy_for_the_threshold_is_refused(bench: Bench) -> None:
     assert np.allclose(bench.sim.world.robot.arm_state()[0], before, atol=1e-3), "nothing moved"
 
 
+class Dragging:
+    """Errors of a wrench that feels a force out of the wood [N] while the joints move, as friction feigns it."""
+
+    def __init__(self, force: float) -> None:
+        self._error = np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
+
+    def step(self, q_target: Array, q: Array, qd: Array, payload: Payload) -> Array:  # noqa: ARG002
+        return self._error if np.abs(qd).max() > 0.002 else np.zeros(6)
+
+
 @pytest.mark.sim(seconds=10)
+def test_what_feigns_a_contact_as_long_as_the_face_moves_is_touched_through(bench: Bench) -> None:
+    rig = Rig(bench, seed=0, scale=0.0)
+    bench.arm._sensor._errors = Dragging(9.0)
+    assert abs(rig.error(0.010)) < 1e-3
+    assert 1 < rig.log.motions.count("touch the nail") <= MAX_PHANTOMS
+
+
+@pytest.mark.sim(seconds=10)
+def test_what_feigns_a_contact_with_more_than_a_touch_may_press_ends_it(bench: Bench) -> None:
+    rig = Rig(bench, seed=0, scale=0.0)
+    bench.arm._sensor._errors = Dragging(14.0)
+    with raises(DeviceError, code="device.force_noise") as ended:
+        rig.error(0.010)
+    assert "rose above 8 N, and 12 N at last, while the nail" in str(ended.value)
+    assert rig.log.motions.count("touch the nail") == MAX_PHANTOMS
+
+
 def test_a_face_that_leans_against_something_is_not_zeroed(bench: Bench) -> None:
     """Zeroed while touching, the force of the nail would be gone, and the next touch would press twice as hard."""
     rig = Rig(bench, 3, scale=0.0)

@@ -50,6 +50,7 @@ class TouchSettings:
         release: Speed of the release after it by the stiffness [m/s per N/m]; None where the touch itself is precise
             enough.
         variance: Variance of the force's noise that independent readings would have for a mean as uncertain [N^2].
+        largest: Mean force that may count as a contact at most [N].
     """
 
     force: float
@@ -57,6 +58,15 @@ class TouchSettings:
     speed: float
     release: float | None
     variance: float
+    largest: float
+
+    @property
+    def forces(self) -> tuple[float, ...]:
+        """Mean force that counts as a contact [N], at first and after each phantom of a touch.
+
+        What feigned a contact, such as the friction of moving joints, stays there as the face goes on.
+        """
+        return tuple(np.geomspace(self.force, max(self.largest, self.force), MAX_PHANTOMS).tolist())
 
     def release_speed(self, stiffness: float) -> float:
         """Speed of a release.
@@ -141,7 +151,8 @@ def touch_settings(forces: Array, rate: float, strike: StrikeConfig) -> TouchSet
     noisy = sigma > QUIET and deviation > PRECISE
     release = RELEASE * (QUIET / sigma) ** 2 if noisy else None
     variance = max(round(window * rate), 1) * deviation**2
-    return TouchSettings(max(strike.touch_force, needed), window, speed, release, variance)
+    largest = MAX_FACTOR * strike.touch_force
+    return TouchSettings(max(strike.touch_force, needed), window, speed, release, variance, largest)
 
 
 def deviation_of_mean(forces: Array, rate: float, duration: float) -> float:

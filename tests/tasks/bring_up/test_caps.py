@@ -89,7 +89,7 @@ def _executed(command: Move | Touch | Transfer, slow: SlowStation, q: Array) -> 
         plan = command.plan(slow, q)
         if isinstance(command, Touch):
             arm.meets = 0.5
-            approach(supervisor, slow, plan, TouchSettings(command.force or 1.0, 0.024, command.speed, None, 0.0))
+            approach(supervisor, slow, plan, TouchSettings(command.force or 1.0, 0.024, command.speed, None, 0.0, 12.0))
         else:
             supervisor.execute(plan)
     except TooleeError:
@@ -158,7 +158,7 @@ def test_a_touch_that_feels_contacts_where_nothing_presses_goes_on_and_gives_up_
     command = Touch(robot_host=HOST, along=(0.0, 0.0, -0.05), frame="base_link")
     supervisor = Supervisor(arm, Bystander(), slow.robot, slow.config, lambda: slow.world)
     with raises(DeviceError, code="device.force_noise"):
-        approach(supervisor, slow, command.plan(slow, HOME), TouchSettings(8.0, 0.024, 0.01, None, 0.0))
+        approach(supervisor, slow, command.plan(slow, HOME), TouchSettings(8.0, 0.024, 0.01, None, 0.0, 12.0))
     heights = [slow.robot.arm.fk(trajectory.q[-1])[2, 3] for trajectory in arm.given]
     np.testing.assert_allclose(heights[:3], heights[0], atol=1e-6)
     np.testing.assert_allclose(arm.q, HOME, atol=1e-6)

@@ -143,9 +143,9 @@ class Touch:
         assert settings is not None, "prepare() comes first"
         # The wrist as it is while nothing presses on the face: it gives way under the contact.
         X_flange_ee = self._robot.X_flange_hand(motions.q_hand) @ motions.X_hand_ee
-        guard = ContactGuard(settings.force, averaging_window=settings.window)
         end = self._height(X_flange_ee) - reach - 2.0 * WINDOW_WAY
-        for _ in range(MAX_PHANTOMS):
+        for force in settings.forces:
+            guard = ContactGuard(force, averaging_window=settings.window)
             left = max(self._height(X_flange_ee) - end, 0.001)
             down = plan_straight(self._robot, self._config, motions.world(), motions.q, -left, UP, settings.speed)
             report = motions.execute(f"touch the {what}", down, guard, at_work=True)
@@ -166,9 +166,9 @@ class Touch:
             self._observer.contact(report.contact.stamp, float(course.forces[-1]), X_base_ee)
             return contact
         raise DeviceError(
-            f"{MAX_PHANTOMS} times the force rose above {settings.force:.0f} N while the {what} was approached, and "
-            "nothing was there: see that nothing swings or pulls at tool and cables, then look at the force with "
-            "toolee doctor",
+            f"{MAX_PHANTOMS} times the force rose above {settings.force:.0f} N, and {settings.largest:.0f} N at last, "
+            f"while the {what} was approached, and nothing was there: see that nothing swings or pulls at tool and "
+            "cables, then look at the force with toolee doctor",
             code="device.force_noise",
         )
 
