@@ -17,8 +17,9 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME
 from toolee_robot.motion.onset import Course, Releases, onset
 from toolee_robot.motion.touch_force import MAX_PHANTOMS, deviation_of_mean, touch_settings
+from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
 from toolee_robot.sim_backend.ur_controller.profile import CB3
-from toolee_robot.types import Payload
+from toolee_robot.types import ArmModel, Payload
 
 NOISE, RATE = CB3.force.noise[0], 125.0
 
@@ -67,10 +68,11 @@ def test_a_force_too_noisy_for_the_threshold_is_refused(bench: Bench) -> None:
     assert np.allclose(bench.sim.world.robot.arm_state()[0], before, atol=1e-3), "nothing moved"
 
 
-class Dragging:
+class Dragging(ReadingErrors):
     """Errors of a wrench that feels a force out of the wood [N] while the joints move, as friction feigns it."""
 
     def __init__(self, force: float) -> None:
+        super().__init__(ArmModel.UR10, 0.0, 0, 1.0 / RATE)
         self._error = np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
 
     def step(self, q_target: Array, q: Array, qd: Array, payload: Payload) -> Array:  # noqa: ARG002
