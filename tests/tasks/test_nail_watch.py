@@ -25,11 +25,20 @@ def test_a_nail_that_leans_as_it_was_set_is_not_struck(bench: Bench) -> None:
     result = bench.seeing_task(log).run()
     assert result.outcome is Outcome.BENT
     assert "the camera sees the nail lean" in result.reason
-    assert "touch" not in " ".join(log.motions)
     assert not result.strikes
     assert is_home(bench.sim)
     assert at_rest(bench.sim)
     assert grip_kept(bench.sim)
+
+
+def test_a_lab_whose_camera_sees_it_wrongly_leaves_it_out(bench: Bench) -> None:
+    nail = bench.sim.world.nail
+    nail.place(nail.spec.protrusion, (0.0, np.deg2rad(25)))
+    config = replace(CONFIG, task=replace(CONFIG.task, watch_nail=False))
+    log = Log()
+    result = bench.seeing_task(log, config).run()
+    assert "the camera sees" not in result.reason
+    assert "touch the nail" in log.motions
 
 
 class Bending(Log):

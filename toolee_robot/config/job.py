@@ -71,6 +71,8 @@ class TaskConfig:
     strikes_between_looks: Count = 4
     """Number of strikes after which the tool is looked at again; up to half as many more if it is held steadily and
     they finish the nail."""
+    watch_nail: bool = True
+    """Whether the camera's frames of these looks also tell that the nail leans or is bent, which ends the job."""
     handover_timeout: Positive = 30.0
     """Time that a person has to hand over the tool, and to answer each question [s]."""
 

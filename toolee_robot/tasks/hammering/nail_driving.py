@@ -207,7 +207,6 @@ class NailDriving:
         self._holding = Holding()
         known = self._config.work.nail_protrusion if self.protrusion is None else self._forecast.height
         self._strikes_seen = len(self.strikes)
-        self._watch.look(self._frames(), known, self._forecast.sigma)
         try:
             height = self._first_touch(known)
         except JobEnded as end:
@@ -219,6 +218,8 @@ class NailDriving:
         self._forecast.measured(height)
         self._taken = self._gauge.latest
         self.protrusion = height
+        # Not before: where the nail is not, or not as high as the file has it, something else looks like a nail.
+        self._watch.look(self._frames(), height, self._forecast.sigma)
 
     def _first_touch(self, known: float) -> float:
         """Touch a nail that protrudes by `known` [m], but for an interruption; returns what it protrudes by [m]."""

@@ -17,6 +17,7 @@ LEANS, SURE = np.deg2rad(10.0), 2.0
 ASIDE = 0.0023
 """Distance of its head from the axis on which it was set at which a nail may be bent [m]: of heads pushed by 3 mm or
 more few are missed, and few straight nails look so (`toolee bench-bent-nails`): it has to be seen twice."""
+WRONG = " (`task.watch_nail: false` in the station file where the camera sees that wrongly)"
 STANDS = 0.010
 """Least height of a nail whose foot and head can be told apart [m]."""
 
@@ -36,7 +37,7 @@ class NailWatch:
         work = config.work
         foot = np.array([*work.nail_xy, work.wood_height])
         self._sight = NailSight(config.camera.X_base_camera, foot, work.nail_diameter, work.nail_head_diameter)
-        self._observer = observer
+        self._watched, self._observer = config.task.watch_nail, observer
         self._begun = self._told = self.suspected = False
 
     def look(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> None:
@@ -50,7 +51,7 @@ class NailWatch:
         Raises:
             JobEnded: The nail leans or is bent.
         """
-        if not frames or not np.isfinite(sigma) or height < ASIDE:
+        if not self._watched or not frames or not np.isfinite(sigma) or height < ASIDE:
             return
         if self._begun:
             head = self._sight.again(frames, height, sigma)
@@ -68,7 +69,8 @@ class NailWatch:
         elif leans(lean, height):
             angle, sigma = np.rad2deg(np.arctan2([lean.distance, lean.sigma], height))
             raise JobEnded(
-                Outcome.BENT, f"the camera sees the nail lean by {angle:.0f} ± {sigma:.0f}°: set it upright, or another"
+                Outcome.BENT,
+                f"the camera sees the nail lean by {angle:.0f} ± {sigma:.0f}°: set it upright, or another{WRONG}",
             )
 
     def _judge(self, head: HeadOffset) -> None:
@@ -78,7 +80,7 @@ class NailWatch:
             return
         seen = f"the camera sees the nail's head {head.distance * 1e3:.0f} ± {head.sigma * 1e3:.0f} mm beside its axis"
         if suspected:
-            raise JobEnded(Outcome.BENT, f"{seen}, for the second time: the nail is bent, pull it out")
+            raise JobEnded(Outcome.BENT, f"{seen}, for the second time: the nail is bent, pull it out{WRONG}")
         self._observer.message(f"{seen}: it may be bent; looking again soon")
 
 
