@@ -135,12 +135,14 @@ class Judge:
         world = self._world
         mass = float(pb.getDynamicsInfo(world.tool_body, -1, physicsClientId=world.client)[0])
         before = self._protrusion_before * 1e3
+        x, y, z = (world.X_base_hand()[:3, :3].T @ X_base_ee[:3, 2]).tolist()
         self._strikes.append(
             StrikeTruth(
                 stamp=now,
                 struck_by=struck_by,
                 offset_mm=strike_offset(X_base_nail, X_base_ee) * 1e3,
                 tilt_deg=float(np.rad2deg(strike_tilt(X_base_nail, X_base_ee))),
+                normal_in_hand=(x, y, z),
                 speed=self._approach_speed,
                 energy=0.5 * mass * self._approach_speed**2,
                 work=0.0,
