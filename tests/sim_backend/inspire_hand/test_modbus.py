@@ -159,6 +159,6 @@ def test_pymodbus_drives_it() -> None:
             refused = client.read_holding_registers(6000, count=1, device_id=1)
             assert refused.isError()
             assert refused.exception_code == 2
-            while emulator.angles[0] > 401:
+            while emulator.angles[0] >= 400.5:  # 401 as a register
                 pass
             assert client.read_holding_registers(1546, count=6, device_id=1).registers == [400] * 4 + [1000] * 2
