@@ -97,7 +97,7 @@ class AxisModel:
         for click in self._tip:
             found += [*(p[:2] - click.pixel)]
         # The axis's image: its direction is that of a point a little behind the tip.
-        back = m.project(tip - 0.02 * d) - p[:2]
+        back = m.camera.project(tip - 0.02 * d) - p[:2]
         normal = np.array([-back[1], back[0]]) / np.linalg.norm(back)
         for click in self._shaft:
             assert click.depth is not None

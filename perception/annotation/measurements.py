@@ -67,12 +67,6 @@ class Measurements:
         u, v = pixels[..., 0], pixels[..., 1]
         return np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones_like(u)], -1)
 
-    def project(self, points: Array) -> Array:
-        """Pixels (..., 2) of points (..., 3) [m]."""
-        k = self.camera
-        x, y, z = points[..., 0], points[..., 1], points[..., 2]
-        return np.stack([k.fx * x / z + k.cx, k.fy * y / z + k.cy], -1)
-
     def point(self, click: Measurement) -> Array:
         """Where a click's depth was measured, (3,) [m]."""
         assert click.depth is not None

@@ -55,7 +55,7 @@ class PlaneModel:
         self.free_spin = not self._handle
         self._normal, through = _first_plane(np.stack([measured.point(m) for m in self._surface]))
         self._across = np.linalg.svd(self._normal[None])[2][1:]
-        self._reference = measured.project(through)
+        self._reference = measured.camera.project(through)
         self._depth = float(through[2])
         middle = self._incidence(self._surface[0])
         self._noise = noise_factor([m.depth for m in self._surface if m.depth is not None], middle)

@@ -235,7 +235,7 @@ def _in_region(held: HeldTool, p: Array) -> bool:
     crop = hand_crop(held.hand.X_camera_hand, held.hand.region, K)
     if crop is None:
         return False
-    u, v = K.fx * p[0] / p[2] + K.cx, K.fy * p[1] / p[2] + K.cy
+    u, v = K.project(p)
     return bool(crop.x0 <= u < crop.x1 and crop.y0 <= v < crop.y1)
 
 

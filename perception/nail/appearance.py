@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, transform_points
 from toolee_robot.types import CameraIntrinsics
 
 SUBPIXELS = 8
@@ -112,7 +112,7 @@ class Appearance:
         self, intrinsics: CameraIntrinsics, X_camera_base: Array, radius: float, head_radius: float, blur: float
     ) -> None:
         self._intrinsics, self._X_camera_base = intrinsics, X_camera_base
-        self._radius, self._head_radius, self.blur = radius, head_radius, blur
+        self._radius, self._head_radius, self._blur = radius, head_radius, blur
 
     def pixels(self, points: Array) -> Array:
         """Project points.
@@ -123,13 +123,11 @@ class Appearance:
         Returns:
             Their pixels, (N, 2), in which whole numbers are the middles of pixels.
         """
-        K = self._intrinsics
-        x, y, z = (points @ self._X_camera_base[:3, :3].T + self._X_camera_base[:3, 3]).T
-        return np.stack([K.fx * x / z + K.cx, K.fy * y / z + K.cy], axis=1)
+        return self._intrinsics.project(transform_points(self._X_camera_base, points))
 
     def depth(self, point: Array) -> float:
         """Depth of a point in `base`, (3,) [m], along the optical axis [m]."""
-        return float(self._X_camera_base[2, :3] @ point + self._X_camera_base[2, 3])
+        return float(transform_points(self._X_camera_base, point[None])[0, 2])
 
     def window(self, pose: NailPose, margin: float) -> Window | None:
         """The part of the image around a nail.
@@ -212,4 +210,4 @@ class Appearance:
         mask = np.zeros((rows * SUBPIXELS, columns * SUBPIXELS), np.uint8)
         cv2.fillConvexPoly(mask, np.round(hull * 2**FIXED).astype(np.int32), 255, shift=FIXED)
         share = cv2.resize(mask, (columns, rows), interpolation=cv2.INTER_AREA).astype(float) / 255.0
-        return np.asarray(cv2.GaussianBlur(share, (0, 0), self.blur), float)
+        return np.asarray(cv2.GaussianBlur(share, (0, 0), self._blur), float)

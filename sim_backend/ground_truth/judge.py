@@ -142,6 +142,7 @@ class Judge:
                 struck_by=struck_by,
                 offset_mm=strike_offset(X_base_nail, X_base_ee) * 1e3,
                 tilt_deg=float(np.rad2deg(strike_tilt(X_base_nail, X_base_ee))),
+                nail_bend_deg=float(np.rad2deg(world.nail.bend_angle)),
                 normal_in_hand=(x, y, z),
                 speed=self._approach_speed,
                 energy=0.5 * mass * self._approach_speed**2,

@@ -96,6 +96,7 @@ class StrikeTruth:
         struck_by: What met the nail's head; the face, if it did so at any time of the strike.
         offset_mm: Distance of the face's centre from the nail's axis [mm].
         tilt_deg: Angle between the face's normal and the nail's axis [deg].
+        nail_bend_deg: Angle between the nail and its hole [deg].
         normal_in_hand: Direction of the face's normal in the hand's frame.
         speed: Speed of the face's centre along the nail before the contact [m/s].
         energy: Kinetic energy of the tool alone at that speed [J].
@@ -109,6 +110,7 @@ class StrikeTruth:
     struck_by: StruckBy
     offset_mm: float
     tilt_deg: float
+    nail_bend_deg: float
     normal_in_hand: tuple[float, float, float]
     speed: float
     energy: float

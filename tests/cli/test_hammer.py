@@ -103,6 +103,7 @@ class _Tilt:
         sigma_deg: Standard deviation of the face's direction that the job had from that look [deg].
         drift_deg: What the job takes the tool to have turned in the hand by in the strikes since [deg].
         turned_deg: How far the face's normal is from where that look had it in the hand, by the simulation [deg].
+        bend_deg: How far the nail was bent, by the simulation [deg].
     """
 
     degrees: float
@@ -110,6 +111,7 @@ class _Tilt:
     sigma_deg: float
     drift_deg: float
     turned_deg: float
+    bend_deg: float
 
 
 def _tilts(folder: Path) -> list[_Tilt]:
@@ -124,7 +126,8 @@ def _tilts(folder: Path) -> list[_Tilt]:
         R, covariance = np.array(look["X_hand_ee"])[:3, :3], np.array(look["covariance"])[3:, 3:]
         sigma = np.sqrt(np.trace((R.T @ covariance @ R)[:2, :2]) / 2)
         turned = float(np.rad2deg(angle_between(R[:, 2], np.array(strike["normal_in_hand"]))))
-        tilts.append(_Tilt(strike["tilt_deg"], number, float(np.rad2deg(sigma)), float(drift * since[number]), turned))
+        of_job = float(np.rad2deg(sigma)), float(drift * since[number])
+        tilts.append(_Tilt(strike["tilt_deg"], number, *of_job, turned, strike["nail_bend_deg"]))
         since[number] += 1
     return tilts
 
@@ -214,7 +217,7 @@ def test_a_job_that_is_told_what_a_person_measures_drives_the_nail(tmp_path: Pat
     assert job.record["nail_lean_deg"] == pytest.approx(errors["nail_lean_deg"], abs=job.record["nail_bend_deg"] + 0.01)
     # The face is as square to the upright nail as it has turned in the hand; a nail that bends leans otherwise.
     for tilt in _tilts(job.folder):
-        explained = PLANNED_DEG + tilt.turned_deg + job.record["nail_bend_deg"]
+        explained = PLANNED_DEG + tilt.turned_deg + tilt.bend_deg
         assert tilt.degrees == pytest.approx(errors["nail_lean_deg"], abs=explained)
     # The face is where the job takes it to be, and the nail is not.
     assert job.record["strike_offset_mm"] == pytest.approx(errors["nail_beside_mm"], abs=1.5)

@@ -373,7 +373,7 @@ def test_a_nail_that_stops_just_over_the_wood_is_not_called_flush(bench: Bench) 
     """1.3 mm over it, where 1.0 mm counts as flush, in wood that no strike drives it into."""
     nail, height = bench.sim.world.nail, 0.0013
     nail.spec = replace(nail.spec, specific_gravity=1.2, pilot_diameter=0.0)
-    pb.resetJointState(nail.body, SLIDE, nail.spec.protrusion - height, physicsClientId=bench.sim.world.client)
+    nail.place(height)
     config = replace(
         CONFIG, work=replace(CONFIG.work, nail_protrusion=height), task=replace(CONFIG.task, max_strikes=5)
     )

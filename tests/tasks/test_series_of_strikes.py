@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import pybullet as pb
 import pytest
 
 from tests.tasks.bench import Log
@@ -17,7 +16,6 @@ from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
-from toolee_robot.sim_backend.physics.nail import SLIDE
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.nail_gauge import NailGauge
 from toolee_robot.types import CameraError, InHandEstimate, ToolEstimate
@@ -93,7 +91,7 @@ def test_a_touch_that_reads_flush_after_a_strike_that_was_not_felt_is_believed_o
 ) -> None:
     """Beside a nail that it has missed the face meets the wood at once."""
     nail, work = bench.sim.world.nail, replace(CONFIG.work, nail_protrusion=0.006)
-    pb.resetJointState(nail.body, SLIDE, nail.protrusion - 0.006, physicsClientId=bench.sim.world.client)
+    nail.place(0.006)
     strike = replace(CONFIG.strike, contact_force=400.0)
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=2), strike=strike, work=work)
     measure, beside_the_nail = NailGauge.measure, iter([False, True, False])
@@ -118,7 +116,7 @@ def test_a_nail_that_no_strike_was_felt_to_meet_is_not_called_flush(
 ) -> None:
     """The face strikes and touches the wood beside it."""
     nail, work = bench.sim.world.nail, replace(CONFIG.work, nail_protrusion=0.006)
-    pb.resetJointState(nail.body, SLIDE, nail.protrusion - 0.006, physicsClientId=bench.sim.world.client)
+    nail.place(0.006)
     task, strike = replace(CONFIG.task, max_strikes=5), replace(CONFIG.strike, contact_force=400.0)
     config = replace(CONFIG, task=task, strike=strike, work=work)
     measure, first = NailGauge.measure, iter([True])
@@ -139,7 +137,7 @@ def test_a_nail_that_a_noisy_force_tells_to_be_flush_is_struck_once_more(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, noisy: bool
 ) -> None:
     nail, work = bench.sim.world.nail, replace(CONFIG.work, nail_protrusion=0.004)
-    pb.resetJointState(nail.body, SLIDE, nail.protrusion - 0.004, physicsClientId=bench.sim.world.client)
+    nail.place(0.004)
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=12), work=work)
     measure = NailGauge.measure
 

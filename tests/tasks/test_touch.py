@@ -69,7 +69,7 @@ def test_a_force_too_noisy_for_the_threshold_is_refused(bench: Bench) -> None:
 
 
 class Dragging(ReadingErrors):
-    """Errors of a wrench that feels a force out of the wood [N] while the joints move, as friction feigns it."""
+    """Errors of a wrench that feels a force out of the wood [N] whenever the joints move."""
 
     def __init__(self, force: float) -> None:
         super().__init__(ArmModel.UR10, 0.0, 0, 1.0 / RATE)

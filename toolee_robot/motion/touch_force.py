@@ -64,7 +64,7 @@ class TouchSettings:
     def forces(self) -> tuple[float, ...]:
         """Mean force that counts as a contact [N], at first and after each phantom of a touch.
 
-        What feigned a contact, such as the friction of moving joints, stays there as the face goes on.
+        What feigned a contact may last: in some jobs contacts in the air come one after the other.
         """
         return tuple(np.geomspace(self.force, max(self.largest, self.force), MAX_PHANTOMS).tolist())
 

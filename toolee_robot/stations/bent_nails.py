@@ -55,28 +55,25 @@ class Seen:
     found: HeadOffset | None
 
 
-def look_at_nails(seed: int, config: StationConfig | None = None) -> Iterator[Seen]:
+def look_at_nails(seed: int) -> Iterator[Seen]:
     """Look at the nails of one simulated lab.
 
     Args:
         seed: Seed of the lab.
-        config: The station as it is; the default one if None.
 
-    Returns:
+    Yields:
         The looks: at a nail as it was set, straight and bent after strikes, and at one that leans.
     """
-    config = config or StationConfig()
     rng = np.random.default_rng([seed, 28])
     off = transform(Rotation.from_rotvec(rng.normal(0.0, CAMERA_ANGLE, 3)), rng.normal(0.0, CAMERA, 3))
     lean = rng.normal(0.0, LEAN, 2)
-    yield from _looks(seed, config, off, lean, "set", rng)
+    yield from _looks(seed, off, lean, "set", rng)
     direction, size = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*LEANS)
-    yield from _looks(seed, config, off, size * np.array([np.cos(direction), np.sin(direction)]), "leaning", rng)
+    yield from _looks(seed, off, size * np.array([np.cos(direction), np.sin(direction)]), "leaning", rng)
 
 
-def _looks(
-    seed: int, config: StationConfig, off: Array, lean: Array, kind: str, rng: np.random.Generator
-) -> Iterator[Seen]:
+def _looks(seed: int, off: Array, lean: Array, kind: str, rng: np.random.Generator) -> Iterator[Seen]:
+    config = StationConfig()
     work = config.work
     foot = np.array([*work.nail_xy, work.wood_height])
     X_base_camera = config.camera.X_base_camera @ off

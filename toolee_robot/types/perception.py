@@ -37,6 +37,18 @@ class CameraIntrinsics:
         """Camera matrix K, (3, 3) [px]."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def project(self, points: Array) -> Array:
+        """Project points onto the image.
+
+        Args:
+            points: In the camera frame, in front of it, (..., 3) [m].
+
+        Returns:
+            Their pixels, (..., 2).
+        """
+        x, y, z = points[..., 0], points[..., 1], points[..., 2]
+        return np.stack([self.fx * x / z + self.cx, self.fy * y / z + self.cy], axis=-1)
+
     def agrees(self, other: CameraIntrinsics, tolerance: float = 0.01) -> bool:
         """Whether two intrinsics are the same but for rounding, as in a station file.
 

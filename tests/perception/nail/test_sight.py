@@ -1,4 +1,5 @@
-"""The camera's view of a nail, on rendered frames of the simulated station, whose calibration is off."""
+"""The camera's view of a nail, on rendered frames of one room, in which it is seen well, by a calibration that is off.
+How often it is right in many rooms: `toolee bench-bent-nails`."""
 
 from __future__ import annotations
 

@@ -82,10 +82,7 @@ def draw(
     corners = protocol.scale * (1.0 + rng.normal(0.0, protocol.square_error)) * board.corners
     while len(observations) < protocol.poses:
         X_camera_board = _board_before_camera(protocol, board, intrinsics, rng)
-        p = transform_points(X_camera_board, corners)
-        pixels = np.column_stack(
-            [intrinsics.fx * p[:, 0] / p[:, 2] + intrinsics.cx, intrinsics.fy * p[:, 1] / p[:, 2] + intrinsics.cy]
-        )
+        pixels = intrinsics.project(transform_points(X_camera_board, corners))
         edge = np.array([intrinsics.width, intrinsics.height]) - 1 - _MARGIN
         seen = np.flatnonzero(np.all((pixels > _MARGIN) & (pixels < edge), axis=1))
         if len(seen) < max(MIN_CORNERS, len(corners) // 2):

@@ -14,7 +14,6 @@ from toolee_robot.faults.rigs.scripted_perception import Change, moved, unsure
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, Braking, JobFault, Scene
 from toolee_robot.faults.rows.job_people import GRIP_DOUBTS, INPUTS, RESUMES
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.physics.nail import HINGE_X, SLIDE
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 
 REST, SWING = Phase.REST, Phase.SWING
@@ -125,12 +124,12 @@ def _take_the_work_away(s: Scene) -> None:
     s.undo.append(lambda: collide(1))
 
 
-def _bend(joint: int, to: float) -> Callable[[Scene], None]:
-    """Move the nail's head further than a strike can, or out of the face's way."""
+def _bend(driven: float | None = None, aside: float = 0.0) -> Callable[[Scene], None]:
+    """Move the nail's head to a depth from where it was set [m], or where it is, and to the side by an angle [rad]."""
 
     def bend(s: Scene) -> None:
-        world = s.bench.sim.world
-        pb.resetJointState(world.nail.body, joint, to, physicsClientId=world.client)
+        nail = s.bench.sim.world.nail
+        nail.place(nail.protrusion if driven is None else nail.spec.protrusion - driven, (aside, 0.0))
 
     return bend
 
@@ -222,12 +221,12 @@ WORK = (
              meetings=(Meeting.EARLY, Meeting.EARLY), sees=True, max_strikes=3),
     JobFault(26, "no progress", REST, RECORDS, _harden, None, Outcome.STUCK, "two strikes", 2, "home", max_strikes=5),
     # The nail is measured after two strikes first, which can drive it by more than this.
-    JobFault(26, "nail sinks too far after the first strike", SWING, RECORDS, _bend(SLIDE, 0.011), "strike",
+    JobFault(26, "nail sinks too far after the first strike", SWING, RECORDS, _bend(0.011), "strike",
              Outcome.BENT, "has bent away", 2, "home", max_strikes=5, sees=True),
-    JobFault(26, "nail sinks too far", SWING, RECORDS, _after("touch the wood", _bend(SLIDE, 0.019)), "strike",
+    JobFault(26, "nail sinks too far", SWING, RECORDS, _after("touch the wood", _bend(0.019)), "strike",
              Outcome.BENT, "has bent away", 5, "home", max_strikes=5, sees=True),
     JobFault(26, "nail bends aside", SWING, "looks again, strikes once more, gives up, records a failure",
-             _bend(HINGE_X, np.deg2rad(80)), "strike", Outcome.NAIL_MISSED, "the nail is not where the face went", 3,
+             _bend(aside=np.deg2rad(80)), "strike", Outcome.NAIL_MISSED, "the nail is not where the face went", 3,
              "home", looks_again=True, max_strikes=5, sees=True),
     JobFault(26, "too many strikes", REST, RECORDS, _nothing, None, Outcome.OUT_OF_STRIKES, "after 1 strikes", 1,
              "home"),

@@ -70,7 +70,7 @@ class NailWatch:
             angle, sigma = np.rad2deg(np.arctan2([lean.distance, lean.sigma], height))
             raise JobEnded(
                 Outcome.BENT,
-                f"the camera sees the nail lean by {angle:.0f} ± {sigma:.0f}°: set it upright, or another{WRONG}",
+                f"the camera sees the nail lean by {angle:.0f} ± {sigma:.0f}°: set it upright, or take another{WRONG}",
             )
 
     def _judge(self, head: HeadOffset) -> None:
