@@ -46,6 +46,7 @@ def test_nobody_comes(empty: SimStation) -> None:
         empty.station, PerfectPerception(empty.judge), CONFIG, nominal_grasp(empty.tool, CONFIG), observer=log
     ).run()
     assert (result.outcome, result.strikes, result.protrusion) == (Outcome.NO_HANDOVER, (), None)
+    assert result.stage is Stage.HANDOVER
     assert "run the job again" in result.reason
     assert log.motions == ["to the handover", "home"]
     assert is_home(empty)
@@ -379,7 +380,7 @@ def test_a_nail_that_stops_just_over_the_wood_is_not_called_flush(bench: Bench) 
     )
     result = bench.blind_task(Log(), config).run()
     assert nail.protrusion > CONFIG.task.flush_protrusion
-    assert result.outcome is Outcome.STUCK
+    assert (result.outcome, result.stage) == (Outcome.STUCK, Stage.TOUCH)
     assert result.protrusion == pytest.approx(nail.protrusion, abs=0.0005)
 
 

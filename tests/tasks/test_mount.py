@@ -71,5 +71,6 @@ def test_nothing_moves_until_a_person_says_that_the_mount_is_empty() -> None:
         before = simulation.station.arm.state().q_commanded
         result = _task(simulation, SHORT).run()
         assert result.outcome is Outcome.NOT_READY
+        assert result.stage is Stage.HANDOVER
         assert "mount" in result.reason
         np.testing.assert_array_equal(simulation.station.arm.state().q_commanded, before)

@@ -33,7 +33,8 @@ def job(options: Sequence[str]) -> dict[str, Any]:
     return {
         "success": success,
         "outcome": "flush" if success else "nail_missed",
-        "reason": "for a test",
+        "reason": "for a test; the arm stands still with the tool in the hand. Look at it",
+        "stage": "strike" if seed % 2 else "touch",
         "strikes": seed,
         "tool": f"hammer-{seed % 2}",
         "errors": {"camera_mm": float(seed)},
@@ -317,6 +318,10 @@ def test_the_report_tells_shares_pairs_failures_and_distinct_tools(tmp_path: Pat
     assert full["flush"]["hits"] == 7
     assert without["against_first"] == {"pairs": 8, "better": 0, "worse": 7, "p": pytest.approx(2 / 2**7)}
     assert without["outcomes"] == {"nail_missed": 8}
+    assert full["failures"] == [{"stage": "strike", "outcome": "nail_missed", "count": 1}]
+    assert sorted((kind["stage"], kind["count"]) for kind in without["failures"]) == [("strike", 4), ("touch", 4)]
+    assert page.index(">touch</td>") < page.index(">strike</td>"), "as they follow each other in a job"
+    assert "for a test<" in page, "without what a person is to do about the arm"
     assert "data:image/png;base64," in page, "success against the size of the errors"
     assert "7 of 8" in page
     assert plan.hash in page

@@ -62,9 +62,10 @@ class TouchSettings:
 
     @property
     def forces(self) -> tuple[float, ...]:
-        """Mean force that counts as a contact [N], at first and after each phantom of a touch.
+        """Mean force that counts as a contact [N], at first and each time that the touch has to go on.
 
-        What feigned a contact may last: in some jobs contacts in the air come one after the other.
+        What feigned a contact may last: in some jobs contacts in the air come one after the other. And the harder the
+        face presses, the better is its height known.
         """
         return tuple(np.geomspace(self.force, max(self.largest, self.force), MAX_PHANTOMS).tolist())
 

@@ -15,6 +15,8 @@ from markupsafe import Markup
 
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.html_page import Page
+from toolee_robot.tasks.common.outcome import Stage
+from toolee_robot.tasks.common.recovery import cause
 from toolee_robot.trials.panels import BLUE, errors, panels, png, rates
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.report_attended import agreement, attended_section
@@ -89,6 +91,10 @@ def _figures(
             "against_first": None if arm is plan.arms[0] else asdict(compare(mine, first)),
             "medians": {name: median(mine, name) for name in MEDIANS},
             "outcomes": dict(Counter(map(_outcome, mine))),
+            "failures": [
+                {"stage": stage, "outcome": outcome, "count": count}
+                for (stage, outcome), count in Counter(_failure_kind(r) for r in mine if not r.success).items()
+            ],
             "conditions": {words: asdict(_share(of)) for words, of in by_conditions(mine).items()},
         }
     tools = {str(record.figures.get("tool")) for record in records}
@@ -134,12 +140,16 @@ def _page(
     page.section("Failures")
     failed = [record for record in records if not record.success]
     if failed:
-        page.table(["outcome", *(arm.replace("_", " ") for arm in made["arms"])], _outcomes(made))
-        head = [pair, CONDITIONS, "tool", "outcome", "reason"]
+        page.table(["stage", "outcome", *(arm.replace("_", " ") for arm in made["arms"])], _failures(made), left=2)
+        page.paragraph(
+            "The stage is the one in which the job ended; empty in results of versions that did not tell it. Each "
+            "number below leads to the job's picture; toolee replay shows the job, given the picture's folder."
+        )
+        head = [pair, CONDITIONS, "tool", "stage", "outcome", "reason"]
         for arm in plan.arms:
             if mine := of_arm(failed, arm):
                 page.heading(f"Failures: {arm.replace('_', ' ')}")
-                _listed(page, head, [_failure(r, folder) for r in mine], 5)
+                _listed(page, head, [_failure(r, folder) for r in mine], 6)
     else:
         page.paragraph("None.")
     if plan.led:
@@ -222,11 +232,16 @@ def _conditions(made: dict[str, Any]) -> list[list[str]]:
     ]
 
 
-def _outcomes(made: dict[str, Any]) -> list[list[str]]:
-    """How often each outcome came in each arm, the most frequent one of the first arm first."""
-    counts = [of["outcomes"] for of in made["arms"].values()]
-    outcomes = {outcome: None for of in counts for outcome in sorted(of, key=of.get, reverse=True)}
-    return [[outcome.replace("_", " "), *(str(of.get(outcome, "")) for of in counts)] for outcome in outcomes]
+def _failures(made: dict[str, Any]) -> list[list[str]]:
+    """How often each arm failed in which stage and how, in the order of the stages."""
+    arms = list(made["arms"])
+    counts: dict[tuple[str, str], dict[str, int]] = {}
+    for arm in arms:
+        for failure in made["arms"][arm]["failures"]:
+            counts.setdefault((failure["stage"], failure["outcome"]), {})[arm] = failure["count"]
+    stages = ["", *Stage]
+    kinds = sorted(counts, key=lambda kind: (stages.index(kind[0]), -sum(counts[kind].values())))
+    return [[kind[0], kind[1].replace("_", " "), *(str(counts[kind].get(arm, "")) for arm in arms)] for kind in kinds]
 
 
 def _listed(page: Page, head: list[str], rows: list[list[Any]], left: int) -> None:
@@ -242,9 +257,15 @@ def _outcome(record: Record) -> str:
     return FALSE_FLUSH if outcome == "flush" and not record.success else outcome
 
 
+def _failure_kind(record: Record) -> tuple[str, str]:
+    """The stage in which the job ended, empty where that is not known, and how."""
+    return str(record.figures.get("stage") or ""), _outcome(record)
+
+
 def _failure(record: Record, folder: Path) -> list[Any]:
-    f = record.figures
-    return [_link(record, folder), record.trial.conditions, f["tool"], _outcome(record).replace("_", " "), f["reason"]]
+    f, (stage, outcome) = record.figures, _failure_kind(record)
+    words = outcome.replace("_", " ")
+    return [_link(record, folder), record.trial.conditions, f["tool"], stage, words, cause(f["reason"])]
 
 
 def _row(record: Record, folder: Path) -> list[Any]:

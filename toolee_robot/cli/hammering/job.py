@@ -214,6 +214,7 @@ class HammerJob:
             "success": success,
             "outcome": outcome,
             "reason": reason,
+            "stage": None if result.stage is None else str(result.stage),
             "strikes": len(result.strikes),
             "stops": result.stops,
             "protrusion_mm": measured if truth is None else _rounded(truth.protrusion_mm),

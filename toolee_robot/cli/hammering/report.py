@@ -50,7 +50,8 @@ class HammerReport:
         if f["nail"] is not None:
             lines += ["", "[dim]* measured by the simulation; the task cannot see it[/dim]"]
         flush = "the nail is flush" if len(f["nails"]) < 2 else "the nails are flush"
-        title = flush if f["success"] else str(f["outcome"]).replace("_", " ")
+        stage = f" (stage: {f['stage']})" if f["stage"] else ""
+        title = flush if f["success"] else str(f["outcome"]).replace("_", " ") + stage
         colour = "green" if f["success"] else "red"
         return Panel("\n".join(lines), title=f"[bold]{title}[/bold]", border_style=colour, expand=False, padding=(1, 2))
 

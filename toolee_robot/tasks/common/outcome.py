@@ -119,6 +119,7 @@ class HammerResult:
         strikes: The strikes in order, on all nails.
         protrusion: Height of the head of the nail struck last over the wood as measured last [m]; None before the first
             strike.
+        stage: The stage in which it ended, before the tool was parked; None where it ended before the first one.
         estimates: Fused poses of the end effector in the hand, each with its time on the station's clock [s].
         stage_seconds: Wall-clock time spent in each stage [s], by the stage's name.
         robot_seconds: Time that the job took on the station's clock [s].
@@ -131,6 +132,7 @@ class HammerResult:
     reason: str
     strikes: tuple[Strike, ...]
     protrusion: float | None
+    stage: Stage | None = None
     estimates: tuple[tuple[float, InHandEstimate], ...] = ()
     stage_seconds: dict[str, float] = field(default_factory=dict)
     robot_seconds: float = 0.0

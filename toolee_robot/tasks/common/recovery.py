@@ -4,18 +4,31 @@ from __future__ import annotations
 
 MAX_STOPS = 3
 """Number of stops with the tool in the hand that end a session."""
-PUT_AWAY = "the arm stands still, put it away by hand"
+_STANDS = "the arm stands still"
+PUT_AWAY = f"{_STANDS}, put it away by hand"
 """What to do about an arm that stands without a tool."""
 RESUME = (
-    "the arm stands still with the tool in the hand. Look at robot, hand and tool, and make the robot ready; then "
+    f"{_STANDS} with the tool in the hand. Look at robot, hand and tool, and make the robot ready; then "
     "resume the job, or take the tool out (take hold of it and have the hand opened), or put it away by hand"
 )
 """What to do about a stop that can be cleared."""
 TAKE_OUT = (
-    "the arm stands still with the tool in the hand. Take hold of it and have the hand opened (`give_back` of the "
+    f"{_STANDS} with the tool in the hand. Take hold of it and have the hand opened (`give_back` of the "
     "task, or the hand's own software); nothing opens it by itself"
 )
 """What to do about a stop that cannot be cleared, or that ends the session."""
+
+
+def cause(reason: str) -> str:
+    """What ended a job, without what a person is to do about the arm.
+
+    Args:
+        reason: Why it ended, as a result tells it.
+
+    Returns:
+        The cause.
+    """
+    return reason.partition(f"; {_STANDS}")[0]
 
 
 class Stops:

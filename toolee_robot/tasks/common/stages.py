@@ -18,16 +18,20 @@ class Stages:
 
     Attributes:
         seconds: Total wall-clock time of each stage [s].
+        latest: The stage that the job is in or was in last, before it parked the tool; None before the first one.
     """
 
     def __init__(self, observer: TaskObserver) -> None:
         self.seconds: dict[str, float] = {}
+        self.latest: Stage | None = None
         self._observer = observer
 
     @contextmanager
     def __call__(self, stage: Stage) -> Iterator[None]:
         """Context of one occurrence of a stage."""
         began = time.perf_counter()
+        if stage is not Stage.PARK:
+            self.latest = stage
         self._observer.stage_started(stage)
         try:
             yield

@@ -189,6 +189,7 @@ class HammeringTask:
             reason,
             self._nails.strikes,
             self._nails.protrusion,
+            self._stages.latest,
             tuple(self._tool_pose.estimates),
             dict(self._stages.seconds),
             self._station.clock.now() - self._began,
