@@ -9,8 +9,10 @@ import pytest
 
 from tests.tasks.bench import Log, is_home
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
+from toolee_robot.perception.nail.sight import HeadOffset
 from toolee_robot.tasks.common.outcome import Outcome, Strike
 from toolee_robot.tasks.hammering.nail_driving import SOON
+from toolee_robot.tasks.hammering.nail_watch import is_bent
 
 pytestmark = pytest.mark.sim(seconds=30)
 
@@ -73,3 +75,14 @@ def test_a_nail_that_strikes_have_bent_is_seen_and_struck_no_further_once_it_is_
     assert is_home(bench.sim)
     assert at_rest(bench.sim)
     assert grip_kept(bench.sim)
+
+
+def test_a_head_that_is_seen_aside_twice_but_not_on_the_same_side_is_none() -> None:
+    def seen(angle: float, distance: float = 0.004) -> HeadOffset:
+        return HeadOffset(distance * np.array([np.cos(angle), np.sin(angle)]), 0.0005**2 * np.eye(2))
+
+    assert is_bent(seen(0.3), seen(1.0))
+    assert not is_bent(seen(0.3), seen(2.5))
+    assert not is_bent(seen(0.3), seen(0.3, distance=0.002)), "it is not aside at the second look"
+    assert not is_bent(seen(0.3), None)
+    assert not is_bent(None, seen(0.3))

@@ -35,11 +35,15 @@ PUSHED, BENT = (0.003, 0.008), (np.deg2rad(10.0), np.deg2rad(60.0))
 """How far the heads of bent nails are pushed aside [m], and by what angle the nails are bent [rad]."""
 LEANS = np.deg2rad(12.0), np.deg2rad(25.0)
 """Lean of nails that are not to be struck [rad]."""
+SOONER = 0.001, 0.004
+"""How far two strikes drive a nail from one look to the next [m]."""
+FURTHER, LARGEST = (1.0, 1.3), np.deg2rad(70.0)
+"""By what factor two strikes bend a bent nail further, and up to which angle [rad]; assumed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What one look at a nail said.
+    """What looks at a nail said.
 
     Attributes:
         kind: `straight`, `bent`, or, as it was set, `set` or `leaning`.
@@ -47,12 +51,14 @@ class Seen:
         offset: True displacement of the head from the axis on which the nail was set, or of a nail as it was set, of
             its head from its foot, x and y of `base`, (2,) [m].
         found: What was seen; None if nothing was.
+        later: What was seen of a driven nail two strikes later; None if nothing was.
     """
 
     kind: str
     height: float
     offset: Array
     found: HeadOffset | None
+    later: HeadOffset | None = None
 
 
 def look_at_nails(seed: int) -> Iterator[Seen]:
@@ -95,10 +101,13 @@ def _looks(seed: int, off: Array, lean: Array, kind: str, rng: np.random.Generat
         if kind == "leaning":
             return
         for what in ("straight", "bent"):
-            nail.place(*_driven(what, rng))
+            protrusion, bend = _driven(what, rng)
+            nail.place(protrusion, bend)
             at = head()
             found = sight.again(frames(), float(at[2] + rng.normal(0.0, HEIGHT)), SIGMA)
-            yield Seen(what, float(at[2]), (at - at[2] / set_so[2] * set_so)[:2], found)
+            nail.place(*_struck_twice(protrusion, bend, rng))
+            later = sight.again(frames(), float(head()[2] + rng.normal(0.0, HEIGHT)), SIGMA)
+            yield Seen(what, float(at[2]), (at - at[2] / set_so[2] * set_so)[:2], found, later)
 
 
 def _driven(kind: str, rng: np.random.Generator) -> tuple[float, tuple[float, float]]:
@@ -109,3 +118,12 @@ def _driven(kind: str, rng: np.random.Generator) -> tuple[float, tuple[float, fl
         pushed, angle, direction = rng.uniform(*PUSHED), rng.uniform(*BENT), rng.uniform(0.0, 2.0 * np.pi)
         if DRIVEN[0] <= (protrusion := pushed / np.sin(angle)) <= DRIVEN[1]:
             return float(protrusion), (float(angle * np.cos(direction)), float(angle * np.sin(direction)))
+
+
+def _struck_twice(
+    protrusion: float, bend: tuple[float, float], rng: np.random.Generator
+) -> tuple[float, tuple[float, float]]:
+    """Protrusion [m] and bend [rad] of a driven nail after two more strikes."""
+    angle = float(np.hypot(*bend))
+    factor = 1.0 if angle == 0.0 else min(float(rng.uniform(*FURTHER)), LARGEST / angle)
+    return max(protrusion - float(rng.uniform(*SOONER)), 0.001), (factor * bend[0], factor * bend[1])

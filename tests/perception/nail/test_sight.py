@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array, transform
-from toolee_robot.perception.nail.sight import HeadOffset, NailSight
+from toolee_robot.perception.nail.appearance import NailPose
+from toolee_robot.perception.nail.sight import LEAN, Fit, HeadOffset, NailSight, set_upright
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.types import RgbdFrame
@@ -86,6 +87,20 @@ def test_a_height_that_is_not_known_hides_what_moves_along_the_line_of_sight() -
     assert across.distance == pytest.approx(0.004)
     assert across.surely_beyond(0.0023)
     assert across.sigma == pytest.approx(1e-4, rel=0.1)
+
+
+def test_a_lean_that_the_image_does_not_tell_is_that_of_nails_as_they_are_set() -> None:
+    """Foot and head are known to 0.2 mm each but for the foot's place along the line of sight, which is 4 mm off."""
+    foot, head, ray = np.array([0.0, 0.004, 0.0]), np.array([0.0, 0.0, 0.020]), np.array([0.0, 1.0])
+    covariance = 0.0002**2 * np.eye(4)
+    known = set_upright(Fit(NailPose(foot, head), covariance, None), 0.020)[0]
+    np.testing.assert_allclose([known.foot, known.head], [foot, head], atol=0.0004)
+    covariance[:2, :2] += 0.004**2 * np.outer(ray, ray)
+    pose, after = set_upright(Fit(NailPose(foot, head), covariance, None), 0.020)
+    np.testing.assert_allclose(pose.head, head, atol=0.0001)
+    assert abs(pose.foot[1]) < 0.0004
+    assert np.sqrt(after[1, 1]) == pytest.approx(0.020 * LEAN, rel=0.1)
+    assert np.all(np.linalg.eigvalsh(after) > 0.0)
 
 
 def test_what_is_hidden_or_not_there_or_not_in_the_image_is_not_seen(

@@ -34,7 +34,8 @@ class BenchBentNails:
     Example: toolee bench-bent-nails --runs 100
 
     Each run draws a room, the camera's calibration, how a nail was set and how it is driven, and looks at rendered
-    frames. Exit code 1: a figure is not met.
+    frames. A job ends where two looks in a row, two strikes apart, see a nail bent, or the first one sees it lean. Exit
+    code 1: a figure is not met.
     """
 
     runs: Annotated[int, tyro.conf.arg(metavar="N")] = 100
@@ -57,12 +58,12 @@ class BenchBentNails:
                 report("labs", k + 1, self.runs)
         figures = {kind: _figures([look for look in looks if look.kind == kind]) for kind in ROWS}
         table = Table()
-        for column in ("nail", "taken for bent or leaning", "not seen", "off by, median", "95 %"):
+        for column in ("nail", "taken for bent or leaning", "job ends", "not seen", "off by, median", "95 %"):
             table.add_column(column, justify="left" if column == "nail" else "right")
         for kind, words in ROWS.items():
             f = figures[kind]
             off = (f"{f[name]:.1f} mm" for name in ("median_mm", "p95_mm"))
-            table.add_row(words, f"{f['alarms']} of {f['of']}", f"{f['unseen']}", *off)
+            table.add_row(words, f"{f['alarms']} of {f['of']}", f"{f['ends']}", f"{f['unseen']}", *off)
         console.print(table)
         seen = figures["bent"]["alarms"] / figures["bent"]["of"]
         wrong = sum(figures[kind]["alarms"] for kind in ("straight", "set")) / self.runs
@@ -76,14 +77,17 @@ class BenchBentNails:
 def _figures(looks: list[Seen]) -> dict[str, float]:
     import numpy as np
 
-    from toolee_robot.tasks.hammering.nail_watch import is_aside, leans
+    from toolee_robot.tasks.hammering.nail_watch import is_aside, is_bent, leans
 
-    said = [look for look in looks if look.found is not None]
-    alarms = sum(
-        (leans(look.found, look.height) if look.kind in ("set", "leaning") else is_aside(look.found))
-        for look in said
-        if look.found is not None
-    )
-    off = [1e3 * float(np.linalg.norm(look.found.offset - look.offset)) for look in said if look.found is not None]
+    said = [(look, look.found) for look in looks if look.found is not None]
+    if looks[0].kind in ("set", "leaning"):
+        alarms = ends = sum(leans(found, look.height) for look, found in said)
+    else:
+        alarms, ends = (
+            sum(is_aside(found) for _, found in said),
+            sum(is_bent(found, look.later) for look, found in said),
+        )
+    off = [1e3 * float(np.linalg.norm(found.offset - look.offset)) for look, found in said]
     median, p95 = np.quantile(off, [0.5, 0.95]).tolist() if off else (np.nan, np.nan)
-    return {"of": len(looks), "alarms": alarms, "unseen": len(looks) - len(said), "median_mm": median, "p95_mm": p95}
+    unseen = len(looks) - len(said)
+    return {"of": len(looks), "alarms": alarms, "ends": ends, "unseen": unseen, "median_mm": median, "p95_mm": p95}

@@ -32,6 +32,8 @@ SURE_IN_NOISE = 0.3
 none, because a strike on a flush nail is the hardest that an arm gets."""
 SOON = 2
 """Number of strikes before the next look at a nail that looked bent."""
+LET_IN = "very soft wood has let it in: look at it"
+"""What else may have become of a nail that is not where it should be after strikes."""
 BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
 CONFIRMED = 0.0005
@@ -293,13 +295,16 @@ class NailDriving:
                 missed = Outcome.BENT if met and self._correction else Outcome.NAIL_MISSED
                 height = self._gauge.measure(before, self._forecast.unknown, missed)
         except JobEnded as end:
+            if met and end.outcome is Outcome.BENT:
+                gone = f"the strike met the nail, which has bent away since, or {LET_IN} ({end})"
+                raise JobEnded(Outcome.BENT, gone) from end
             if met:
                 raise
             raise JobEnded(end.outcome, f"{verdict}: the nail is not where the face went ({end})") from end
         # Those that missed before this one have driven nothing: two misses would permit what neither alone does.
         may_have_driven = self._forecast.unknown - (self._missed - 1)
         if not met and before - height > may_have_driven * self._deepest:
-            raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
+            raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went, or {LET_IN}")
         return height
 
     def _check_load(self) -> None:

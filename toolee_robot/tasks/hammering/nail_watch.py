@@ -17,6 +17,9 @@ LEANS, SURE = np.deg2rad(10.0), 2.0
 ASIDE = 0.0023
 """Distance of its head from the axis on which it was set at which a nail may be bent [m]: of heads pushed by 3 mm or
 more few are missed, and few straight nails look so (`toolee bench-bent-nails`): it has to be seen twice."""
+SAME_SIDE = np.deg2rad(60.0)
+"""Angle within which a head is displaced to the same side at two looks [rad]: what was taken for a head at one look is
+elsewhere at the next."""
 WRONG = " (`task.watch_nail: false` in the station file where the camera sees that wrongly)"
 STANDS = 0.010
 """Least height of a nail whose foot and head can be told apart [m]."""
@@ -30,7 +33,7 @@ class NailWatch:
         observer: Receives messages.
 
     Attributes:
-        suspected: Whether the nail looked bent at the last look.
+        aside: Where the head was seen at the last look if the nail looked bent; None if it did not.
     """
 
     def __init__(self, config: StationConfig, observer: TaskObserver) -> None:
@@ -38,7 +41,13 @@ class NailWatch:
         foot = np.array([*work.nail_xy, work.wood_height])
         self._sight = NailSight(config.camera.X_base_camera, foot, work.nail_diameter, work.nail_head_diameter)
         self._watched, self._observer = config.task.watch_nail, observer
-        self._begun = self._told = self.suspected = False
+        self._begun = self._told = False
+        self.aside: HeadOffset | None = None
+
+    @property
+    def suspected(self) -> bool:
+        """Whether the nail looked bent at the last look."""
+        return self.aside is not None
 
     def look(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> None:
         """See whether the nail stands as it should.
@@ -75,11 +84,11 @@ class NailWatch:
 
     def _judge(self, head: HeadOffset) -> None:
         """Tell of a head aside; after the strikes that follow it must be seen so once more before the job ends."""
-        suspected, self.suspected = self.suspected, is_aside(head)
-        if not self.suspected:
+        before, self.aside = self.aside, head if is_aside(head) else None
+        if self.aside is None:
             return
         seen = f"the camera sees the nail's head {head.distance * 1e3:.0f} ± {head.sigma * 1e3:.0f} mm beside its axis"
-        if suspected:
+        if is_bent(before, head):
             raise JobEnded(Outcome.BENT, f"{seen}, for the second time: the nail is bent, pull it out{WRONG}")
         self._observer.message(f"{seen}: it may be bent; looking again soon")
 
@@ -87,6 +96,21 @@ class NailWatch:
 def is_aside(head: HeadOffset) -> bool:
     """Whether a nail's head was seen so far beside the axis on which it was set that the nail may be bent."""
     return head.surely_beyond(ASIDE)
+
+
+def is_bent(before: HeadOffset | None, now: HeadOffset | None) -> bool:
+    """Whether two looks in a row, with strikes in between, see a nail bent.
+
+    Args:
+        before: Where the head was seen at the first one; None where it was not seen.
+        now: The same of the second one.
+
+    Returns:
+        Whether it is aside at both, and to the same side.
+    """
+    if before is None or now is None or not (is_aside(before) and is_aside(now)):
+        return False
+    return bool(before.offset @ now.offset > np.cos(SAME_SIDE) * before.distance * now.distance)
 
 
 def leans(lean: HeadOffset, height: float) -> bool:
