@@ -264,12 +264,12 @@ class _Reach:
         """Bounding box x0, y0, x1, y1 [px] of the EEs, clipped to the image; None if it is empty."""
         boxes = []
         for X, radius in zip(self.Xs_camera_ee, self.radii, strict=True):
-            x, y, z = X[:3, 3]
+            z = X[2, 3]
             if z < radius + 0.05:
                 return 0, 0, WIDTH, HEIGHT
             # Margin on the outline of the sphere, which perspective stretches off the optical axis.
             half = 1.3 * radius * intrinsics.fx / (z - radius) if self.circle is None else self.circle + 1.0
-            u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
+            u, v = intrinsics.project(X[:3, 3])
             boxes.append([u - half, v - half, u + half, v + half])
         x0, y0 = np.floor(np.clip(np.min(boxes, axis=0)[:2], 0, [WIDTH, HEIGHT])).astype(int)
         x1, y1 = np.ceil(np.clip(np.max(boxes, axis=0)[2:], 0, [WIDTH, HEIGHT])).astype(int)

@@ -279,9 +279,9 @@ def sees_an_ee(tool: ToolShape, X_camera_tool: Array, intrinsics: CameraIntrinsi
         intrinsics: Intrinsics of the camera.
     """
     for ee in tool.ees:
-        x, y, z = (X_camera_tool @ ee.X_tool_ee)[:3, 3]
-        u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
-        if NEAREST < z < FARTHEST and 0 <= u < WIDTH and 0 <= v < HEIGHT:
+        p = (X_camera_tool @ ee.X_tool_ee)[:3, 3]
+        u, v = intrinsics.project(p)
+        if NEAREST < p[2] < FARTHEST and 0 <= u < WIDTH and 0 <= v < HEIGHT:
             return True
     return False
 

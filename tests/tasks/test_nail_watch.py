@@ -83,6 +83,6 @@ def test_a_head_that_is_seen_aside_twice_but_not_on_the_same_side_is_none() -> N
 
     assert is_bent(seen(0.3), seen(1.0))
     assert not is_bent(seen(0.3), seen(2.5))
-    assert not is_bent(seen(0.3), seen(0.3, distance=0.002)), "it is not aside at the second look"
+    assert not is_bent(seen(0.3), seen(0.3, distance=0.002)), "it is not aside at the next one"
     assert not is_bent(seen(0.3), None)
     assert not is_bent(None, seen(0.3))

@@ -171,8 +171,7 @@ def _check_size(X_camera_board: Array, board: Board, camera: KnownCamera, depth:
     width, height = board.size
     x, y = np.meshgrid(np.linspace(0.02, 0.98, 40) * width, np.linspace(0.02, 0.98, 40) * height)
     points = transform_points(X_camera_board, np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
-    u = np.rint(k.fx * points[:, 0] / points[:, 2] + k.cx).astype(int)
-    v = np.rint(k.fy * points[:, 1] / points[:, 2] + k.cy).astype(int)
+    u, v = np.rint(k.project(points)).astype(int).T
     inside = (u >= 0) & (u < k.width) & (v >= 0) & (v < k.height)
     measured = depth[v[inside], u[inside]]
     known = np.isfinite(measured) & (measured > 0.0)

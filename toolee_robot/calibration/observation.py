@@ -52,9 +52,8 @@ class BoardView:
         Returns:
             Root mean square distance of the corners from where the pose has them [px].
         """
-        x, y, z = transform_points(X_camera_board, board.corners[self.ids]).T
-        u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
-        return float(np.sqrt(np.mean((u - self.pixels[:, 0]) ** 2 + (v - self.pixels[:, 1]) ** 2)))
+        there = intrinsics.project(transform_points(X_camera_board, board.corners[self.ids]))
+        return float(np.sqrt(np.mean(np.sum((there - self.pixels) ** 2, axis=1))))
 
 
 @dataclass(frozen=True, eq=False)

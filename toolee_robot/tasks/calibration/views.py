@@ -64,7 +64,7 @@ def kinds_of(X_camera_board: Array, board: Board, camera: CameraConfig) -> set[s
     tilt = np.arcsin(np.clip(normal[:2], -1.0, 1.0))
     turn = float(np.arctan2(along[1], along[0]))
     share = board.size[0] * camera.fx / center[2] / camera.width
-    u, v = camera.fx * center[0] / center[2] + camera.cx, camera.fy * center[1] / center[2] + camera.cy
+    u, v = camera.intrinsics.project(center)
     tests = {
         # The normal points away from the camera: with its x positive the right edge is the nearer one.
         "left edge nearer": tilt[0] < -TILTED, "right edge nearer": tilt[0] > TILTED,
@@ -153,7 +153,7 @@ def _sample(board: Board, camera: CameraConfig, rng: np.random.Generator) -> Arr
 def _inside(X_camera_board: Array, board: Board, camera: CameraConfig) -> bool:
     width, height = board.size
     p = transform_points(X_camera_board, np.array([[0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0.0]]))
-    u, v = camera.fx * p[:, 0] / p[:, 2] + camera.cx, camera.fy * p[:, 1] / p[:, 2] + camera.cy
+    u, v = camera.intrinsics.project(p).T
     return bool(
         np.all((u > MARGIN) & (u < camera.width - MARGIN) & (v > MARGIN) & (v < camera.height - MARGIN))
         and np.all(p[:, 2] > 0.2)
