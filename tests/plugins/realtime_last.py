@@ -66,7 +66,8 @@ class RealtimeLast(LoadFileScheduling):
         for share in self._shares:
             if share.worker is None and any(file in share.files for file in self.workqueue):
                 free = [node for node in self.nodes if self._share(node) is None and not node.shutting_down]
-                share.worker = free[-1] if free else None
+                # The one started last, whichever has collected first.
+                share.worker = max(free, key=lambda node: int(node.gateway.id.removeprefix("gw")), default=None)
         self._reschedule_all()
 
     def remove_node(self, node: WorkerController) -> str | None:

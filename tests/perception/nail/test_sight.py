@@ -87,6 +87,10 @@ def test_a_height_that_is_not_known_hides_what_moves_along_the_line_of_sight() -
     assert across.distance == pytest.approx(0.004)
     assert across.surely_beyond(0.0023)
     assert across.sigma == pytest.approx(1e-4, rel=0.1)
+    assert across.least == pytest.approx(0.0037, abs=5e-5)
+    both = HeadOffset(0.004 * ray + 0.0005 * np.array([-0.6, 0.8]), head.covariance)
+    assert both.least == pytest.approx(0.00028, abs=2e-5)
+    assert not both.surely_beyond(0.0023), "surely it is beside the axis, and by next to nothing"
 
 
 def test_a_lean_that_the_image_does_not_tell_is_that_of_nails_as_they_are_set() -> None:

@@ -87,7 +87,8 @@ class NailWatch:
         before, self.aside = self.aside, head if is_aside(head) else None
         if self.aside is None:
             return
-        seen = f"the camera sees the nail's head {head.distance * 1e3:.0f} ± {head.sigma * 1e3:.0f} mm beside its axis"
+        far, least = head.distance * 1e3, head.least * 1e3
+        seen = f"the camera sees the nail's head {far:.0f} mm beside its axis, {least:.1f} mm at least"
         if is_bent(before, head):
             raise JobEnded(Outcome.BENT, f"{seen}, for the second time: the nail is bent, pull it out{WRONG}")
         self._observer.message(f"{seen}: it may be bent; looking again soon")
