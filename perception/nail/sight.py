@@ -43,12 +43,15 @@ SEEN_PART = 0.3
 SPREAD = 3.0
 """Errors as a multiple of what independent pixels would leave: wood has a grain. By `toolee bench-bent-nails`."""
 SURE, LEAST = 3.0, 3e-4
-"""Within so many standard deviations every displacement that may be has to be longer than this [m]. By
-`toolee bench-bent-nails`: of 119 labs 1 straight nail and 115 bent ones are so, and over 2.3 mm off."""
-_AROUND = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
+"""Within so many standard deviations every displacement that may be has to be longer than this [m]. Chosen on other
+labs than those whose figures `toolee bench-bent-nails` tells."""
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
+"""Angles at which the rim of a covariance's ellipse is sampled [rad]."""
 LEAN = np.deg2rad(3.0)
 """Standard deviation of the lean, to each side, of a nail that a person has set upright: assumed. The lean that the
 first image tells along the line of sight is 4 degrees off as a rule, and more now and then."""
+ACROSS = np.hstack([-np.eye(2), np.eye(2)])
+"""From foot and head, x and y, to the head's displacement from the foot, (2, 4)."""
 DIFFERENCE = 2.5e-4
 """Step of the derivatives [m]: a tenth of a pixel or more."""
 
@@ -81,7 +84,7 @@ class HeadOffset:
         """Shortest displacement within `SURE` standard deviations [m]; 0 where none at all may be."""
         if self.offset @ np.linalg.solve(self.covariance, self.offset) <= SURE**2:
             return 0.0
-        rim = SURE * np.linalg.cholesky(self.covariance) @ np.stack([np.cos(_AROUND), np.sin(_AROUND)])
+        rim = SURE * np.linalg.cholesky(self.covariance) @ np.stack([np.cos(ANGLES), np.sin(ANGLES)])
         return float(np.min(np.linalg.norm(self.offset[:, None] + rim, axis=0)))
 
     def surely_beyond(self, limit: float) -> bool:
@@ -161,7 +164,7 @@ class NailSight:
         self._set, self._covariance = set_upright(fit, height)
         self._colours = fit.comparison.colours
         self._behind = self._look(frames[0], self._blur).without(image, fit.pose, self._colours)
-        return HeadOffset((fit.pose.head - fit.pose.foot)[:2], _ACROSS @ fit.covariance @ _ACROSS.T)
+        return HeadOffset((fit.pose.head - fit.pose.foot)[:2], ACROSS @ fit.covariance @ ACROSS.T)
 
     def again(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> HeadOffset | None:
         """See where the head is after strikes.
@@ -265,10 +268,6 @@ class NailSight:
         return Fit(pose(fit.x), covariance, look.compare(part, window, pose(fit.x), colours))
 
 
-_ACROSS = np.hstack([-np.eye(2), np.eye(2)])
-"""From foot and head, x and y, to the head's displacement from the foot, (2, 4)."""
-
-
 def set_upright(fit: Fit, height: float) -> tuple[NailPose, Array]:
     """What an image and the usual lean of nails tell of one that was just set, by Bayes' rule.
 
@@ -280,7 +279,7 @@ def set_upright(fit: Fit, height: float) -> tuple[NailPose, Array]:
         The nail's pose, and the covariance of foot and head, x and y, (4, 4) [m^2].
     """
     foot, head, of_lean = fit.pose.foot, fit.pose.head, (LEAN * height) ** 2 * np.eye(2)
-    gain = fit.covariance @ _ACROSS.T @ np.linalg.inv(_ACROSS @ fit.covariance @ _ACROSS.T + of_lean)
+    gain = fit.covariance @ ACROSS.T @ np.linalg.inv(ACROSS @ fit.covariance @ ACROSS.T + of_lean)
     moved = gain @ (foot - head)[:2]
     pose = NailPose(foot + np.array([*moved[:2], 0.0]), head + np.array([*moved[2:], 0.0]))
-    return pose, (np.eye(4) - gain @ _ACROSS) @ fit.covariance
+    return pose, (np.eye(4) - gain @ ACROSS) @ fit.covariance

@@ -9,7 +9,7 @@ from tests.motion.cb3_noise import NOISE, RATE, noise
 from toolee_robot.faults.rigs.job_rig import CONFIG
 from toolee_robot.hal import ZERO_TIME
 from toolee_robot.motion.onset import Course, Releases, onset
-from toolee_robot.motion.touch_force import touch_settings
+from toolee_robot.motion.touch_force import TouchSettings, touch_settings
 from toolee_robot.sim_backend.ur_controller.profile import CB3
 from toolee_robot.tasks.hammering.touch import UNSURE
 
@@ -35,12 +35,18 @@ def test_the_onset_of_a_noisy_force_is_found(stiffness: float, share: float) -> 
     assert np.std(errors) < 0.0004 * np.sqrt(4e3 / stiffness)
 
 
-def _release(rng: np.random.Generator, begin: float, depth: float, stiffness: float, offset: float) -> Course:
-    """Forces of a CB3 that was zeroed before the touch, at a release from a depth below the nail's head [m]."""
-    settings = touch_settings(noise(rng, 375, NOISE, CB3.force.correlation), RATE, CONFIG.strike)
+def _settings(rng: np.random.Generator) -> TouchSettings:
+    """By a CB3's noise at rest."""
+    return touch_settings(noise(rng, 375, NOISE, CB3.force.correlation), RATE, CONFIG.strike)
+
+
+def _release(
+    rng: np.random.Generator, settings: TouchSettings, begin: float, force: float, stiffness: float, offset: float = 0.0
+) -> Course:
+    """Forces of a CB3 that was zeroed before the touch, at a release of a nail that is pressed with a force [N]."""
     speed = settings.release_speed(stiffness)
     assert 0.0005 <= speed <= 0.001
-    heights = np.arange(begin - depth, begin + 0.002, speed / RATE)
+    heights = np.arange(begin - force / stiffness, begin + 0.002, speed / RATE)
     zeros = round(ZERO_TIME * RATE)
     readings = offset + noise(rng, zeros + len(heights), NOISE, CB3.force.correlation)[:, 0]
     forces = readings[zeros:] - np.mean(readings[:zeros]) + stiffness * np.maximum(begin - heights, 0.0)
@@ -52,8 +58,8 @@ def test_a_slow_release_finds_the_onset_in_a_cb3s_noise_or_says_that_it_is_unsur
     draw, errors, stiffnesses = np.random.default_rng(4), [], []
     for seed in range(1000):
         begin, stiffness, force = draw.uniform(-0.001, 0.001), draw.uniform(6.5e3, 2e4), draw.uniform(11.7, 23.0)
-        course = _release(np.random.default_rng(seed), begin, force / stiffness, stiffness, draw.uniform(-7.0, 7.0))
-        rise = onset(course)
+        rng, offset = np.random.default_rng(seed), draw.uniform(-7.0, 7.0)
+        rise = onset(_release(rng, _settings(rng), begin, force, stiffness, offset))
         assert rise is not None
         errors.append((rise.height - begin, rise.deviation))
         stiffnesses.append(rise.stiffness / stiffness)
@@ -69,7 +75,8 @@ def test_a_slow_release_finds_the_onset_in_a_cb3s_noise_or_says_that_it_is_unsur
 @pytest.mark.parametrize(("seed", "stiffness"), [(640, 14_625.0), (128, 14_489.0)])
 def test_a_release_of_which_the_best_line_is_wrong_is_found_all_the_same(seed: int, stiffness: float) -> None:
     """Drawn by a test of that line: 1.0 mm off, and a stiffness of 1.9 times the true one."""
-    rise = onset(_release(np.random.default_rng(seed), 0.0, 0.0018 * 6.5e3 / stiffness, stiffness, 0.0))
+    rng = np.random.default_rng(seed)
+    rise = onset(_release(rng, _settings(rng), 0.0, 0.0018 * 6.5e3, stiffness))
     assert rise is not None
     assert rise.height == pytest.approx(0.0, abs=0.0008)
     assert rise.stiffness == pytest.approx(stiffness, rel=0.7)
@@ -79,16 +86,12 @@ def test_a_release_of_which_the_best_line_is_wrong_is_found_all_the_same(seed: i
 def test_releases_tell_each_other_the_stiffness_and_their_heights_are_better_for_it(n: int, share: float) -> None:
     """Nails with n releases in a CB3's noise, of hands whose stiffness differs by 5 % from one to the next."""
     rng, alone, together = np.random.default_rng(3), [], []
-    settings = touch_settings(noise(rng, 375, NOISE, CB3.force.correlation), RATE, CONFIG.strike)
+    settings = _settings(rng)
     for _ in range(100):
         nominal, releases, begins, numbers = rng.uniform(4.5e3, 1e4), Releases(), [], []
         for _ in range(n):
             stiffness, begin = nominal * rng.normal(1.0, 0.05), rng.uniform(-0.001, 0.001)
-            heights = np.arange(begin - 12.0 / stiffness, begin + 0.002, settings.release_speed(stiffness) / RATE)
-            zeros = round(ZERO_TIME * RATE)
-            readings = noise(rng, zeros + len(heights), NOISE, CB3.force.correlation)[:, 0]
-            forces = readings[zeros:] - np.mean(readings[:zeros]) + stiffness * np.maximum(begin - heights, 0.0)
-            course = Course(heights, forces, settings.variance, zeros)
+            course = _release(rng, settings, begin, 12.0, stiffness)
             rise = onset(course)
             assert rise is not None
             numbers.append(releases.add(course, rise.stiffness))

@@ -83,10 +83,8 @@ def _figures(looks: list[Seen]) -> dict[str, float]:
     if looks[0].kind in ("set", "leaning"):
         alarms = ends = sum(leans(found, look.height) for look, found in said)
     else:
-        alarms, ends = (
-            sum(is_aside(found) for _, found in said),
-            sum(is_bent(found, look.later) for look, found in said),
-        )
+        alarms = sum(is_aside(found) for _, found in said)
+        ends = sum(is_bent(found, look.later) for look, found in said)
     off = [1e3 * float(np.linalg.norm(found.offset - look.offset)) for look, found in said]
     median, p95 = np.quantile(off, [0.5, 0.95]).tolist() if off else (np.nan, np.nan)
     unseen = len(looks) - len(said)

@@ -295,7 +295,7 @@ class NailDriving:
                 missed = Outcome.BENT if met and self._correction else Outcome.NAIL_MISSED
                 height = self._gauge.measure(before, self._forecast.unknown, missed)
         except JobEnded as end:
-            if met and end.outcome is Outcome.BENT:
+            if end.outcome is Outcome.BENT:
                 gone = f"the strike met the nail, which has bent away since, or {LET_IN} ({end})"
                 raise JobEnded(Outcome.BENT, gone) from end
             if met:

@@ -31,9 +31,6 @@ class NailWatch:
     Args:
         config: Configuration of the station with this nail.
         observer: Receives messages.
-
-    Attributes:
-        aside: Where the head was seen at the last look if the nail looked bent; None if it did not.
     """
 
     def __init__(self, config: StationConfig, observer: TaskObserver) -> None:
@@ -42,12 +39,12 @@ class NailWatch:
         self._sight = NailSight(config.camera.X_base_camera, foot, work.nail_diameter, work.nail_head_diameter)
         self._watched, self._observer = config.task.watch_nail, observer
         self._begun = self._told = False
-        self.aside: HeadOffset | None = None
+        self._aside: HeadOffset | None = None  # where the head was seen at the last look if the nail looked bent
 
     @property
     def suspected(self) -> bool:
         """Whether the nail looked bent at the last look."""
-        return self.aside is not None
+        return self._aside is not None
 
     def look(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> None:
         """See whether the nail stands as it should.
@@ -84,8 +81,8 @@ class NailWatch:
 
     def _judge(self, head: HeadOffset) -> None:
         """Tell of a head aside; after the strikes that follow it must be seen so once more before the job ends."""
-        before, self.aside = self.aside, head if is_aside(head) else None
-        if self.aside is None:
+        before, self._aside = self._aside, head if is_aside(head) else None
+        if self._aside is None:
             return
         far, least = head.distance * 1e3, head.least * 1e3
         seen = f"the camera sees the nail's head {far:.0f} mm beside its axis, {least:.1f} mm at least"
