@@ -75,9 +75,9 @@ class Comparison:
     """How a part of an image compares with a nail.
 
     Attributes:
-        residuals: Differences from the closest picture of a nail, (h * w * n,); then, where they are known, those of
-            its colours from what they were.
-        without: Differences from the closest picture without one, (h * w * n,).
+        residuals: Differences from the closest picture of a nail, (m * n,) for m pixels; then, where they are known,
+            those of its colours from what they were.
+        without: Differences from the closest picture without one, (m * n,).
         colours: How much brighter than what is around them shank and head are, (2, n).
     """
 
@@ -146,7 +146,12 @@ class Appearance:
         return Window(left, top, right, bottom) if inside else None
 
     def compare(
-        self, image: NDArray[np.float64], window: Window, pose: NailPose, colours: Array | None = None
+        self,
+        image: NDArray[np.float64],
+        window: Window,
+        pose: NailPose,
+        wood: NDArray[np.bool_] | None = None,
+        colours: Array | None = None,
     ) -> Comparison:
         """Compare a part of an image with a nail over a plane of brightness.
 
@@ -154,6 +159,7 @@ class Appearance:
             image: The part of the image, (h, w, n), n channels.
             window: Which part it is.
             pose: Where the nail stands.
+            wood: Which of its pixels show the wood or what stands on it, (h, w); None for all. Others do not count.
             colours: How much brighter than what is around them shank and head were before, (2, n); None where that is
                 unknown.
 
@@ -165,6 +171,9 @@ class Appearance:
         plane = [np.ones(window.shape), columns - columns.mean(), rows - rows.mean()]
         around = np.stack([part.ravel() for part in plane], axis=1)
         pixels = image.reshape(len(around), -1)
+        if wood is not None:
+            counted = wood.ravel()
+            around, nail, pixels = around[counted], nail[counted], pixels[counted]
         without = pixels - around @ np.linalg.lstsq(around, pixels, rcond=None)[0]
         A = np.hstack([around, nail])
         if colours is not None:  # as so many pixels more that show nothing but the one or the other

@@ -15,12 +15,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
-from toolee_robot.frames import Array, inverse
-from toolee_robot.perception.nail.appearance import Appearance, Comparison, NailPose, Window
+from toolee_robot.frames import Array, inverse, transform_points
+from toolee_robot.perception.nail.appearance import Appearance, NailPose
+from toolee_robot.perception.nail.fit import ACROSS, View, fit_as_set
 from toolee_robot.types import RgbdFrame
 
 SEARCH, STEP = 0.018, 0.0012
@@ -39,21 +40,15 @@ BETTER = 0.85
 NEARER, SPECKS = 0.06, 0.05
 """What is nearer to the camera than the nail by so much hides it [m], if it is more than this share of the pixels."""
 SEEN_PART = 0.3
-"""Least share of the pixels around a nail with a known depth: else nothing tells that it is not hidden."""
-SPREAD = 3.0
-"""Errors as a multiple of what independent pixels would leave: wood has a grain. By `toolee bench-bent-nails`."""
+"""Least share of the pixels around a nail with a known depth, or nothing tells that it is not hidden, and of those that
+show wood."""
 SURE, LEAST = 3.0, 3e-4
 """Within so many standard deviations every displacement that may be has to be longer than this [m]. Chosen on other
 labs than those whose figures `toolee bench-bent-nails` tells."""
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
 """Angles at which the rim of a covariance's ellipse is sampled [rad]."""
-LEAN = np.deg2rad(3.0)
-"""Standard deviation of the lean, to each side, of a nail that a person has set upright: assumed. The lean that the
-first image tells along the line of sight is 4 degrees off as a rule, and more now and then."""
-ACROSS = np.hstack([-np.eye(2), np.eye(2)])
-"""From foot and head, x and y, to the head's displacement from the foot, (2, 4)."""
-DIFFERENCE = 2.5e-4
-"""Step of the derivatives [m]: a tenth of a pixel or more."""
+BEHIND, EDGE = 0.025, 1
+"""What is farther from the camera than the wood by so much is not wood [m], nor what is within so many pixels of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,26 +96,6 @@ class HeadOffset:
         return self.distance > limit and self.least > LEAST
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A pose of a nail that was fitted to an image.
-
-    Attributes:
-        pose: The pose.
-        covariance: Covariance of foot and head, x and y, (4, 4) [m^2].
-        comparison: How the image compares with it; None where it is not all in the image.
-    """
-
-    pose: NailPose
-    covariance: Array
-    comparison: Comparison | None
-
-    @property
-    def left(self) -> float:
-        """Mean square that is left unexplained."""
-        return np.inf if self.comparison is None else self.comparison.left
-
-
 class NailSight:
     """One nail, as a camera sees it.
 
@@ -154,15 +129,18 @@ class NailSight:
         image = self._mean(frames, self._upright(self._believed, height))
         if image is None:
             return None
-        found = self._find(frames[0], image, height)
-        if found is None:
+        wood = self._wood(frames)
+        found = self._find(frames[0], image, wood, height)
+        window = None if found is None else self._look(frames[0], BLURS[0]).window(found, WIDE)
+        if found is None or window is None:
             return None
-        fits = [(self._fit(self._look(frames[0], blur), image, found), blur) for blur in BLURS]
-        fit, self._blur = min(fits, key=lambda fit: fit[0].left)
-        if fit.comparison is None or fit.comparison.explained < EXPLAINED:
+        looks = [(blur, self._look(frames[0], blur)) for blur in BLURS]
+        views = [(blur, View(look, window, window.cut(image), window.cut(wood))) for blur, look in looks]
+        self._blur, view = min(views, key=lambda view: view[1].fit(found).misfit)
+        fit = fit_as_set(view, found)
+        if fit.comparison.explained < EXPLAINED:
             return None
-        self._set, self._covariance = set_upright(fit, height)
-        self._colours = fit.comparison.colours
+        self._set, self._covariance, self._colours = fit.pose, fit.covariance, fit.comparison.colours
         self._behind = self._look(frames[0], self._blur).without(image, fit.pose, self._colours)
         return HeadOffset((fit.pose.head - fit.pose.foot)[:2], ACROSS @ fit.covariance @ ACROSS.T)
 
@@ -182,14 +160,19 @@ class NailSight:
         foot, head = self._set.foot, self._set.head
         share = height / (head - foot)[2]
         expected = NailPose(foot, foot + share * (head - foot))
-        image = self._mean(frames, expected)
+        image = self._mean(frames, expected)  # None where the window of what is expected is not in the image
         if image is None or image.shape != self._behind.shape:
             return None
         added = image - self._behind
         look = self._look(frames[0], self._blur)
-        fits = [self._fit(look, added, start, self._colours) for start in self._starts(expected)]
-        on_axis, best = fits[0], min(fits, key=lambda fit: fit.left)
-        fit = best if best.left < BETTER * on_axis.left else on_axis
+        starts = [(start, look.window(start, WIDE)) for start in self._starts(expected)]
+        fits = [
+            View(look, window, window.cut(added), colours=self._colours).fit(start)
+            for start, window in starts
+            if window is not None
+        ]
+        on_axis, best = fits[0], min(fits, key=lambda fit: fit.comparison.left)
+        fit = best if best.comparison.left < BETTER * on_axis.comparison.left else on_axis
         axis = np.hstack([(1.0 - share) * np.eye(2), share * np.eye(2)])
         ray = expected.head - self._camera
         along = ray[:2] / ray[2]  # a head that is higher than believed looks as if it were nearer to the camera
@@ -218,7 +201,19 @@ class NailSight:
             return False
         return bool(np.quantile(known, SPECKS) > look.depth(pose.head) - NEARER)
 
-    def _find(self, frame: RgbdFrame, image: NDArray[np.float64], height: float) -> NailPose | None:
+    def _wood(self, frames: Sequence[RgbdFrame]) -> NDArray[np.bool_]:
+        """Which pixels show the wood, or what stands on it: the edge of a block looks much like a nail."""
+        K, up = frames[0].intrinsics, self._X_camera_base[:3, 2]
+        distance = up @ transform_points(self._X_camera_base, self._believed[None])[0]
+        depth = np.median([frame.depth for frame in frames], axis=0)
+        rows, columns = np.indices(depth.shape, dtype=float)
+        wood = distance / (up[0] * (columns - K.cx) / K.fx + up[1] * (rows - K.cy) / K.fy + up[2])
+        behind = (depth > wood + BEHIND).astype(np.uint8)  # NaN is not
+        return cv2.dilate(behind, np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8)) == 0
+
+    def _find(
+        self, frame: RgbdFrame, image: NDArray[np.float64], wood: NDArray[np.bool_], height: float
+    ) -> NailPose | None:
         """Look for an upright nail around the place where it is believed."""
         look, best = self._look(frame, BLURS[len(BLURS) // 2]), None
         steps = np.arange(-SEARCH, SEARCH + 0.5 * STEP, STEP)
@@ -226,9 +221,9 @@ class NailSight:
             for y in steps[np.hypot(x, steps) <= SEARCH]:
                 pose = self._upright(self._believed + np.array([x, y, 0.0]), height)
                 window = look.window(pose, MARGIN)
-                if window is None:
+                if window is None or np.mean(window.cut(wood)) < SEEN_PART:
                     continue
-                found = look.compare(window.cut(image), window, pose)
+                found = look.compare(window.cut(image), window, pose, window.cut(wood))
                 gain = float(np.sum(found.without**2) - np.sum(found.residuals**2))
                 if best is None or gain > best[0]:
                     best = gain, pose
@@ -239,47 +234,3 @@ class NailSight:
         angles = np.arange(0.0, 2.0 * np.pi, np.pi / 4)
         aside = [radius * np.array([np.cos(a), np.sin(a), 0.0]) for radius in ASIDE for a in angles]
         return [expected, *(NailPose(expected.foot, expected.head + offset) for offset in aside)]
-
-    def _fit(self, look: Appearance, image: NDArray[np.float64], start: NailPose, colours: Array | None = None) -> Fit:
-        """Fit the head's place, and where the colours are not known, these and the foot's place, too."""
-        window: Window | None = look.window(start, WIDE)
-        if window is None:
-            return Fit(start, np.full((4, 4), np.inf), None)
-        part, free = window.cut(image), slice(0 if colours is None else 2, 4)
-
-        def pose(x: Array) -> NailPose:
-            moved = np.zeros(4)
-            moved[free] = x
-            return NailPose(start.foot + np.array([*moved[:2], 0.0]), start.head + np.array([*moved[2:], 0.0]))
-
-        def residuals(x: Array) -> Array:
-            return look.compare(part, window, pose(x), colours).residuals
-
-        def slopes(x: Array) -> Array:
-            steps = DIFFERENCE * np.eye(len(x))
-            return np.stack([(residuals(x + s) - residuals(x - s)) / (2 * DIFFERENCE) for s in steps], axis=1)
-
-        n = 4 if colours is None else 2
-        fit = least_squares(residuals, np.zeros(n), jac=slopes, x_scale=1e-3, max_nfev=20)
-        left = 2.0 * fit.cost / max(len(fit.fun) - n, 1)
-        covariance = np.zeros((4, 4))
-        information = fit.jac.T @ fit.jac + 1e-6 * left * np.eye(n) / DIFFERENCE**2
-        covariance[free, free] = SPREAD**2 * left * np.linalg.inv(information)
-        return Fit(pose(fit.x), covariance, look.compare(part, window, pose(fit.x), colours))
-
-
-def set_upright(fit: Fit, height: float) -> tuple[NailPose, Array]:
-    """What an image and the usual lean of nails tell of one that was just set, by Bayes' rule.
-
-    Args:
-        fit: What the image tells.
-        height: Height of its head over the wood [m].
-
-    Returns:
-        The nail's pose, and the covariance of foot and head, x and y, (4, 4) [m^2].
-    """
-    foot, head, of_lean = fit.pose.foot, fit.pose.head, (LEAN * height) ** 2 * np.eye(2)
-    gain = fit.covariance @ ACROSS.T @ np.linalg.inv(ACROSS @ fit.covariance @ ACROSS.T + of_lean)
-    moved = gain @ (foot - head)[:2]
-    pose = NailPose(foot + np.array([*moved[:2], 0.0]), head + np.array([*moved[2:], 0.0]))
-    return pose, (np.eye(4) - gain @ ACROSS) @ fit.covariance
