@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +102,7 @@ class PaperEstimator(CloudEstimator):
         column: The column of Table I.
         device: torch device.
         sampler: Solver of the generative process; None: the paper's RK45.
+        start: Time at which sampling starts, see `VarianceExploding`; None: the paper's.
 
     Attributes:
         column: As given.
@@ -110,11 +111,19 @@ class PaperEstimator(CloudEstimator):
     points, ordered, candidates = POINTS, ORDERED, 20
     uses_completed = False
 
-    def __init__(self, net: PaperNet, column: Column, device: str = "cpu", sampler: Sampler | None = None) -> None:
+    def __init__(
+        self,
+        net: PaperNet,
+        column: Column,
+        device: str = "cpu",
+        sampler: Sampler | None = None,
+        start: float | None = None,
+    ) -> None:
         self._device = torch_device(device)
         self._net = net.to(self._device).eval()
         self.column, self.of_tool = column, column.of_tool
-        self.process, self.sampler = PROCESS, sampler or Rk45()
+        self.process = PROCESS if start is None else replace(PROCESS, start=start)
+        self.sampler = sampler or Rk45()
 
     @classmethod
     def load(cls, weights_dir: Path, device: str = "cpu") -> PaperEstimator:
@@ -130,7 +139,8 @@ class PaperEstimator(CloudEstimator):
         Raises:
             AssetError: The weights are missing or unreadable.
         """
-        return cls(*load(weights_dir), device)
+        net, column, start = load(weights_dir)
+        return cls(net, column, device, start=start)
 
     @classmethod
     def load_for_job(cls, weights_dir: Path, device: str = "cpu") -> PaperEstimator:
@@ -227,7 +237,7 @@ def in_camera(cloud: CanonicalCloud) -> torch.Tensor:
 
 
 def save(folder: Path, net: PaperNet, column: Column, report: dict[str, Any]) -> None:
-    """Write the weights and their description.
+    """Write the weights and their description, with the time at which sampling starts (`sampling_start`).
 
     Args:
         folder: The folder.
@@ -235,17 +245,19 @@ def save(folder: Path, net: PaperNet, column: Column, report: dict[str, Any]) ->
         column: Column of the paper's table that the network was trained for.
         report: Results of the validation.
     """
-    weight_files.save_weights(folder, NAME, net.state_dict(), {"column": column.name, "report": report})
+    weight_files.save_weights(
+        folder, NAME, net.state_dict(), {"column": column.name, "sampling_start": PROCESS.start, "report": report}
+    )
 
 
-def load(folder: Path) -> tuple[PaperNet, Column]:
+def load(folder: Path) -> tuple[PaperNet, Column, float]:
     """Load the network that `save` wrote.
 
     Args:
         folder: The folder.
 
     Returns:
-        The network (float32, eval mode, CPU) and its column of the paper's table.
+        The network (float32, eval mode, CPU), its column of the paper's table, and the time at which sampling starts.
 
     Raises:
         AssetError: The weights are missing or unreadable.
@@ -257,11 +269,13 @@ def load(folder: Path) -> tuple[PaperNet, Column]:
         )
     tensors, card = weight_files.load_weights(folder, NAME)
     try:
-        column = COLUMNS[card["column"]]
+        column, start = COLUMNS[card["column"]], float(card["sampling_start"])
+        if not PROCESS.end < start <= 1:
+            raise ValueError(f"sampling_start {start:g} is not within ({PROCESS.end:g}, 1]")
         net = PaperNet(column.dim)
         net.load_state_dict(tensors)
-    except (KeyError, TypeError, RuntimeError) as error:
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise AssetError(
             f"the weights of the paper's estimator in {folder} are unreadable: {error}", code="asset.unreadable"
         ) from error
-    return net.requires_grad_(False).eval(), column
+    return net.requires_grad_(False).eval(), column, start

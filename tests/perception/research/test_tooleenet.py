@@ -282,3 +282,14 @@ def test_the_norms_keep_their_statistics_for_the_last_part_of_a_training(
     assert all(torch.equal(gone_on[name], x) for name, x in half.items())
     unsettled = statistics(8, settle=1.0)
     assert {int(x) for name, x in unsettled.items() if name.endswith("num_batches_tracked")} == {4}
+
+
+def test_a_trainings_configuration_says_when_sampling_starts(tmp_path: Path) -> None:
+    card = untrained_paper_weights(tmp_path) / "pose_paper.json"
+    assert PaperEstimator.load(tmp_path).process.start == 0.55, "the paper's"
+    card.write_text(card.read_text().replace('"sampling_start": 0.55', '"sampling_start": 1.0'))
+    assert PaperEstimator.load(tmp_path).process.start == 1.0
+    card.write_text(card.read_text().replace('"sampling_start": 1.0', '"sampling_start": 1.5'))
+    with raises(AssetError, code="asset.unreadable") as unreadable:
+        PaperEstimator.load(tmp_path)
+    assert "sampling_start 1.5" in str(unreadable.value)
