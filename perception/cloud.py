@@ -108,9 +108,7 @@ def back_project(depth: NDArray[np.floating], mask: NDArray[np.bool_], intrinsic
     z = depth[v, u].astype(np.float64)
     good = np.isfinite(z) & (z > 0)
     u, v, z = u[good], v[good], z[good]
-    x = (u - intrinsics.cx) / intrinsics.fx * z
-    y = (v - intrinsics.cy) / intrinsics.fy * z
-    return np.column_stack([x, y, z])
+    return z[:, None] * intrinsics.rays(np.stack([u, v], axis=-1))
 
 
 def without_flying_pixels(depth: NDArray[np.floating], mask: NDArray[np.bool_], least: int = 2) -> NDArray[np.bool_]:

@@ -70,3 +70,12 @@ def test_the_sigma_of_a_position_is_that_of_its_worst_direction() -> None:
     covariance = np.diag([1e-6, 4e-6, 1e-6, 0.02**2, 0.03**2, 0.01**2])
     estimate = InHandEstimate(Category.HAMMER_HEAD, np.eye(4), covariance, 0.9, 5, 5, True, "ok")
     assert estimate.sigma_position == pytest.approx(0.002)
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (3, 4)])
+def test_rays_are_the_other_way_round_than_projections(shape: tuple[int, ...]) -> None:
+    pixels = np.random.default_rng(0).integers(0, 8, (*shape, 2))
+    rays = _K.rays(pixels)
+    assert rays.shape == (*shape, 3)
+    np.testing.assert_array_equal(rays[..., 2], 1.0)
+    np.testing.assert_allclose(_K.project(0.7 * rays), pixels, atol=1e-12)

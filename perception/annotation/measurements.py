@@ -63,9 +63,7 @@ class Measurements:
 
     def rays(self, pixels: Array) -> Array:
         """Points (..., 3) at depth 1 on the rays through pixels (..., 2)."""
-        k = self.camera
-        u, v = pixels[..., 0], pixels[..., 1]
-        return np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones_like(u)], -1)
+        return self.camera.rays(pixels)
 
     def point(self, click: Measurement) -> Array:
         """Where a click's depth was measured, (3,) [m]."""

@@ -31,7 +31,7 @@ def back_projected(mask: NDArray[np.bool_], depth_mm: NDArray[np.uint16], K: Cam
     """
     rows, columns = pixels_of(mask & (depth_mm > 0))
     z = depth_mm[rows, columns] * 1e-3
-    return np.column_stack([(columns - K.cx) / K.fx * z, (rows - K.cy) / K.fy * z, z]).astype(np.float32)
+    return (z[:, None] * K.rays(np.stack([columns, rows], axis=-1))).astype(np.float32)
 
 
 class CloudWriter:

@@ -40,15 +40,16 @@ BETTER = 0.85
 NEARER, SPECKS = 0.06, 0.05
 """What is nearer to the camera than the nail by so much hides it [m], if it is more than this share of the pixels."""
 SEEN_PART = 0.3
-"""Least share of the pixels around a nail with a known depth, or nothing tells that it is not hidden, and of those that
-show wood."""
+"""Least share of the pixels around a nail whose depth is known: else nothing tells that it is not hidden. Also the
+least share that has to show wood."""
 SURE, LEAST = 3.0, 3e-4
 """Within so many standard deviations every displacement that may be has to be longer than this [m]. Chosen on other
 labs than those whose figures `toolee bench-bent-nails` tells."""
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
 """Angles at which the rim of a covariance's ellipse is sampled [rad]."""
 BEHIND, EDGE = 0.025, 1
-"""What is farther from the camera than the wood by so much is not wood [m], nor what is within so many pixels of it."""
+"""What lies so much farther than the wood, along the optical axis, is not wood [m], nor what is within so many pixels
+of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,18 +127,19 @@ class NailSight:
         Returns:
             How its head stands beside its foot; None where it is hidden, outside of the image or not found.
         """
-        image = self._mean(frames, self._upright(self._believed, height))
-        if image is None:
+        seen = self._in_sight(frames, self._upright(self._believed, height))
+        if not seen:
             return None
-        wood = self._wood(frames)
+        image, wood = _mean(seen), self._wood(seen)
         found = self._find(frames[0], image, wood, height)
         window = None if found is None else self._look(frames[0], BLURS[0]).window(found, WIDE)
         if found is None or window is None:
             return None
         looks = [(blur, self._look(frames[0], blur)) for blur in BLURS]
         views = [(blur, View(look, window, window.cut(image), window.cut(wood))) for blur, look in looks]
-        self._blur, view = min(views, key=lambda view: view[1].fit(found).misfit)
-        fit = fit_as_set(view, found)
+        fits = [(blur, view, view.fit(found)) for blur, view in views]
+        self._blur, view, anyhow = min(fits, key=lambda fit: fit[2].misfit)
+        fit = fit_as_set(view, found, anyhow)
         if fit.comparison.explained < EXPLAINED:
             return None
         self._set, self._covariance, self._colours = fit.pose, fit.covariance, fit.comparison.colours
@@ -160,10 +162,10 @@ class NailSight:
         foot, head = self._set.foot, self._set.head
         share = height / (head - foot)[2]
         expected = NailPose(foot, foot + share * (head - foot))
-        image = self._mean(frames, expected)  # None where the window of what is expected is not in the image
-        if image is None or image.shape != self._behind.shape:
+        seen = self._in_sight(frames, expected)
+        if not seen or seen[0].rgb.shape != self._behind.shape:
             return None
-        added = image - self._behind
+        added = _mean(seen) - self._behind
         look = self._look(frames[0], self._blur)
         starts = [(start, look.window(start, WIDE)) for start in self._starts(expected)]
         fits = [
@@ -171,6 +173,7 @@ class NailSight:
             for start, window in starts
             if window is not None
         ]
+        # The first is the expected one: its window is in the image, or nothing would have been in sight.
         on_axis, best = fits[0], min(fits, key=lambda fit: fit.comparison.left)
         fit = best if best.comparison.left < BETTER * on_axis.comparison.left else on_axis
         axis = np.hstack([(1.0 - share) * np.eye(2), share * np.eye(2)])
@@ -185,12 +188,11 @@ class NailSight:
     def _look(self, frame: RgbdFrame, blur: float) -> Appearance:
         return Appearance(frame.intrinsics, self._X_camera_base, *self._radii, blur)
 
-    def _mean(self, frames: Sequence[RgbdFrame], pose: NailPose) -> NDArray[np.float64] | None:
-        """The mean of those images in which nothing hides the nail; None if there is none."""
-        seen = [frame.rgb for frame in frames if self._in_sight(frame, pose)]
-        return np.mean(seen, axis=0) if seen else None
+    def _in_sight(self, frames: Sequence[RgbdFrame], pose: NailPose) -> Sequence[RgbdFrame]:
+        """Those frames in which a nail's window is in the image and nothing hides it."""
+        return [frame for frame in frames if self._is_in_sight(frame, pose)]
 
-    def _in_sight(self, frame: RgbdFrame, pose: NailPose) -> bool:
+    def _is_in_sight(self, frame: RgbdFrame, pose: NailPose) -> bool:
         look = self._look(frame, BLURS[0])
         window = look.window(pose, WIDE)
         if window is None:
@@ -205,11 +207,12 @@ class NailSight:
         """Which pixels show the wood, or what stands on it: the edge of a block looks much like a nail."""
         K, up = frames[0].intrinsics, self._X_camera_base[:3, 2]
         distance = up @ transform_points(self._X_camera_base, self._believed[None])[0]
-        depth = np.median([frame.depth for frame in frames], axis=0)
-        rows, columns = np.indices(depth.shape, dtype=float)
-        wood = distance / (up[0] * (columns - K.cx) / K.fx + up[1] * (rows - K.cy) / K.fy + up[2])
-        behind = (depth > wood + BEHIND).astype(np.uint8)  # NaN is not
-        return cv2.dilate(behind, np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8)) == 0
+        depths = np.stack([frame.depth for frame in frames])
+        rows, columns = np.indices(depths.shape[1:])
+        wood = distance / (K.rays(np.stack([columns, rows], axis=-1)) @ up)
+        # In most of the frames that know their depth; what is unknown, 0 or NaN, is neither.
+        behind = 2 * np.sum(depths > wood + BEHIND, axis=0) > np.sum(depths > 0.0, axis=0)
+        return cv2.dilate(behind.astype(np.uint8), np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8)) == 0
 
     def _find(
         self, frame: RgbdFrame, image: NDArray[np.float64], wood: NDArray[np.bool_], height: float
@@ -234,3 +237,8 @@ class NailSight:
         angles = np.arange(0.0, 2.0 * np.pi, np.pi / 4)
         aside = [radius * np.array([np.cos(a), np.sin(a), 0.0]) for radius in ASIDE for a in angles]
         return [expected, *(NailPose(expected.foot, expected.head + offset) for offset in aside)]
+
+
+def _mean(frames: Sequence[RgbdFrame]) -> NDArray[np.float64]:
+    """The mean of their colour images, (H, W, 3)."""
+    return np.asarray(np.mean([frame.rgb for frame in frames], axis=0))

@@ -34,7 +34,6 @@ from toolee_robot.perception.synthesis.placement import (
     on_plane,
     random_intrinsics,
     random_pixel,
-    ray,
     tool_in_view,
 )
 from toolee_robot.perception.synthesis.surfaces import Surfaces
@@ -87,7 +86,7 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
     if not with_tools and rng.random() < 0.6:
         grasp = pool.any_grasp(rng)
         X = X_world_camera @ transform(
-            random_rotation(rng), ray(intrinsics, random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
+            random_rotation(rng), intrinsics.rays(random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
         )
         bodies += hand_bodies(grasp, HandStyle.random(rng), X, HAND)
     for item in placed:
@@ -177,7 +176,7 @@ def _objects(
             R = rotation_z(rng.uniform(0, 2 * np.pi)) if rng.random() < 0.6 else random_rotation(rng)
             X = transform(R, np.add(point, [0.0, 0.0, 0.3 * size]))
         else:
-            p = X_world_camera[:3, :3] @ ray(intrinsics, pixel) * rng.uniform(0.7, 2.2)
+            p = X_world_camera[:3, :3] @ intrinsics.rays(pixel) * rng.uniform(0.7, 2.2)
             X = transform(random_rotation(rng), p)
         bodies += any_object(rng, surfaces, X, OBJECT, size)
     return bodies

@@ -15,7 +15,7 @@ from toolee_robot.perception.dataset.paper_camera import CIRCLE, FOCAL, FULL_HEI
 from toolee_robot.perception.dataset.records import HEIGHT, SCENES, SHOWN_HAND, WIDTH
 from toolee_robot.perception.synthesis.bodies import Grasp, HandStyle, hand_bodies, tool_bodies
 from toolee_robot.perception.synthesis.clutter import walls
-from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample, X_world_hand_of, look, ray
+from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample, X_world_hand_of, look
 from toolee_robot.render import Material, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.palette import linear
@@ -51,7 +51,7 @@ def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> Sc
     full = CameraIntrinsics(FOCAL, FOCAL, FULL_WIDTH / 2 - 0.5, FULL_HEIGHT / 2 - 0.5, FULL_WIDTH, FULL_HEIGHT)
     ee = tool.ees[int(rng.integers(len(tool.ees)))]
     pixel = rng.uniform([_MARGIN, _MARGIN], [FULL_WIDTH - _MARGIN, FULL_HEIGHT - _MARGIN])
-    p = X_world_camera[:3, :3] @ ray(full, pixel) * rng.uniform(*DEPTHS)
+    p = X_world_camera[:3, :3] @ full.rays(pixel) * rng.uniform(*DEPTHS)
     turns = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi, _TURNS if claws else 1)[:, None]).as_matrix()
     R = turns[np.argmin(turns @ tool.ees[0].X_tool_ee[:3, 2] @ p)]
     X_world_tool = transform(R, p - R @ ee.X_tool_ee[:3, 3])

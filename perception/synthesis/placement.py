@@ -173,20 +173,6 @@ def look(position: Array, target: Array, roll: float) -> Array:
     return frame_from_axes(z=z, x=right, p=position) @ transform(rotation_z(roll))
 
 
-def ray(intrinsics: CameraIntrinsics, pixel: Array) -> Array:
-    """Ray through a pixel.
-
-    Args:
-        intrinsics: Intrinsics of the camera.
-        pixel: The pixel (x, y) [px].
-
-    Returns:
-        Direction with z = 1, camera frame, (3,).
-    """
-    x, y = pixel
-    return np.array([(x - intrinsics.cx) / intrinsics.fx, (y - intrinsics.cy) / intrinsics.fy, 1.0])
-
-
 def random_pixel(rng: np.random.Generator, margin: float = 0.08) -> Array:
     """Draw a pixel, uniform in the image without a margin.
 
@@ -218,7 +204,7 @@ def tool_in_view(tool: ToolShape, intrinsics: CameraIntrinsics, rng: np.random.G
     anchor = np.zeros(3)
     if rng.random() < 0.75:
         anchor = tool.ees[int(rng.integers(len(tool.ees)))].X_tool_ee[:3, 3]
-    p = ray(intrinsics, random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
+    p = intrinsics.rays(random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
     return transform(R, p - R @ anchor)
 
 
@@ -261,7 +247,7 @@ def on_plane(
     Returns:
         The point (3,) [m], world frame; None if there is none in the range of depths.
     """
-    direction = X_world_camera[:3, :3] @ ray(intrinsics, pixel)
+    direction = X_world_camera[:3, :3] @ intrinsics.rays(pixel)
     if direction[2] > -1e-3:
         return None
     depth = (height - X_world_camera[2, 3]) / direction[2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,18 @@ class CameraIntrinsics:
         """
         x, y, z = points[..., 0], points[..., 1], points[..., 2]
         return np.stack([self.fx * x / z + self.cx, self.fy * y / z + self.cy], axis=-1)
+
+    def rays(self, pixels: NDArray[Any]) -> Array:
+        """Follow the rays through pixels, the other way round than `project`.
+
+        Args:
+            pixels: Pixels, (..., 2).
+
+        Returns:
+            Points on their rays at a depth of 1 m, in the camera frame, (..., 3) [m].
+        """
+        u, v = pixels[..., 0], pixels[..., 1]
+        return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u, dtype=float)], axis=-1)
 
     def agrees(self, other: CameraIntrinsics, tolerance: float = 0.01) -> bool:
         """Whether two intrinsics are the same but for rounding, as in a station file.

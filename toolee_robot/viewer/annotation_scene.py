@@ -176,10 +176,8 @@ class AnnotationScene:
         return points if self.view == "cloud" else points / points[:, 2:] * 0.997
 
     def _on_photograph(self, pixels: Array) -> Array:
-        k = self._camera
-        assert k is not None
-        u, v = pixels[:, 0], pixels[:, 1]
-        return np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(len(u))], 1)
+        assert self._camera is not None
+        return self._camera.rays(pixels)
 
     def _connect(self, client: Any) -> None:
         shape = [0.0]

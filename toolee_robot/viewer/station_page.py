@@ -11,7 +11,7 @@ import numpy as np
 from toolee_robot.config import StationConfig, given_by_nails, read_station
 from toolee_robot.config.station import to_station
 from toolee_robot.control import RobotModel
-from toolee_robot.frames import HALF_TURN, Array, BaseFrame, frame_from_axes, inverse, transform
+from toolee_robot.frames import HALF_TURN, Array, BaseFrame, frame_from_axes, inverse, transform, transform_points
 from toolee_robot.sim_backend.visuals.scene import PINE_COLOR, STAND_COLOR
 from toolee_robot.stations.open_fields import open_fields
 from toolee_robot.viewer.station_scene import CAMERA_BOX, OBSTACLE, StationPicture, rgb
@@ -166,8 +166,8 @@ class StationPage:
         camera = self._config.camera
         X, k = camera.X_base_camera, camera.intrinsics
         depth = float(np.linalg.norm(np.subtract(camera.target, camera.position)))
-        pixels = ((0, 0), (k.width, 0), (k.width, k.height), (0, k.height))
-        ends = [(X @ [(u - k.cx) / k.fx * depth, (v - k.cy) / k.fy * depth, depth, 1.0])[:3] for u, v in pixels]
+        pixels = np.array([(0, 0), (k.width, 0), (k.width, k.height), (0, k.height)])
+        ends = list(transform_points(X, depth * k.rays(pixels)))
         rays = [(X[:3, 3], end) for end in ends]
         self._lines("/camera's view/edges", np.array([*rays, *zip(ends, [*ends[1:], ends[0]], strict=True)]), VIEW)
         faces = np.array([(0, i, i % 4 + 1) for i in range(1, 5)])

@@ -15,8 +15,8 @@ from toolee_robot.perception.pose.processes.flow import Field, Noised
 class VarianceExploding:
     """The process u_t = data + sigma(t) z with sigma(t) = low (high / low)^t.
 
-    The network predicts sigma times the score, which is -z. Sampled from t = start, where sigma is about 1, down to t =
-    end, with one denoising step at the end.
+    The network predicts sigma times the score, which is -z. Sampled from t = start (the paper's: sigma is
+    about 1) down to t = end, with one denoising step at the end.
 
     Attributes:
         low: Lowest noise level.

@@ -237,7 +237,7 @@ def in_camera(cloud: CanonicalCloud) -> torch.Tensor:
 
 
 def save(folder: Path, net: PaperNet, column: Column, report: dict[str, Any]) -> None:
-    """Write the weights and their description, with the time at which sampling starts (`sampling_start`).
+    """Write the weights and their description.
 
     Args:
         folder: The folder.
@@ -245,9 +245,7 @@ def save(folder: Path, net: PaperNet, column: Column, report: dict[str, Any]) ->
         column: Column of the paper's table that the network was trained for.
         report: Results of the validation.
     """
-    weight_files.save_weights(
-        folder, NAME, net.state_dict(), {"column": column.name, "sampling_start": PROCESS.start, "report": report}
-    )
+    weight_files.save_weights(folder, NAME, net.state_dict(), {"column": column.name, "report": report})
 
 
 def load(folder: Path) -> tuple[PaperNet, Column, float]:
@@ -269,7 +267,7 @@ def load(folder: Path) -> tuple[PaperNet, Column, float]:
         )
     tensors, card = weight_files.load_weights(folder, NAME)
     try:
-        column, start = COLUMNS[card["column"]], float(card["sampling_start"])
+        column, start = COLUMNS[card["column"]], float(card.get("sampling_start", PROCESS.start))
         if not PROCESS.end < start <= 1:
             raise ValueError(f"sampling_start {start:g} is not within ({PROCESS.end:g}, 1]")
         net = PaperNet(column.dim)

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.physics.nail import Nail
@@ -100,6 +100,33 @@ def test_a_height_that_is_not_known_hides_what_moves_along_the_line_of_sight() -
     both = HeadOffset(0.004 * ray + 0.0005 * np.array([-0.6, 0.8]), head.covariance)
     assert both.least == pytest.approx(0.00028, abs=2e-5)
     assert not both.surely_beyond(0.0023), "surely it is beside the axis, and by next to nothing"
+
+
+@pytest.mark.parametrize("unknown", [0.0, np.nan])
+def test_what_lies_behind_the_wood_is_no_nail(
+    simulation: SimStation, nail: Nail, sight: NailSight, unknown: float
+) -> None:
+    """The wood ends three pixels beside the nail, and a dark wall is behind it; a frame does not know its depth."""
+    frames, height = _frames(simulation), nail.spec.protrusion
+    camera = frames[0].intrinsics
+    X_camera_base = inverse(CONFIG.camera.X_base_camera)
+    foot = np.array([*WORK.nail_xy, WORK.wood_height])
+    u, _ = camera.project(transform_points(X_camera_base, foot[None])[0])
+    wall = np.s_[:, int(u) + 4 :]
+
+    def before_a_wall(frame: RgbdFrame, distance: float) -> RgbdFrame:
+        rgb, depth = frame.rgb.copy(), frame.depth.copy()
+        rgb[wall], depth[wall] = 60, distance
+        return replace(frame, rgb=rgb, depth=depth)
+
+    far = [before_a_wall(frames[0], 2.0), before_a_wall(frames[1], unknown)]
+    seen, as_before = sight.first(far, height), sight.first(frames, height)
+    assert seen is not None
+    assert as_before is not None
+    np.testing.assert_allclose(seen.offset, as_before.offset, atol=0.001)
+    near = [replace(frame, depth=frames[0].depth) for frame in far]
+    misled = sight.first(near, height)
+    assert misled is None or np.linalg.norm(misled.offset - as_before.offset) > 0.001, "the depth tells"
 
 
 def test_what_is_hidden_or_not_there_or_not_in_the_image_is_not_seen(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -287,9 +288,9 @@ def test_the_norms_keep_their_statistics_for_the_last_part_of_a_training(
 def test_a_trainings_configuration_says_when_sampling_starts(tmp_path: Path) -> None:
     card = untrained_paper_weights(tmp_path) / "pose_paper.json"
     assert PaperEstimator.load(tmp_path).process.start == 0.55, "the paper's"
-    card.write_text(card.read_text().replace('"sampling_start": 0.55', '"sampling_start": 1.0'))
+    card.write_text(json.dumps(json.loads(card.read_text()) | {"sampling_start": 1.0}))
     assert PaperEstimator.load(tmp_path).process.start == 1.0
-    card.write_text(card.read_text().replace('"sampling_start": 1.0', '"sampling_start": 1.5'))
+    card.write_text(json.dumps(json.loads(card.read_text()) | {"sampling_start": 1.5}))
     with raises(AssetError, code="asset.unreadable") as unreadable:
         PaperEstimator.load(tmp_path)
     assert "sampling_start 1.5" in str(unreadable.value)

@@ -179,10 +179,9 @@ def _leave_one_out(
         others = Views([*observations[:i], *observations[i + 1 :]], board, intrinsics)
         estimate = refine(others, refined.estimate, noise=refined.noise).estimate
         X_camera_board = inverse(estimate.X_base_camera) @ left_out.X_base_flange @ estimate.X_flange_board
-        x, y, z = transform_points(X_camera_board, estimate.scale * board.corners[left_out.view.ids]).T
-        u, v = left_out.view.pixels.T
-        across = np.stack([x - z * (u - intrinsics.cx) / intrinsics.fx, y - z * (v - intrinsics.cy) / intrinsics.fy])
-        held_out.append(np.sqrt(np.mean(np.sum(across**2, axis=0))))
+        corners = transform_points(X_camera_board, estimate.scale * board.corners[left_out.view.ids])
+        across = corners - corners[:, 2:] * intrinsics.rays(left_out.view.pixels)
+        held_out.append(np.sqrt(np.mean(np.sum(across**2, axis=1))))
         shifts.append(np.linalg.norm(_point(estimate, target) - at))
     return LeaveOneOut(np.array(held_out), np.array(shifts))
 

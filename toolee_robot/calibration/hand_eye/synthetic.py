@@ -104,7 +104,7 @@ def _board_before_camera(
     """X_camera_board of a board somewhere in the image, (4, 4)."""
     depth = rng.uniform(*_DISTANCE)
     u, v = rng.uniform(0.2, 0.8) * intrinsics.width, rng.uniform(0.2, 0.8) * intrinsics.height
-    center = depth * np.array([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, 1.0])
+    center = depth * intrinsics.rays(np.array([u, v]))
     direction = rng.uniform(0, 2 * np.pi)
     across = np.array([np.cos(direction), np.sin(direction), 0.0]) * rng.uniform(-protocol.tilt, protocol.tilt)
     about = np.array([0.0, 0.0, rng.uniform(-protocol.tilt, protocol.tilt)])

@@ -142,7 +142,7 @@ def _sample(board: Board, camera: CameraConfig, rng: np.random.Generator) -> Arr
     farthest = _FAR_ENOUGH * board.size[0] * camera.fx / (FAR * camera.width)
     depth = rng.uniform(nearest, farthest)
     u, v = rng.uniform(0.15, 0.85) * camera.width, rng.uniform(0.15, 0.85) * camera.height
-    center = depth * np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0])
+    center = depth * camera.intrinsics.rays(np.array([u, v]))
     direction, tilt = rng.uniform(0, 2 * np.pi), rng.uniform(*TILT)
     turn = rng.uniform(-LARGEST_TURN, LARGEST_TURN)
     R = Rotation.from_rotvec(tilt * np.array([np.cos(direction), np.sin(direction), 0.0]))
