@@ -135,15 +135,16 @@ class NailSight:
         window = None if found is None else self._look(frames[0], BLURS[0]).window(found, WIDE)
         if found is None or window is None:
             return None
-        looks = [(blur, self._look(frames[0], blur)) for blur in BLURS]
-        views = [(blur, View(look, window, window.cut(image), window.cut(wood))) for blur, look in looks]
-        fits = [(blur, view, view.fit(found)) for blur, view in views]
-        self._blur, view, anyhow = min(fits, key=lambda fit: fit[2].misfit)
-        fit = fit_as_set(view, found, anyhow)
+        part, counted = window.cut(image), window.cut(wood)
+        views = {blur: View(self._look(frames[0], blur), window, part, counted) for blur in BLURS}
+        fits = {blur: view.fit(found) for blur, view in views.items()}
+        self._blur = min(fits, key=lambda blur: fits[blur].misfit)
+        view = views[self._blur]
+        fit = fit_as_set(view, found, fits[self._blur])
         if fit.comparison.explained < EXPLAINED:
             return None
         self._set, self._covariance, self._colours = fit.pose, fit.covariance, fit.comparison.colours
-        self._behind = self._look(frames[0], self._blur).without(image, fit.pose, self._colours)
+        self._behind = view.look.without(image, fit.pose, self._colours)
         return HeadOffset((fit.pose.head - fit.pose.foot)[:2], ACROSS @ fit.covariance @ ACROSS.T)
 
     def again(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> HeadOffset | None:
@@ -226,8 +227,8 @@ class NailSight:
                 window = look.window(pose, MARGIN)
                 if window is None or np.mean(window.cut(wood)) < SEEN_PART:
                     continue
-                found = look.compare(window.cut(image), window, pose, window.cut(wood))
-                gain = float(np.sum(found.without**2) - np.sum(found.residuals**2))
+                compared = look.compare(window.cut(image), window, pose, window.cut(wood))
+                gain = float(np.sum(compared.without**2) - np.sum(compared.residuals**2))
                 if best is None or gain > best[0]:
                     best = gain, pose
         return None if best is None else best[1]
