@@ -32,7 +32,7 @@ from toolee_robot.sim_backend.cell_errors import NOMINAL
 from toolee_robot.stations.hand import WIRED_HANDS
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
-from toolee_robot.stations.rehearsal.emulated_lab import late_because
+from toolee_robot.stations.rehearsal.emulated_lab import claimed_address, late_because
 from toolee_robot.types import HandWeight
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -101,7 +101,7 @@ def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(
         LinkLostError("the robot's data were late", code="link_lost.data"),
         OverrunError("commands were sent late, by up to 31 ms,"),
         NotReadyError("the readings are late", code="not_ready.timing"),
-        PersonNearError("the hold-to-run switch was not taken", code="person_near.switch_not_taken"),
+        PersonNearError("nobody is known to hold the switch: late readings", code="person_near.during_motion"),
     ],
     ids=lambda error: str(error.code),
 )
@@ -121,6 +121,13 @@ def test_what_is_no_matter_of_time_is_not_put_down_to_this_machine(config: Stati
     with raises(ProtectiveStopError, "protective_stop") as caught, lab.blaming_the_machine():
         raise ProtectiveStopError("it hit something")
     assert str(caught.value) == "it hit something"
+
+
+def test_rehearsals_that_begin_together_have_an_address_each() -> None:
+    with claimed_address() as first, claimed_address() as second:
+        assert first != second
+    with claimed_address() as again:
+        assert again == first, "free again"
 
 
 def test_how_busy_the_machine_is_is_told() -> None:

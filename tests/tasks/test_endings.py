@@ -12,7 +12,7 @@ import pytest
 
 from tests.tasks.bench import Log, is_home, soon
 from toolee_robot.control import Meeting, RobotModel
-from toolee_robot.errors import PerceptionError, UserError
+from toolee_robot.errors import PerceptionError, StaleDataError, UserError
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from toolee_robot.faults.rigs.people import People
 from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception, moved, unsure
@@ -87,6 +87,7 @@ def test_nothing_moves_while_a_person_may_be_near(bench: Bench, gives: bool) -> 
     result = bench.blind_task(log).run()
     assert result.outcome is (Outcome.PERSON_NEAR if gives else Outcome.NO_HANDOVER)
     assert "nobody confirmed" in result.reason
+    assert (result.fault is None) == (not gives)
     assert bench.people.asked == ["handover", "release"]
     assert log.motions == ["to the handover"]
     assert at_rest(bench.sim)
@@ -134,6 +135,7 @@ def test_the_camera_freezes(bench: Bench) -> None:
     log = Log(at={Stage.VIEW: bench.camera.freeze})
     result = bench.seeing_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
+    assert isinstance(result.fault, StaleDataError)
     assert "no new frame" in result.reason
     assert log.motions == ["to the handover", "to a view"]
     assert at_rest(bench.sim)

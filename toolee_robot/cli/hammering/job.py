@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -130,6 +130,8 @@ class HammerJob:
             except KeyboardInterrupt:
                 reason = "interrupted by a person; the arm was stopped"
                 result = task.result(Outcome.INTERRUPTED, reason)
+            if result.fault is not None and (why := opened.why_late(result.fault)):
+                result = replace(result, reason=f"{result.reason}. {why[0].upper()}{why[1:]}")
             longest_stall = None if machine is None else machine.longest
             verdict = None if opened.truth is None else opened.truth.verdict(result.estimates)
             truths = () if opened.truth is None else opened.truth.strikes

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from toolee_robot.config import StationConfig
+from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Station
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
@@ -37,6 +38,7 @@ class Opened:
         words: The tool in words.
         truth: Ground truth for the evaluation after the job; None for a real station.
         shape: Shape of the tool, for pictures; None where nobody knows it.
+        why_late: Says what a device's error has to do with this computer; empty words for nothing.
     """
 
     station: Station
@@ -46,6 +48,7 @@ class Opened:
     words: str
     truth: Truth | None
     shape: ToolShape | None = None
+    why_late: Callable[[DeviceError], str] = lambda _: ""
 
 
 class Source(Protocol):
@@ -205,7 +208,7 @@ class RehearsalSource:
         assert config.tool is not None
         with EmulatedLab(cell, tell, self.factor, self.profile, doing=doing) as lab:
             grasp = measured_grasp(config.tool, config)
-            yield Opened(lab.station, config, grasp, tool.name, _words(tool), lab.judge, tool)
+            yield Opened(lab.station, config, grasp, tool.name, _words(tool), lab.judge, tool, lab.why_late)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from toolee_robot.errors import (
     ConfigError,
     DeviceError,
     OverrunError,
+    PersonNearError,
     StaleDataError,
     UserError,
 )
@@ -39,9 +40,9 @@ NOTHING_ELSE = 0.05
 """Share of the cores' time that other programs take on a machine that does nothing else."""
 _LATE = (
     "device.timeout", "motion_fault.task_stalled", "no_answer.hand_silent", "no_answer.timeout",
-    "not_ready.timing", "person_near.switch_not_taken",
+    "not_ready.timing",
 )  # fmt: skip
-"""Codes of further errors that late programs alone explain where every device and the person are emulated."""
+"""Codes of further errors that late programs alone explain where every device is emulated."""
 _PORTS = (29999, 30004)
 
 
@@ -77,13 +78,14 @@ class EmulatedLab:
 
     Attributes:
         station: The devices; set inside the block.
-        judge: Ground truth, for the evaluation afterwards.
+        judge: Ground truth, for the evaluation; set inside the block.
 
     Raises:
         ConfigError: The station file lacks what the purpose needs, or names a hand that cannot be emulated.
     """
 
     station: Station
+    judge: RemoteJudge
 
     def __init__(
         self,
@@ -103,9 +105,7 @@ class EmulatedLab:
                 code="config.no_emulator",
             )
         self._cell, self._tell, self._purpose, self._doing = cell, tell, purpose, doing
-        self._clock, self._host = HostClock(real_time_factor), _free_address()
-        self._world = RemoteWorld(cell.true, cell.seed, cell.options, self._host, self._clock, profile)
-        self.judge = RemoteJudge(self._world)
+        self._clock, self._profile = HostClock(real_time_factor), profile
         self._load, self._stack = CpuLoad(), ExitStack()
 
     def __enter__(self) -> Self:
@@ -115,17 +115,18 @@ class EmulatedLab:
             UserError: An emulator cannot start.
             DeviceError: A driver cannot connect.
         """
-        cell, clock, world = self._cell, self._clock, self._world
-        config = cell.measured
+        cell, clock, config = self._cell, self._clock, self._cell.measured
         with self.blaming_the_machine(), ExitStack() as stack:
             stack.callback(sys.setswitchinterval, sys.getswitchinterval())
             sys.setswitchinterval(SWITCH_INTERVAL)
             stack.enter_context(CpuKeepalive())
             stack.enter_context(self._load)
-            self._doing(f"starting the simulated cell behind a controller at {self._host}")
+            host = stack.enter_context(claimed_address())
+            self._doing(f"starting the simulated cell behind a controller at {host}")
+            world = RemoteWorld(cell.true, cell.seed, cell.options, host, clock, self._profile)
             stack.enter_context(world)
-            self._set_up_robot()
-            hand = self._emulated_hand(stack)
+            self._set_up_robot(world)
+            hand = self._emulated_hand(world, stack)
             stream = stack.enter_context(
                 emulated_stream(
                     config,
@@ -139,7 +140,7 @@ class EmulatedLab:
             )
             lab = stack.enter_context(
                 LabStation(
-                    replace(config, arm=replace(config.arm, host=self._host), hand=hand),
+                    replace(config, arm=replace(config.arm, host=host), hand=hand),
                     self._tell,
                     purpose=self._purpose,
                     real_time_factor=clock.real_time_factor,
@@ -149,9 +150,9 @@ class EmulatedLab:
             )
             assert config.person is not None
             person = RehearsedPerson(
-                lab.station.person, config.person, self._set_input, world, clock, clamps=hand.model == MOUNT
+                lab.station.person, config.person, _inputs(world), world, clock, clamps=hand.model == MOUNT
             )
-            self.station = replace(lab.station, person=person)
+            self.station, self.judge = replace(lab.station, person=person), RemoteJudge(world)
             self._stack = stack.pop_all()
         return self
 
@@ -170,31 +171,50 @@ class EmulatedLab:
         try:
             yield
         except DeviceError as error:
-            if isinstance(error, StaleDataError | OverrunError) or error.code in _LATE:
-                error.args = (f"{late_because(self._load.others(), self._clock.real_time_factor)}. Late was: {error}",)
+            if why := self.why_late(error):
+                error.args = (f"{why}. Late was: {error}",)
             raise
 
-    def _set_up_robot(self) -> None:
+    def why_late(self, error: DeviceError) -> str:
+        """Say what an error of late data or commands has to do with this machine.
+
+        Args:
+            error: The error of an emulated device, or of the emulated person, who always does what a prompt asks.
+
+        Returns:
+            The words, without a full stop; empty for an error that has other causes.
+        """
+        if isinstance(error, StaleDataError | OverrunError | PersonNearError) or error.code in _LATE:
+            return late_because(self._load.others(), self._clock.real_time_factor)
+        return ""
+
+    def _set_up_robot(self, world: RemoteWorld) -> None:
         """Set the robot up as at the pendant: the payload that was weighed, and the serial number that is known."""
-        config, controller = self._cell.measured, self._world.controller
+        config, controller = self._cell.measured, world.controller
         model = RobotModel.of_station(config).description
         payload = model.hand_payload(model.hand_open)
         controller.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
         known = config.calibration
         controller.fault("serial", number=SIMULATED if known is None else known.robot_serial)
 
-    def _emulated_hand(self, stack: ExitStack) -> HandConfig:
+    def _emulated_hand(self, world: RemoteWorld, stack: ExitStack) -> HandConfig:
         hand = self._cell.measured.hand
         if hand.model == MOUNT:
             return hand
         model = RobotModel.of_station(self._cell.measured).description
         emulator = stack.enter_context(emulated_hand(hand, self._cell.seed, self._clock.real_time_factor))
         joints = WIRED_HANDS[hand.model].joints
-        stack.enter_context(FingerCoupling(self._world, emulator, joints, model.hand_open))
+        stack.enter_context(FingerCoupling(world, emulator, joints, model.hand_open))
         return replace(hand, port=emulator.port)
 
-    def _set_input(self, index: int, high: bool) -> None:
-        self._world.controller.fault("digital_input", index=index, high=high)
+
+def _inputs(world: RemoteWorld) -> Callable[[int, bool], None]:
+    """Sets a digital input of the robot, by its number."""
+
+    def set_input(index: int, high: bool) -> None:
+        world.controller.fault("digital_input", index=index, high=high)
+
+    return set_input
 
 
 def late_because(others: float | None, factor: float) -> str:
@@ -214,12 +234,28 @@ def late_because(others: float | None, factor: float) -> str:
     return f"data came late, because this machine is busy{took}. Close other programs, or {less}"
 
 
-def _free_address() -> str:
-    """A loopback address on which no controller listens."""
+@contextmanager
+def claimed_address() -> Iterator[str]:
+    """Context that keeps a loopback address from other rehearsals.
+
+    A controller listens seconds after its address was chosen, within which another rehearsal may begin.
+
+    Yields:
+        The address; no controller listens there.
+
+    Raises:
+        UserError: There is none.
+    """
     for last in range(2, 255):
         host = f"127.0.0.{last}"
-        if all(_silent(host, port) for port in _PORTS):
-            return host
+        with socket.socket(socket.AF_UNIX) as claim:
+            try:
+                claim.bind(f"\0toolee-rehearsal-{host}")  # a name without a file, which ends with the process
+            except OSError:
+                continue
+            if all(_silent(host, port) for port in _PORTS):
+                yield host
+                return
     raise UserError("every loopback address has a controller: end those stand-ins", code="user.no_address")
 
 

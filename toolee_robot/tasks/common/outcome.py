@@ -7,6 +7,7 @@ from enum import StrEnum
 
 from toolee_robot.control.contact import Meeting
 from toolee_robot.control.dynamics.strike_load import StrikeLoad
+from toolee_robot.errors import DeviceError
 from toolee_robot.types import InHandEstimate
 
 
@@ -126,6 +127,7 @@ class HammerResult:
         nail_seconds: Part of it in which nails were driven: with one, all after the first look at the tool [s].
         nails: What became of each nail that was to be driven.
         stops: Number of times that the arm was stopped with the tool in the hand.
+        fault: Error of a device, or of a person in the way, that ended it; None where none did.
     """
 
     outcome: Outcome
@@ -139,6 +141,7 @@ class HammerResult:
     nail_seconds: float = 0.0
     nails: tuple[NailResult, ...] = ()
     stops: int = 0
+    fault: DeviceError | None = None
 
     @property
     def success(self) -> bool:

@@ -103,6 +103,7 @@ class HammeringTask:
             strikes_since_look=lambda: series.strikes_since_look,
         )  # fmt: skip
         self._outcome: Outcome | None = None
+        self._fault: DeviceError | None = None
         self._began = station.clock.now()
 
     def run(self) -> HammerResult:
@@ -196,10 +197,12 @@ class HammeringTask:
             self._nails.seconds,
             self._nails.results(outcome, reason),
             self._stops.count,
+            self._fault,
         )
 
     def _end(self, job: Callable[[], tuple[Outcome, str]]) -> HammerResult:
         """Run a job to its end, whatever ends it."""
+        self._fault = None
         try:
             outcome, reason = self._ending(job)
             outcome, reason = self._park(outcome, self._nails.told(reason))
@@ -221,6 +224,7 @@ class HammeringTask:
             return end.outcome, str(end)
         except PersonNearError as error:
             self._motions.stand_still()
+            self._fault = error
             return Outcome.PERSON_NEAR, str(error)
         except PerceptionError as error:
             return Outcome.POSE_UNKNOWN, str(error)
@@ -231,6 +235,7 @@ class HammeringTask:
             return Outcome.TOOL_LOST, f"{error}; {self._after_loss()}"
         except DeviceError as error:
             self._motions.stand_still()
+            self._fault = error
             return Outcome.DEVICE_FAULT, str(error)
 
     def _job(self) -> tuple[Outcome, str]:
