@@ -21,6 +21,7 @@ from toolee_robot.tasks.hammering.nail_gauge import (
     NailGauge,
     deepest_strike,
 )
+from toolee_robot.tasks.hammering.touch import Contact, SidewaysContactError, Touch
 from toolee_robot.types import Trajectory
 
 pytestmark = pytest.mark.sim(seconds=20)
@@ -98,6 +99,30 @@ def test_wood_that_was_felt_too_early_is_touched_again(bench: Bench, monkeypatch
     log = Log()
     measured(bench, log, bench.blind_task(log).run())
     assert log.motions.count("touch the wood") == 3
+
+
+@pytest.mark.parametrize(("touch", "begun"), [(1, 2), (3, 1)])
+def test_a_tool_that_is_pressed_from_the_side_is_lifted_and_looked_at_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, touch: int, begun: int
+) -> None:
+    """At the first touch of the nail, and at that after a strike."""
+    lower, touches = Touch.lower, [0]
+
+    def pressed(self: Touch, what: str, reach: float) -> Contact | None:
+        touches[0] += 1
+        if touches[0] == touch:
+            raise SidewaysContactError(11.0)
+        return lower(self, what, reach)
+
+    monkeypatch.setattr(Touch, "lower", pressed)
+    log = Log()
+    result = bench.seeing_task(log).run()
+    (told,) = [message for message in log.messages if "on the tool's side" in message]
+    assert told.startswith("while the nail was approached something pressed on the tool's side with 11 N")
+    assert "look where the face stands" in told
+    assert told.endswith("looking again")
+    assert result.outcome is Outcome.OUT_OF_STRIKES, result.reason
+    assert log.motions.count("to the touch") == begun
 
 
 @pytest.mark.parametrize(("swings", "outcome"), [(0.3, Outcome.OUT_OF_STRIKES), (np.inf, Outcome.DEVICE_FAULT)])

@@ -14,7 +14,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME
 from toolee_robot.motion.touch_force import MAX_PHANTOMS
 from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
-from toolee_robot.tasks.hammering.touch import Contact
+from toolee_robot.tasks.hammering.touch import Contact, SidewaysContactError
 from toolee_robot.types import ArmModel, Payload
 
 
@@ -82,6 +82,32 @@ def test_what_feigns_a_contact_with_more_than_a_touch_may_press_ends_it(bench: B
         rig.error(0.010)
     assert "rose above 8 N, and 12 N at last, while the nail" in str(ended.value)
     assert rig.log.motions.count("touch the nail") == MAX_PHANTOMS
+
+
+class Beside(ReadingErrors):
+    """Errors of a wrench that feels a horizontal force [N] once the joints are 3 mrad from where they were."""
+
+    def __init__(self, force: float) -> None:
+        super().__init__(ArmModel.UR10, 0.0, 0, 1.0 / RATE)
+        self._error = np.array([0.8 * force, 0.6 * force, 0.0, 0.0, 0.0, 0.0])
+        self._begin: Array | None = None
+
+    def step(self, q_target: Array, q: Array, qd: Array, payload: Payload) -> Array:  # noqa: ARG002
+        if self._begin is None:
+            self._begin = q.copy()
+        return self._error if np.abs(q - self._begin).max() > 0.003 else np.zeros(6)
+
+
+@pytest.mark.sim(seconds=10)
+def test_what_presses_on_the_tools_side_is_no_contact_of_the_face_and_no_phantom(bench: Bench) -> None:
+    rig = Rig(bench, seed=0, scale=0.0)
+    rig.go_over(0.010)
+    assert rig.touch.prepare()
+    bench.arm._sensor._errors = Beside(10.0)
+    with pytest.raises(SidewaysContactError) as ended:
+        rig.touch.lower("nail", 0.020)
+    assert ended.value.force == pytest.approx(10.0, abs=1.0)
+    assert rig.log.motions.count("touch the nail") == 1, "it presses no harder"
 
 
 def test_a_face_that_leans_against_something_is_not_zeroed(bench: Bench) -> None:

@@ -64,8 +64,7 @@ class TouchSettings:
     def forces(self) -> tuple[float, ...]:
         """Mean force that counts as a contact [N], at first and each time that the touch has to go on.
 
-        What feigned a contact may last: in some jobs contacts in the air come one after the other. And the harder the
-        face presses, the better is its height known.
+        What feigned a contact may last. And the harder the face presses, the better is its height known.
         """
         return tuple(np.geomspace(self.force, max(self.largest, self.force), MAX_PHANTOMS).tolist())
 

@@ -14,7 +14,7 @@ from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
-from toolee_robot.tasks.hammering.touch import Contact, Touch
+from toolee_robot.tasks.hammering.touch import Contact, SidewaysContactError, Touch
 
 TOLERANCE = 0.012
 """Largest deviation of a touch from the expected height at which it counts as the nail's head [m]."""
@@ -221,6 +221,9 @@ class NailGauge:
 
         Returns:
             The contact with the thing.
+
+        Raises:
+            JobEnded: The face met nothing, or the tool something else.
         """
         motions = self._motions
         if not self._touch.prepare():
@@ -234,7 +237,14 @@ class NailGauge:
                 # The thing stands higher than expected, or the arm's own motion was felt: slowly from the start.
                 self._rise_to(begin)
         reach = self._height() - lowest
-        contact = self._touch.lower(what, reach)
+        try:
+            contact = self._touch.lower(what, reach)
+        except SidewaysContactError as error:
+            motions.straight("up", UP, CLEAR)
+            message = f"while the {what} was approached something pressed on the tool's side with {error.force:.0f} N"
+            raise JobEnded(
+                Outcome.NAIL_MISSED, f"{message}: the face is not where it is believed to be; {CHECK}"
+            ) from error
         if contact is None:
             motions.straight("up", UP, reach)
             raise JobEnded(missed, f"the face was lowered to where the {what} should be and met nothing; {CHECK}")

@@ -1,11 +1,13 @@
 """A guarded touch: zero the force at rest, then lower the face until it meets something, and make sure that it did.
 
 The motion ends when the mean force of a window exceeds a threshold that follows from the noise, which is measured at
-rest once in a job. What still presses on the face at rest is a contact; what does not was a phantom, and the face goes
-on. Where the face met the thing is the place from which the force has risen, found in the course of force over height:
-on the way down, or where the noise is too large for that, on a slow way up until the force is gone. If that way up
-leaves the height unsure, the face presses once more, and harder. What it tells of the stiffness of tool and hand makes
-the heights of the other touches of the nail better, those before it too.
+rest once in a job. What still presses on the face at rest is a contact; what presses on the tool's side shows that the
+face is not where it is believed to be; where nothing presses there was a phantom, and the face goes on.
+
+Where the face met the thing is the place from which the force has risen, found in the course of force over height: on
+the way down, or where the noise is too large for that, on a slow way up until the force is gone. If that way up leaves
+the height unsure, the face presses once more, and harder. What it tells of the stiffness of tool and hand makes the
+heights of the other touches of the nail better, those before it too.
 """
 
 from __future__ import annotations
@@ -36,6 +38,9 @@ NOISE_TIME, NOISE_TIMES = 1.0, 3
 """Time over which the noise is measured at rest [s], and how many times at most before the force is too noisy."""
 CONFIRM_TIME = 0.1
 """Time at rest over which a contact must still press on the face [s]."""
+SIDEWAYS_TIME = 0.5
+"""Time at rest over which a force from the side is told from noise [s]: with a CB3's the mean of that time has a
+standard deviation of 1 N along each axis, and at least 4 N count."""
 LEAN_TIME, LEAN_TIMES, NEAR = 0.08, 20, 0.10
 """The face leans against something if over this time at rest [s], or the window's where that is longer, so many times,
 the force differs from its zero by the threshold, and the zero was taken within this distance of the flange [m]; farther
@@ -48,6 +53,21 @@ FREE = 0.002
 UNSURE = 0.0003
 """Standard deviation of a height, as its release alone tells it, above which the thing is touched again [m]: of 6,000
 drawn releases of 12 to 23 N with a CB3's noise 3 % are above it, and nine that are off by over 1 mm, all of them."""
+
+
+class SidewaysContactError(Exception):
+    """The tool presses against something beside its way, where its face should have come down on something.
+
+    Args:
+        force: The force across the way [N].
+
+    Attributes:
+        force: That force [N].
+    """
+
+    def __init__(self, force: float) -> None:
+        super().__init__(f"{force:.0f} N from the side")
+        self.force = force
 
 
 @dataclass(frozen=True)
@@ -155,6 +175,7 @@ class Touch:
             What it met; None if it met nothing.
 
         Raises:
+            SidewaysContactError: Something presses on the tool from the side.
             DeviceError: The force jumps without a contact, again and again.
             TooleeError: A motion failed.
         """
@@ -173,6 +194,7 @@ class Touch:
                 return best
             pressing = float(np.mean(motions.forces(max(CONFIRM_TIME, settings.window)), axis=0) @ self._up)
             if pressing < CONFIRM_SHARE * settings.force:
+                self._check_sides(CONFIRM_SHARE * settings.force)
                 continue
             course = self._course(report, report.contact.stamp, X_flange_ee)
             rise = onset(course) or Rise(float(course.heights[-1]), UNKNOWN.stiffness, np.inf)
@@ -195,6 +217,13 @@ class Touch:
             "cables, then look at the force with toolee doctor",
             code="device.force_noise",
         )
+
+    def _check_sides(self, least: float) -> None:
+        """Refuse what presses on the tool at rest with at least this force [N] across the way down."""
+        rest = np.mean(self._motions.forces(SIDEWAYS_TIME), axis=0)
+        sideways = float(np.linalg.norm(rest - (rest @ self._up) * self._up))
+        if sideways >= least:
+            raise SidewaysContactError(sideways)
 
     def _measured(self) -> TouchSettings:
         """Settings by the noise at rest; the longer it is measured, the better it is known."""
