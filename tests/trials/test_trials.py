@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import yaml
+from pyarrow import compute, parquet
 
 from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
@@ -209,6 +210,34 @@ def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Pa
     records = finished(plan, tmp_path)
     assert len(records) == len((tmp_path / RESULTS).read_text().splitlines()) - 1
     assert load_plan(kept / "sweep.yaml").hash.startswith("122b571a6722")
+
+
+def test_the_table_has_a_row_for_each_trial(tmp_path: Path) -> None:
+    kept = EXAMPLES.parent / "docs" / "benchmark"
+    shutil.copy(kept / "sweep.jsonl", tmp_path / RESULTS)
+    plan = load_plan(kept / "sweep.yaml")
+    records = finished(plan, tmp_path)
+    write_report(plan, tmp_path)
+    table = parquet.read_table(tmp_path / "trials.parquet")
+    assert table.schema.metadata[b"hash"].decode() == plan.hash
+    rows = table.to_pylist()
+    assert len(rows) == len(records) == 700
+    for row, record in zip(rows, records, strict=True):
+        figures = record.figures
+        assert row["trial.arm"] == record.trial.arm
+        assert (row["trial.error"], row["trial.size"]) == (record.trial.error, record.trial.size)
+        assert row["success"] is figures["success"]
+        assert row["errors.camera_mm"] == figures["errors"]["camera_mm"]
+        assert row["stage_seconds.strike"] == figures["stage_seconds"].get("strike"), "null where it came to no strike"
+        assert [nail["outcome"] for nail in row["nails"]] == [nail["outcome"] for nail in figures["nails"]]
+        assert row["command"].split() == list(record.command)
+    flush = table.filter(compute.equal(table["trial.error"], "payload")).column("success")
+    assert 0 < compute.sum(flush).as_py() < len(flush)
+
+
+def test_a_plan_without_results_has_an_empty_table(tmp_path: Path) -> None:
+    write_report(PLAN, tmp_path)
+    assert parquet.read_table(tmp_path / "trials.parquet").num_rows == 0
 
 
 def test_every_seed_and_arm_gets_every_nail_in_every_wood(tmp_path: Path) -> None:

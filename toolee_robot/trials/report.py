@@ -1,4 +1,4 @@
-"""The report of trials: one page with everything on it, and the same figures as JSON."""
+"""The report of trials: one page with everything on it, the same figures as JSON, and every trial as a table."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from toolee_robot.trials.report_attended import agreement, attended_section
 from toolee_robot.trials.results import Event, Record, read_results
 from toolee_robot.trials.statistics import Share, by_conditions, by_size, compare, median, of_arm, share
 from toolee_robot.trials.sweeps import Sweep, curves, sweeps
+from toolee_robot.trials.table import TABLE, write_table
 
 REPORT, FIGURES = "report.html", "report.json"
 """Names of the page and of its figures, in the trials' folder."""
@@ -59,7 +60,7 @@ def write_report(plan: TrialPlan, folder: Path) -> Path:
 
     Args:
         plan: The plan.
-        folder: The trials' folder, which gets the page and its figures.
+        folder: The trials' folder, which gets the page, its figures and the table.
 
     Returns:
         The page.
@@ -73,6 +74,7 @@ def write_report(plan: TrialPlan, folder: Path) -> Path:
     found = sweeps(plan, first)
     made = _figures(plan, records, events, first, found)
     write_atomic(folder / FIGURES, (json.dumps(made, indent=1) + "\n").encode())
+    write_table(records, plan.hash, folder / TABLE)
     write_atomic(folder / REPORT, _page(plan, made, records, first, found, folder).encode())
     return folder / REPORT
 
