@@ -19,6 +19,7 @@ import numpy as np
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception import weight_files
+from toolee_robot.perception.dataset.reserved import refuse_test_set
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation import views
 from toolee_robot.perception.evaluation.estimates import Ranked, estimate_case
@@ -186,8 +187,9 @@ def fit_trust(
 
     Raises:
         AssetError: Data or weights are missing.
-        UserError: There are too few images.
+        UserError: The data are a test set, or there are too few images.
     """
+    refuse_test_set(data)
     Networks.load(folder)  # missing weights are reported here, not by a worker that dies
     todo = [*parts(data), *range(frames)]
     found = []

@@ -24,6 +24,7 @@ from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import EeCloud
+from toolee_robot.perception.dataset.reserved import refuse_test_set
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation.examples import Part, parts, read_part
 from toolee_robot.perception.evaluation.records import Case, Instance
@@ -65,8 +66,9 @@ def rendered_clouds(
 
     Raises:
         AssetError: Data or weights are missing.
-        UserError: No image shows an end effector well enough.
+        UserError: The data are a test set, or no image shows an end effector well enough.
     """
+    refuse_test_set(data)
     todo = parts(data, limit)
     found = []
     end = math.inf if minutes is None else time.monotonic() + 60 * minutes

@@ -169,6 +169,19 @@ class DatasetSpec:
         return spec
 
 
+def root_of(folder: Path) -> Path | None:
+    """Folder of the data set that a folder belongs to.
+
+    Args:
+        folder: Folder of a data set or of one of its splits.
+
+    Returns:
+        The folder with the specification; None where neither the folder nor the one above it has one.
+    """
+    folder = folder.resolve()
+    return next((root for root in (folder, folder.parent) if (root / DESCRIPTION).is_file()), None)
+
+
 def catalogue_of(folder: Path) -> Catalogue:
     """Catalogue of the tools of a data set or one of its splits.
 
@@ -178,7 +191,5 @@ def catalogue_of(folder: Path) -> Catalogue:
     Returns:
         The catalogue that the specification names; the generated tools if there is no specification.
     """
-    for root in (folder, folder.resolve().parent):
-        if (root / DESCRIPTION).is_file():
-            return DatasetSpec.read(root).catalogue(root)
-    return GENERATED
+    root = root_of(folder)
+    return GENERATED if root is None else DatasetSpec.read(root).catalogue(root)

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from toolee_robot.errors import UserError
+from toolee_robot.perception.dataset.reserved import refuse_test_set
 from toolee_robot.perception.detection.backgrounds import Backgrounds
 from toolee_robot.perception.detection.config import DetectorConfig, working_size
 from toolee_robot.perception.detection.detector import CLASSES, Detector
@@ -58,6 +59,8 @@ class SegmentationTraining(ImageTraining):
             raise UserError("backgrounds are used with wide above 0: give --wide 0.5", code="user.training_options")
         if self.init_share and self.init is None:
             raise UserError("init_share: say whose share that is, with --init FOLDER", code="user.init_share")
+        if self.backgrounds is not None:
+            refuse_test_set(self.backgrounds)
 
     def to_json(self) -> dict[str, Any]:
         """See `ImageTraining`."""

@@ -15,15 +15,13 @@ from typing import Any
 import toolee_robot
 from toolee_robot.errors import AssetError, UserError, words_of
 from toolee_robot.perception.dataset.encoding.checksums import SUMS
-from toolee_robot.perception.dataset.scene_reader import read_json
-from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
+from toolee_robot.perception.dataset.reserved import PHOTOGRAPHS, are_test_photographs
+from toolee_robot.perception.dataset.spec import DatasetSpec, root_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR, weights_hash
 from toolee_robot.runtime.files import sha256
 
 LEDGER = Path(toolee_robot.__file__).resolve().parents[1] / "docs" / "results" / "test_ledger.jsonl"
 """The repository's ledger: one scoring a line, the newest last."""
-PHOTOGRAPHS = "frames.json"
-"""Description of a set of photographs; with `"test_set": true` it is a test set."""
 
 
 @dataclass(frozen=True)
@@ -121,23 +119,17 @@ def pose_figures(report: dict[str, Any]) -> dict[str, Any]:
 def _test_set(folder: Path) -> dict[str, Any] | None:
     """What identifies a test set; None for another data set."""
     if (folder / PHOTOGRAPHS).is_file():
-        description = read_json(folder / PHOTOGRAPHS)
-        if not (isinstance(description, dict) and description.get("test_set") is True):
+        if not are_test_photographs(folder):
             return None
         return {"name": folder.resolve().name, "sha256": sha256(folder / PHOTOGRAPHS)}
-    for root in (folder.resolve(), folder.resolve().parent):
-        if (root / DESCRIPTION).is_file():
-            spec = DatasetSpec.read(root)
-            if not spec.is_test_set:
-                return None
-            sums = root / SUMS
-            if not sums.is_file():
-                raise AssetError(
-                    f"{root} is not finished: run its `toolee dataset generate` again", code="asset.unfinished"
-                )
-            asked = {k: v for k, v in spec.to_json().items() if k in ("config", "size", "seed", "test_share", "device")}
-            return {"name": root.name, **asked, "sha256": sha256(sums)}
-    return None
+    root = root_of(folder)
+    if root is None or not (spec := DatasetSpec.read(root)).is_test_set:
+        return None
+    sums = root / SUMS
+    if not sums.is_file():
+        raise AssetError(f"{root} is not finished: run its `toolee dataset generate` again", code="asset.unfinished")
+    asked = {k: v for k, v in spec.to_json().items() if k in ("config", "size", "seed", "test_share", "device")}
+    return {"name": root.name, **asked, "sha256": sha256(sums)}
 
 
 def _commit(folder: Path) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from toolee_robot.perception.dataset.reserved import refuse_test_set
 from toolee_robot.perception.training.loop import TrainingRun
 from toolee_robot.perception.training.options import TrainingOptions
 from toolee_robot.perception.weight_files import save_weights
@@ -23,12 +24,19 @@ class ImageTraining(TrainingOptions):
         out: Folder for checkpoint, weights and log; a run whose checkpoint lies there goes on.
         init: Folder of exported weights to start from.
         patience: How long to wait for the first scene of a data set that is still being generated [s].
+
+    Raises:
+        UserError: The data are a test set, or a value is out of range.
     """
 
     data: Path
     out: Path
     init: Path | None = None
     patience: float = 120.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        refuse_test_set(self.data)
 
     def to_json(self) -> dict[str, Any]:
         """The options as a JSON object, without paths of this machine."""
