@@ -18,17 +18,20 @@ from scipy.spatial.transform import Rotation, Slerp
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, cross, inverse, transform
 from toolee_robot.sim_backend.ground_truth.verdict import (
+    NOT_BY_FACE,
+    OFF_FACE,
     NailTruth,
     PoseError,
     StrikeTruth,
     StruckBy,
     Verdict,
+    driven_off_face,
     pose_error,
     strike_offset,
     strike_tilt,
 )
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.physics.nail import SLIDE, Nail
+from toolee_robot.sim_backend.physics.nail import SLIDE, Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import driving_work
 from toolee_robot.types import InHandEstimate
 
@@ -150,6 +153,7 @@ class Judge:
                 peak_force=force,
                 protrusion_before_mm=before,
                 protrusion_mm=world.nail.protrusion * 1e3,
+                nail=next(name for name, nail in world.nails.items() if nail is world.nail),
             )
         )
         self._open = True
@@ -246,7 +250,7 @@ class Judge:
             nails=tuple(
                 NailTruth(
                     name,
-                    nail.outcome.value,
+                    self._outcome(name, nail),
                     nail.protrusion * 1e3,
                     float(np.rad2deg(nail.bend_angle)),
                     float(np.rad2deg(nail.lean_angle)),
@@ -263,6 +267,12 @@ class Judge:
             off_face_strikes=sum(b.struck_by in (StruckBy.OTHER_PART, StruckBy.HAND) for b in strikes),
             misses=sum(b.struck_by is StruckBy.NOTHING for b in strikes),
         )
+
+    def _outcome(self, name: str, nail: Nail) -> str:
+        """How a nail stands: what drove it down counts, and the face alone does."""
+        if nail.outcome is NailOutcome.FLUSH and driven_off_face(self._strikes, name) >= OFF_FACE:
+            return NOT_BY_FACE
+        return nail.outcome.value
 
 
 def _most_telling(before: StruckBy, now: StruckBy) -> StruckBy:

@@ -104,6 +104,7 @@ class StrikeTruth:
         peak_force: Largest force between tool and nail [N].
         protrusion_before_mm: Protrusion of the nail before the strike [mm].
         protrusion_mm: Protrusion of the nail after the strike [mm].
+        nail: Name of the nail.
     """
 
     stamp: float
@@ -118,11 +119,18 @@ class StrikeTruth:
     peak_force: float
     protrusion_before_mm: float
     protrusion_mm: float
+    nail: str
 
     @property
     def hit(self) -> bool:
         """Whether the face hit the nail, which alone counts."""
         return self.struck_by is StruckBy.FACE
+
+
+OFF_FACE = 1.0
+"""Depth [mm] from which on it counts that strikes which did not meet a nail with the face have driven it."""
+NOT_BY_FACE = "not_by_face"
+"""Outcome of a nail that is down, and that strikes without the face have driven by `OFF_FACE` or more."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +139,7 @@ class NailTruth:
 
     Attributes:
         name: Its name.
-        outcome: Value of `NailOutcome`.
+        outcome: Value of `NailOutcome`, or `NOT_BY_FACE`.
         protrusion_mm: Its protrusion [mm].
         bend_deg: Its bend against its hole [deg].
         lean_deg: Its lean against the normal of the wood's surface [deg].
@@ -185,6 +193,19 @@ class Verdict:
         """
         nails = [nail for nail in self.nails if not names or nail.name in names]
         return max(nails, key=lambda nail: (nail.outcome != "flush", nail.protrusion_mm))
+
+
+def driven_off_face(strikes: Sequence[StrikeTruth], nail: str) -> float:
+    """Depth to which strikes have driven a nail that did not meet it with the face.
+
+    Args:
+        strikes: The strikes.
+        nail: Name of the nail.
+
+    Returns:
+        The depth [mm].
+    """
+    return sum(s.protrusion_before_mm - s.protrusion_mm for s in strikes if s.nail == nail and not s.hit)
 
 
 class Truth(Protocol):

@@ -357,6 +357,19 @@ def test_the_report_tells_shares_pairs_failures_and_distinct_tools(tmp_path: Pat
     assert "http" not in page.replace("http://www.w3.org", ""), "one file, nothing is loaded"
 
 
+def test_each_failure_leads_to_its_picture_and_its_recording(tmp_path: Path) -> None:
+    def kept(options: Sequence[str]) -> dict[str, Any]:
+        seed = options[options.index("--seed") + 1]
+        return {**job(options), "run_folder": str(tmp_path / "runs" / "full" / seed)}
+
+    plan = replace(PLAN, trials=8, arms=(Arm.FULL,))
+    (failed,) = [r for r in run_trials(plan, tmp_path, 1, quietly, kept) if not r.success]
+    page = write_report(plan, tmp_path).read_text()
+    run = f"runs/full/{failed.trial.seed}"
+    assert page.count(f'href="{run}/picture.png"') == 2, "among the failures and among all trials"
+    assert page.count(f'href="{run}/recording.mcap"') == 1
+
+
 def test_a_nail_that_is_flush_for_the_robot_alone_is_a_failure_with_a_name(tmp_path: Path) -> None:
     def deceived(options: Sequence[str]) -> dict[str, Any]:
         return {**job(options), "success": False, "outcome": "flush", "reason": "the robot takes the nail for flush"}

@@ -27,6 +27,8 @@ from toolee_robot.trials.table import TABLE, write_table
 
 REPORT, FIGURES = "report.html", "report.json"
 """Names of the page and of its figures, in the trials' folder."""
+PICTURE, RECORDING = "picture.png", "recording.mcap"
+"""Names of what the page leads to, in a job's folder."""
 MEDIANS = {
     "strikes": "strikes",
     "robot_seconds": "robot's time, s",
@@ -42,8 +44,15 @@ ERRORS = {
     "camera_deg": "camera's orientation, °",
     "nail_beside_mm": "nail beside its place, mm",
     "nail_height_mm": "wood's height, mm",
+    "nail_lean_deg": "lean of the nail, °",
     "face_mm": "face on the tool, mm",
+    "face_deg": "direction of the face, °",
+    "handle_mm": "radius of the handle, mm",
     "mass_percent": "tool's mass, %",
+    "balance_mm": "tool's centre of mass, mm",
+    "kinematics_mm": "lengths of the arm, mm",
+    "wood_percent": "specific gravity of the wood, %",
+    "friction_percent": "friction of hand and handle, %",
     "payload_percent": "hand's mass, %",
     "wrench_percent": "errors of the force, % of its generation's",
     "compliance_percent": "compliance of the joints, % of the nominal one",
@@ -145,13 +154,14 @@ def _page(
         page.table(["stage", "outcome", *(arm.replace("_", " ") for arm in made["arms"])], _failures(made), left=2)
         page.paragraph(
             "The stage is the one in which the job ended; empty in results of versions that did not tell it. Each "
-            "number below leads to the job's picture; toolee replay shows the job, given the picture's folder."
+            "number below leads to the job's picture; its recording opens in Foxglove or Rerun, and toolee replay "
+            "shows the job, given their folder."
         )
-        head = [pair, CONDITIONS, "tool", "stage", "outcome", "reason"]
+        head = [pair, CONDITIONS, "tool", "stage", "outcome", "reason", "recording"]
         for arm in plan.arms:
             if mine := of_arm(failed, arm):
                 page.heading(f"Failures: {arm.replace('_', ' ')}")
-                _listed(page, head, [_failure(r, folder) for r in mine], 6)
+                _listed(page, head, [_failure(r, folder) for r in mine], 7)
     else:
         page.paragraph("None.")
     if plan.led:
@@ -267,7 +277,8 @@ def _failure_kind(record: Record) -> tuple[str, str]:
 def _failure(record: Record, folder: Path) -> list[Any]:
     f, (stage, outcome) = record.figures, _failure_kind(record)
     words = outcome.replace("_", " ")
-    return [_link(record, folder), record.trial.conditions, f["tool"], stage, words, cause(f["reason"])]
+    number, recording = _link(record, folder, str(record.trial.seed), PICTURE), _link(record, folder, "mcap", RECORDING)
+    return [number, record.trial.conditions, f["tool"], stage, words, cause(f["reason"]), recording]
 
 
 def _row(record: Record, folder: Path) -> list[Any]:
@@ -275,7 +286,7 @@ def _row(record: Record, folder: Path) -> list[Any]:
     time = _figure(f.get("robot_seconds"))
     return [
         arm,
-        _link(record, folder),
+        _link(record, folder, str(record.trial.seed), PICTURE),
         record.trial.conditions,
         f["tool"],
         _outcome(record).replace("_", " "),
@@ -285,12 +296,12 @@ def _row(record: Record, folder: Path) -> list[Any]:
     ]
 
 
-def _link(record: Record, folder: Path) -> Markup | str:
-    """The seed, with a link to the job's picture."""
-    seed, run = str(record.trial.seed), record.figures.get("run_folder")
+def _link(record: Record, folder: Path, words: str, file: str) -> Markup | str:
+    """The words, with a link to a file of the job's folder."""
+    run = record.figures.get("run_folder")
     if not run:
-        return seed
-    return Markup('<a href="{0}/picture.png">{1}</a>').format(Path(os.path.relpath(run, folder)).as_posix(), seed)
+        return words
+    return Markup('<a href="{0}/{1}">{2}</a>').format(Path(os.path.relpath(run, folder)).as_posix(), file, words)
 
 
 def _figure(value: float | None) -> str:

@@ -18,7 +18,7 @@ from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.ground_truth.verdict import StruckBy, pose_error, strike_offset, strike_tilt
 from toolee_robot.sim_backend.physics.impact_steps import IMPACT
-from toolee_robot.sim_backend.physics.nail import Nail
+from toolee_robot.sim_backend.physics.nail import Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import NailSpec, driving_work
 from toolee_robot.types import InHandEstimate
 
@@ -139,6 +139,19 @@ def test_a_cheek_that_drives_the_nail_does_not_count(world: ThrownHead) -> None:
     assert strike.protrusion_mm < strike.protrusion_before_mm - 1.0, "it drove the nail all the same"
     verdict = world.judge.verdict()
     assert (verdict.hits, verdict.off_face_strikes, verdict.misses) == (0, 1, 0)
+
+
+@pytest.mark.parametrize("cheek", [False, True])
+def test_a_nail_that_a_cheek_has_driven_is_not_flush(world: ThrownHead, cheek: bool) -> None:
+    if cheek:
+        world.X_tool_ee = transform(Rotation.from_rotvec([0.0, np.pi / 2, 0.0]), [0.014, 0.0, -HALF + 0.02])
+    for _ in range(40):
+        if world.nail.outcome is NailOutcome.FLUSH:
+            break
+        world.throw(speed=2.0)
+    assert world.nail.outcome is NailOutcome.FLUSH
+    (nail,) = world.judge.verdict().nails
+    assert nail.outcome == ("not_by_face" if cheek else "flush")
 
 
 def test_a_hand_on_the_nail_does_not_count(world: ThrownHead) -> None:

@@ -30,7 +30,7 @@ from toolee_robot.runtime.code_version import code_version
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.gc_pause import gc_settled
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
-from toolee_robot.sim_backend.ground_truth.verdict import NailTruth, StrikeTruth, Verdict
+from toolee_robot.sim_backend.ground_truth.verdict import NOT_BY_FACE, NailTruth, StrikeTruth, Verdict
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome
 from toolee_robot.tasks.hammering.ablation import Ablation
@@ -199,7 +199,8 @@ class HammerJob:
             # The robot measures the nail by touch; the simulation knows its true state.
             success = False
             which = f"the nail {truth.name}" if len(result.nails) > 1 else "the nail"
-            reason = f"the robot takes {which} for flush ({reason}), but it is {truth.outcome.replace('_', ' ')}"
+            how = {NOT_BY_FACE: "strikes without the face drove it"}.get(truth.outcome, f"it is {truth.outcome}")
+            reason = f"the robot takes {which} for flush ({reason}), but {how}"
             if truth.outcome == "bent":
                 outcome = str(Outcome.BENT)
         machine_stalled = self._machine_stalled(result, opened, longest_stall)
