@@ -24,6 +24,7 @@ from toolee_robot.errors import (
     StaleDataError,
 )
 from toolee_robot.frames import angle_between, rotation_angle
+from toolee_robot.hal import ArmStatus
 from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.shadow import ShadowHand
@@ -174,16 +175,21 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
         assert frame.intrinsics.agrees(config.camera.intrinsics)
         assert np.mean(frame.depth > 0.0) > 0.8
         assert station.clock.now() - frame.stamp < 0.5
-        assert station.person.zone_occupied(), "the door is open"
+        assert not station.person.zone_occupied(), "the door is closed"
         assert not station.person.hold_to_run_held()
         assert station.person.hold_switch("hold it", 10.0)
         assert station.person.hold_to_run_held()
         assert station.person.confirm_swing("is everybody out?", 10.0)
         assert not station.person.hold_to_run_held(), "both hands were needed"
+        assert station.person.take_tool("take it", 10.0)
+        assert station.person.zone_occupied(), "the door is open"
+        assert station.arm.state().status is ArmStatus.SAFEGUARD_STOP, "which is on the safeguard, too"
         assert station.person.release("step back", 10.0)
         assert not station.person.zone_occupied(), "the door is closed"
+        assert station.arm.state().status is ArmStatus.READY
+        station.arm.reset()
         np.testing.assert_allclose(station.arm.state().joints.q, config.scene.home, atol=0.01)
-    assert len(prompts) == 3
+    assert len(prompts) == 4
 
 
 @pytest.mark.realtime

@@ -150,7 +150,7 @@ class EmulatedLab:
             )
             assert config.person is not None
             person = RehearsedPerson(
-                lab.station.person, config.person, _inputs(world), world, clock, clamps=hand.model == MOUNT
+                lab.station.person, config.person, world.controller, world, clock, clamps=hand.model == MOUNT
             )
             self.station, self.judge = replace(lab.station, person=person), RemoteJudge(world)
             self._stack = stack.pop_all()
@@ -206,15 +206,6 @@ class EmulatedLab:
         joints = WIRED_HANDS[hand.model].joints
         stack.enter_context(FingerCoupling(world, emulator, joints, model.hand_open))
         return replace(hand, port=emulator.port)
-
-
-def _inputs(world: RemoteWorld) -> Callable[[int, bool], None]:
-    """Sets a digital input of the robot, by its number."""
-
-    def set_input(index: int, high: bool) -> None:
-        world.controller.fault("digital_input", index=index, high=high)
-
-    return set_input
 
 
 def late_because(others: float | None, factor: float) -> str:

@@ -17,33 +17,37 @@ HOLD = 0.25
 """Time for which a person holds or releases the switch for a confirmation [s]."""
 
 
-class Inputs(Protocol):
-    """Sets a digital input of the robot, as what is wired to it does."""
+class Wiring(Protocol):
+    """What is wired to the robot."""
 
-    def __call__(self, index: int, high: bool, /) -> object: ...
+    def fault(self, name: str, /, **arguments: object) -> object:
+        """Act as `digital_input` does, or `door`, which is on the safeguard as well."""
 
 
 class RehearsedPerson:
     """A `hal.Person` that acts at once; its answers are those of the driver of the inputs.
 
+    The door is on the robot's safeguard input, too, as it has to be: the robot is stopped while it is open, and made
+    ready when it is closed.
+
     Args:
         driver: The driver, which reads the inputs.
         config: Numbers of the inputs.
-        wire: Sets an input.
+        wiring: What door and switch are wired to.
         world: Sends requests to the world.
         clock: The station's clock.
         clamps: Whether the person fixes the tool in a mount, and takes it out of it.
     """
 
     def __init__(
-        self, driver: Person, config: PersonConfig, wire: Inputs, world: Caller, clock: Clock, *, clamps: bool
+        self, driver: Person, config: PersonConfig, wiring: Wiring, world: Caller, clock: Clock, *, clamps: bool
     ) -> None:
-        self._driver, self._config, self._wire = driver, config, wire
+        self._driver, self._config, self._wiring = driver, config, wiring
         self._world, self._clock, self._clamps = world, clock, clamps
         self.zone_occupied: Callable[[], bool] = driver.zone_occupied
         self.hold_to_run_held: Callable[[], bool] = driver.hold_to_run_held
         self.readings_certain: Callable[[], bool] = driver.readings_certain
-        self._door(closed=False)
+        self._door(closed=True)
         self._switch(held=False)
 
     def request_handover(self, prompt: str, timeout: float) -> bool:
@@ -51,6 +55,7 @@ class RehearsedPerson:
 
         def act() -> None:
             self._switch(held=False)
+            self._door(closed=False)
             if self._world.call("person.request_handover", prompt, timeout, lasting=timeout):
                 if self._clamps:
                     self._world.call("hand.close", timeout, lasting=timeout)
@@ -113,12 +118,14 @@ class RehearsedPerson:
             self._clock.sleep(HOLD)
 
     def _door(self, *, closed: bool) -> None:
-        self._contacts(self._config.door_closed_input, self._config.door_open_input, closed)
+        self._wiring.fault("door", opened=not closed, index=self._config.door_closed_input)
+        if self._config.door_open_input is not None:
+            self._input(self._config.door_open_input, not closed)
 
     def _switch(self, *, held: bool) -> None:
-        self._contacts(self._config.hold_to_run_input, self._config.hold_to_run_released_input, held)
+        self._input(self._config.hold_to_run_input, held)
+        if self._config.hold_to_run_released_input is not None:
+            self._input(self._config.hold_to_run_released_input, not held)
 
-    def _contacts(self, made_input: int, broken_input: int | None, made: bool) -> None:
-        self._wire(made_input, made)
-        if broken_input is not None:
-            self._wire(broken_input, not made)
+    def _input(self, index: int, high: bool) -> None:
+        self._wiring.fault("digital_input", index=index, high=high)

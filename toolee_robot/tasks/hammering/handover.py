@@ -12,8 +12,8 @@ from toolee_robot.control.modes import Mode
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.views import plan_handover
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.errors import DeviceError, PersonNearError, PlanningError, UnreachableError
-from toolee_robot.hal import Station
+from toolee_robot.errors import DeviceError, PersonNearError, PlanningError, StaleDataError, UnreachableError
+from toolee_robot.hal import ArmStatus, Station
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
@@ -44,10 +44,15 @@ _MOUNT = _Prompts(
 )
 MOUNT_EMPTY = "The mount cannot tell whether a tool is in it. Is it empty? The arm is about to move to the handover."
 """Question before the arm moves an empty mount."""
+PERIOD = 0.1
+"""Polling period of a safeguard stop that a person has yet to reset [s]."""
 
 
 class Handover:
     """Handover of the tool, in both directions.
+
+    A door on the robot's safeguard input stops the robot when the person comes. Once they have left and confirmed it,
+    the arm is reset, unless something else has stopped it as well.
 
     Args:
         station: The devices of the station.
@@ -75,6 +80,7 @@ class Handover:
         nails: Sequence[str],
     ) -> None:
         self.person_clear = True
+        self._stopped: set[ArmStatus] = set()
         self._station, self._config, self._robot, self._motions = station, config, robot, motions
         self._stages, self._observer, self._grasp, self._nails = stages, observer, grasp, nails
         self._prompts = _MOUNT if robot.description.hand.clamps else _HAND
@@ -99,7 +105,9 @@ class Handover:
                 "to the handover", plan_handover(self._robot, self._config, world, self._motions.q, q_hand)
             )
             self.person_clear = False
-            if not person.request_handover(self._prompts.give, timeout):
+            given = person.request_handover(self._prompts.give, timeout)
+            self._note_stop()
+            if not given:
                 raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
         with self._stages(Stage.GRIP):
             hand.close()
@@ -109,9 +117,16 @@ class Handover:
             if not hand.state().holding:
                 raise JobEnded(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
             self._motions.held = True
-            grasp = self._grasp
-            q_hand = self._motions.q_hand
-            self._motions.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
+            self.tell_payload()
+
+    def tell_payload(self) -> None:
+        """Tell the arm that it carries the tool.
+
+        Raises:
+            DeviceError: The arm does not take it.
+        """
+        grasp, q_hand = self._grasp, self._motions.q_hand
+        self._motions.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
 
     def clear_person(self, prompt: str) -> None:
         """Ask the person to step back, and allow fast motion once they were seen out of reach.
@@ -121,14 +136,46 @@ class Handover:
 
         Raises:
             PersonNearError: They did not confirm it in time, or were not seen out of reach.
+            DeviceError: The arm was stopped by more than the door, or the door's stop was not reset at the robot.
         """
         self.person_clear = False
+        self._see_out(prompt)
+        self._motions.arm.mode = Mode.UNATTENDED
+        self.person_clear = True
+
+    def _see_out(self, prompt: str) -> None:
+        """Ask the person to step back, and undo what opening the door has done to the arm."""
+        self._note_stop()
         if not self._motions.person.release(prompt, self._config.task.handover_timeout):
             raise PersonNearError(
                 "nobody confirmed to be out of reach, or was seen there: no motion", code="person_near.not_released"
             )
-        self._motions.arm.mode = Mode.UNATTENDED
-        self.person_clear = True
+        self._note_stop()
+        stopped, self._stopped = self._stopped, set()
+        if stopped == {ArmStatus.SAFEGUARD_STOP}:
+            self._reset_safeguard()
+
+    def _note_stop(self) -> None:
+        """Note what has stopped the arm since a person was asked to come near it."""
+        with suppress(StaleDataError):
+            status = self._motions.arm.state().status
+            if status is not ArmStatus.READY:
+                self._stopped.add(status)
+
+    def _reset_safeguard(self) -> None:
+        """Reset the arm after its safeguard stop, by the door that a person went through and has closed behind them.
+
+        They have confirmed that nobody is within reach; the arm was at rest, and nothing moves by the reset.
+        """
+        clock, asked = self._station.clock, False
+        deadline = clock.now() + self._config.task.handover_timeout
+        while self._motions.arm.state().status is ArmStatus.SAFEGUARD_STOP and clock.now() < deadline:
+            if not asked:
+                self._observer.message("The robot's safeguard stop is still active: reset it, outside of its reach.")
+                asked = True
+            clock.sleep(PERIOD)
+        self._motions.arm.reset(confirmed=True)
+        self._motions.begin()
 
     def give_back(self) -> bool:
         """Open the hand at standstill, once a person has confirmed that they hold the tool. Nothing else moves.
@@ -164,6 +211,7 @@ class Handover:
             if not self._motions.person.confirm_inspection(MOUNT_EMPTY, self._config.task.handover_timeout):
                 raise JobEnded(Outcome.NOT_READY, "nobody confirmed that the mount is empty: take the tool out of it")
             self._station.hand.open()
+            self._leave_again()
             return
         if self._station.hand.state().holding:
             self.person_clear = False
@@ -171,6 +219,13 @@ class Handover:
             if not self._motions.person.take_tool(prompt, self._config.task.handover_timeout):
                 raise JobEnded(Outcome.NOT_READY, "the hand still holds a tool, and nobody took it: take it out first")
         self._station.hand.open()
+        self._leave_again()
+
+    def _leave_again(self) -> None:
+        """See a person out whose coming has stopped the arm, before it moves to the handover."""
+        self._note_stop()
+        if self._stopped:
+            self._see_out("Step back: the arm moves to where it takes the tool.")
 
     def _check_reach(self) -> None:
         """Refuse a nail that is out of reach before a tool is requested.

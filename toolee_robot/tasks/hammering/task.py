@@ -247,6 +247,7 @@ class HammeringTask:
     def _go_on(self) -> tuple[Outcome, str]:
         self._motions.check_hand()
         self._handover.clear_person("Step back: the arm looks at the hammer again, and then strikes on.")
+        self._handover.tell_payload()
         self._tool_pose.forget()
         return self._nails.drive(self._drive, lift=True)
 
