@@ -125,6 +125,11 @@ class SimArm:
         self._status = ArmStatus.EMERGENCY_STOP
         self._latched = self._latched or "the emergency stop was pressed"
 
+    def safeguard_stop(self) -> None:
+        """Fault: the safeguard opens, as by a door."""
+        self._status = ArmStatus.SAFEGUARD_STOP
+        self._latched = self._latched or "the safeguard stop is open"
+
     def make_ready(self) -> None:
         """Act as the person at the robot: release stops, free blocked joints, enable the robot."""
         self._status = ArmStatus.READY
@@ -279,7 +284,7 @@ class SimArm:
         self._world.advance(1 / RATE - self._since)
         self._since = 0.0
         newest = self._newest()
-        log.add(self._world.time, self._q, newest.joints.q, newest.wrench)
+        log.add(self._world.time, self._q, newest.joints, newest.wrench, self._world.robot.torques_commanded)
 
     def _brake(self, trajectory: Trajectory, t: float, log: MotionLog) -> None:
         """Stop on the trajectory's path, from its time t [s] on, and wait for standstill."""

@@ -20,7 +20,9 @@ class MotionLog:
         stamps: Times of the rows [s].
         commanded: Commanded joint positions, (6,) [rad] each.
         measured: Measured joint positions, (6,) [rad] each.
+        velocities: Measured joint velocities, (6,) [rad/s] each.
         wrenches: Wrenches, (6,) [N, Nm] each.
+        torques: Joint torques of the commanded motion, (6,) [Nm] each; none of an arm that has none.
         late: Number of late commands.
         late_in_a_row: Number of consecutive late commands up to the newest.
     """
@@ -30,22 +32,30 @@ class MotionLog:
         self.stamps: list[float] = []
         self.commanded: list[Array] = []
         self.measured: list[Array] = []
+        self.velocities: list[Array] = []
         self.wrenches: list[Array] = []
+        self.torques: list[Array] = []
         self.late, self.late_in_a_row = 0, 0
 
-    def add(self, stamp: float, commanded: Array, measured: Array, wrench: Array) -> None:
+    def add(
+        self, stamp: float, commanded: Array, measured: JointState, wrench: Array, torques: Array | None = None
+    ) -> None:
         """Append a row.
 
         Args:
             stamp: Time [s].
             commanded: Commanded joint positions, (6,) [rad].
-            measured: Measured joint positions, (6,) [rad].
+            measured: Measured state of the joints.
             wrench: Wrench, (6,) [N, Nm].
+            torques: Joint torques of the commanded motion, (6,) [Nm]; None of an arm that has none.
         """
         self.stamps.append(stamp)
         self.commanded.append(commanded.copy())
-        self.measured.append(measured)
+        self.measured.append(measured.q)
+        self.velocities.append(measured.qd)
         self.wrenches.append(wrench)
+        if torques is not None:
+            self.torques.append(torques)
 
     def count(self, late: bool) -> None:
         """Count a command, and whether it was sent late."""
@@ -65,4 +75,14 @@ class MotionLog:
         stamps, commanded, measured, wrenches = map(
             np.array, (self.stamps, self.commanded, self.measured, self.wrenches)
         )
-        return MotionReport(outcome, stamps, commanded, measured, wrenches, contact, self.late)
+        return MotionReport(
+            outcome,
+            stamps,
+            commanded,
+            measured,
+            wrenches,
+            contact,
+            self.late,
+            qd_measured=np.array(self.velocities),
+            torques=np.array(self.torques) if self.torques else None,
+        )

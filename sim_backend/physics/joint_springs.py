@@ -136,6 +136,11 @@ class JointSprings:
         """Positions of the motors' sides, at the gears' outputs, (6,) [rad]."""
         return np.array(self._motor)
 
+    @property
+    def torques_commanded(self) -> Array:
+        """Torques of the last command as the controller computes them, gravity included, (6,) [Nm]."""
+        return self._wanted
+
     def command(self, q: Array, qd: Array, since: float) -> None:
         """Feed the commanded motion forward.
 

@@ -161,6 +161,11 @@ class RobotBody:
             self._elastic.command(self.q_arm_target, self.qd_arm_target, self._since_command)
         self._since_command = 0.0
 
+    @property
+    def torques_commanded(self) -> Array | None:
+        """Joint torques of the last command, see `JointSprings`, (6,) [Nm]; None where the joints are not elastic."""
+        return None if self._elastic is None else self._elastic.torques_commanded
+
     def set_payload(self, payload: Payload) -> None:
         """Tell the arm's controller what the flange carries, by which it compensates the deflection of its joints."""
         if self._elastic is not None:

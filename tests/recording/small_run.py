@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,21 @@ from numpy.typing import NDArray
 from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, transform
-from toolee_robot.hal import ArmStatus, MotionOutcome, MotionReport
+from toolee_robot.hal import ArmState, MotionOutcome, MotionReport
 from toolee_robot.recording.messages import plain
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.robots import ARM_JOINTS, load_robot
 from toolee_robot.tools import ToolKind, make_tool
-from toolee_robot.types import CameraIntrinsics, Detection, InHandEstimate, PoseHypotheses, RgbdFrame, ToolEstimate
+from toolee_robot.types import (
+    CameraIntrinsics,
+    Detection,
+    InHandEstimate,
+    JointState,
+    PoseHypotheses,
+    RgbdFrame,
+    ToolEstimate,
+)
 
 INTRINSICS = CameraIntrinsics(365.5, 365.5, 15.5, 11.5, 32, 24)
 X_HAND_EE = transform(p=[0.2, -0.02, 0.12])
@@ -32,6 +41,11 @@ def motion(q: NDArray[np.float64], begin: float, peak: float) -> MotionReport:
     wrenches = np.zeros((n, 6))
     wrenches[n // 2, 2] = peak
     return MotionReport(MotionOutcome.COMPLETED, begin + np.arange(n) / 125, path, path, wrenches)
+
+
+def status(stamp: float, **known: Any) -> ArmState:
+    """A state of the arm at a time [s], ready unless `known` says otherwise."""
+    return ArmState(JointState(REACHED, np.zeros(6), stamp), REACHED, np.zeros(6), **known)
 
 
 def estimate(rng: np.random.Generator) -> ToolEstimate:
@@ -55,7 +69,7 @@ def record(recorder: RunRecorder) -> None:
     recorder.record_decision(0.0, "stage", "handover begins", {"stage": "handover"})
     recorder.record_joints(0.5, description.hand_joints, description.hand_open, "/hand/measured")
     recorder.record_motion("to the handover", motion(REACHED, 0.5, 0.0), ARM_JOINTS)
-    recorder.record_status(1.5, ArmStatus.READY, 0)
+    recorder.record_status(status(1.5))
     recorder.record_decision(2.0, "stage_ended", "grip ends", {"stage": "grip"})
     recorder.record_decision(2.0, "stage", "perceive begins", {"stage": "perceive"})
     rgb = rng.integers(0, 256, (24, 32, 3), dtype=np.uint8)

@@ -7,14 +7,18 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
@@ -22,10 +26,11 @@ from tests.errors import raises
 from tests.recording import small_run
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
-from toolee_robot.hal import MotionOutcome, MotionReport
+from toolee_robot.hal import ArmStatus, MotionOutcome, MotionReport
 from toolee_robot.recording import mcap_file
 from toolee_robot.recording.reading import finish_copy, read_history
 from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.recording.series import SeenStatus
 from toolee_robot.types import RgbdFrame
 
 
@@ -79,7 +84,7 @@ def test_a_run_comes_back(tmp_path: Path) -> None:
     assert history.clouds.values[0].shape == (50, 3)
     assert len(history.hypotheses.values[0]) == 8
     assert history.protrusions.at(4.2) == 0.0123
-    assert history.status.at(4.2) == "ready"
+    assert history.status.at(4.2) == SeenStatus("ready", None, None)
     assert [d.reason for _, d in history.decisions if d.name == "strike"] == ["strike 1: expected, 12.3 mm left, 54 N"]
     assert history.station().work.nail_protrusion == 0.020
 
@@ -123,6 +128,67 @@ def test_a_motion_is_recorded_at_the_rate_of_the_servo(tmp_path: Path) -> None:
     ratio = found["/arm/stop_ratios"][-1][2]
     assert (ratio.position_deviation, ratio.collision) == (0.4, 0.2)
     assert found["/decisions"][0][2].reason == "strike: contact"
+
+
+def test_velocities_torques_and_currents_come_back_where_the_arm_reports_them(tmp_path: Path) -> None:
+    n, q = 40, np.zeros((40, 6))
+    drawn = np.random.default_rng(0).normal(0.0, 5.0, (3, n, 6))
+    stamps = 1.0 + np.arange(n) / 500
+    bare = MotionReport(MotionOutcome.COMPLETED, stamps, q, q, q)
+    full = replace(bare, stamps=2.0 + stamps, qd_measured=drawn[0], torques=drawn[1], currents=drawn[2])
+    with RunRecorder(tmp_path / "run.mcap", {"seed": 7}) as recorder:
+        recorder.record_motion("without", bare, tuple("abcdef"))
+        recorder.record_motion("with", full, tuple("abcdef"))
+    history = read_history(tmp_path / "run.mcap")
+    assert (len(history.joints), len(history.commanded)) == (2 * n, 2 * n)
+    for series, rows in zip((history.velocities, history.torques, history.currents), drawn, strict=True):
+        assert series.stamps == pytest.approx(full.stamps)
+        np.testing.assert_array_equal(series.values, rows)
+    first, last = (messages(tmp_path / "run.mcap")["/arm/measured"][i][2].joints[0] for i in (0, -1))
+    assert not first.HasField("velocity"), "0 would be a measurement"
+    assert not last.HasField("effort"), "the torques are the commanded motion's"
+
+
+def test_changes_of_the_safety_bits_are_recorded_when_they_came(tmp_path: Path) -> None:
+    q, bits = np.zeros((50, 6)), np.where(np.arange(50) < 30, 1, 0x404)
+    stamps = 1.0 + np.arange(50) / 500
+    report = MotionReport(MotionOutcome.STOPPED, stamps, q, q, q, safety_bits=bits)
+    stopped = small_run.status(1.2, status=ArmStatus.PROTECTIVE_STOP, safety_bits=0x404, error_code="C157A4")
+    with RunRecorder(tmp_path / "run.mcap", {"seed": 7}) as recorder:
+        recorder.record_motion("strike", report, tuple("abcdef"))
+        recorder.record_status(stopped)
+    history = read_history(tmp_path / "run.mcap")
+    assert history.safety_bits.stamps == pytest.approx([1.0, 1.06])
+    assert history.safety_bits.values == [1, 0x404]
+    assert history.status.at(2.0) == SeenStatus("protective_stop", 0x404, "C157A4")
+
+
+def test_a_status_from_before_codes_were_recorded_has_none(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    described = descriptor_pb2.FileDescriptorProto(
+        name="toolee/recording.proto", package="toolee", syntax="proto3", dependency=["google/protobuf/timestamp.proto"]
+    )
+    status = described.message_type.add(name="ArmStatus")
+    kinds = {"timestamp": 11, "status": 9, "digital_inputs": 13}
+    for number, (name, kind) in enumerate(kinds.items(), 1):
+        status.field.add(name=name, number=number, label=1, type=kind)
+    status.field[0].type_name = ".google.protobuf.Timestamp"
+    time_file = descriptor_pb2.FileDescriptorProto.FromString(Timestamp.DESCRIPTOR.file.serialized_pb)
+    schema = descriptor_pb2.FileDescriptorSet(file=[time_file, described]).SerializeToString()
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(time_file)
+    pool.Add(described)
+    old = message_factory.GetMessageClass(pool.FindMessageTypeByName("toolee.ArmStatus"))
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata("run", {"seed": "7"})
+        channel = writer.register_channel(
+            "/arm/status", "protobuf", writer.register_schema("toolee.ArmStatus", "protobuf", schema)
+        )
+        writer.add_message(channel, 10**9, old(status="ready", digital_inputs=5).SerializeToString(), 10**9)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert read_history(path).status.at(1.0) == SeenStatus("ready", None, None)
 
 
 def test_what_was_not_commanded_is_not_recorded_as_a_command(tmp_path: Path) -> None:
@@ -221,9 +287,11 @@ def test_a_minute_at_500_hz_takes_less_than_20_mb(tmp_path: Path) -> None:
     q = np.cumsum(rng.normal(0.0, 1e-3, (n, 6)), axis=0)
     wrenches = rng.normal(0.0, 3.0, (n, 6))
     ratios = rng.uniform(0.0, 0.3, n)
+    velocities, torques, currents = rng.normal(0.0, 1.0, (3, n, 6))
     report = MotionReport(
         MotionOutcome.COMPLETED, np.arange(n) / 500, q, q + rng.normal(0.0, 1e-5, (n, 6)), wrenches,
-        position_deviation_ratios=ratios, collision_ratios=ratios,
+        position_deviation_ratios=ratios, collision_ratios=ratios, qd_measured=velocities, torques=torques,
+        currents=currents, safety_bits=rng.integers(0, 2, n),
     )  # fmt: skip
     path = tmp_path / "run.mcap"
     with RunRecorder(path) as recorder:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from toolee_robot.frames import Array
 from toolee_robot.hal.device import Device
 from toolee_robot.types import JointState, Payload, Trajectory
@@ -46,6 +49,10 @@ class ArmState:
         collision_ratio: How near the robot's collision detection is to a protective stop, which comes at 1; None
             likewise.
         digital_inputs: The robot's digital inputs, one bit each, as the controller numbers them; 0 for an arm without.
+        safety_bits: The controller's own safety status, as it numbers the bits (RTDE: safety_status_bits); None for an
+            arm without.
+        error_code: Code that explains the robot's last stop, as its controller names it, such as C157A4; None where it
+            has sent none since the last motion began.
 
     Two states with the same stamp are the same reading.
     """
@@ -57,6 +64,8 @@ class ArmState:
     position_deviation_ratio: float | None = None
     collision_ratio: float | None = None
     digital_inputs: int = 0
+    safety_bits: int | None = None
+    error_code: str | None = None
 
 
 @dataclass(frozen=True)
@@ -127,6 +136,11 @@ class MotionReport:
             where every sample has one.
         lateness: Largest delay of a command behind its cycle [s].
         data_age: Largest age of the newest reading when a command was sent [s].
+        qd_measured: Measured joint velocities, (N, 6) [rad/s]; None where the arm does not report them.
+        torques: Joint torques of the commanded motion, gravity included, as the controller computes them from its links
+            and the payload it was told (RTDE: target_moment), (N, 6) [Nm]: no measurement. None likewise.
+        currents: Measured motor currents, (N, 6) [A]; None likewise.
+        safety_bits: See `ArmState`, (N,) integers; None likewise.
     """
 
     outcome: MotionOutcome
@@ -141,6 +155,10 @@ class MotionReport:
     commands: int | None = None
     lateness: float = 0.0
     data_age: float = 0.0
+    qd_measured: Array | None = None
+    torques: Array | None = None
+    currents: Array | None = None
+    safety_bits: NDArray[np.int64] | None = None
 
 
 @runtime_checkable

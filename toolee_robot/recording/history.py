@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import threading
-from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,86 +17,9 @@ from toolee_robot.config import ONLY_NAIL, StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.recording.messages import matrix
+from toolee_robot.recording.series import SeenDecision, SeenEstimate, SeenStatus, Series
 from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
-
-T = TypeVar("T")
-
-
-class Series(Generic[T]):
-    """Values by time, in the order of their stamps."""
-
-    def __init__(self) -> None:
-        self.stamps: list[float] = []
-        self.values: list[T] = []
-
-    def __len__(self) -> int:
-        return len(self.stamps)
-
-    def __iter__(self) -> Iterator[tuple[float, T]]:
-        return iter(list(zip(self.stamps, self.values, strict=False)))
-
-    def add(self, stamp: float, value: T) -> None:
-        """Insert a value; most come in order.
-
-        Args:
-            stamp: Time [s].
-            value: The value.
-        """
-        i = len(self.stamps) if not self.stamps or stamp >= self.stamps[-1] else bisect_right(self.stamps, stamp)
-        self.values.insert(i, value)
-        self.stamps.insert(i, stamp)
-
-    def index(self, stamp: float) -> int:
-        """Index of the newest value at a time [s]; -1 before the first."""
-        return bisect_right(self.stamps, stamp) - 1
-
-    def at(self, stamp: float) -> T | None:
-        """The newest value at a time [s]; None before the first."""
-        i = self.index(stamp)
-        return None if i < 0 else self.values[i]
-
-
-@dataclass(frozen=True, eq=False)
-class SeenEstimate:
-    """An estimate of an end effector's pose.
-
-    Attributes:
-        category: Category of the end effector.
-        X: Its pose, (4, 4), in the camera's frame, or in the hand's after fusion; None where there is none.
-        covariance: Covariance of position [m] and rotation vector [rad], (6, 6).
-        trust: Probability that it is right, 0 to 1.
-        usable: Whether it may be acted on.
-        reason: Why not, or "ok".
-        frames_used: Number of frames that it rests on.
-        frames_seen: Number of frames that were looked at.
-    """
-
-    category: str
-    X: Array | None
-    covariance: Array
-    trust: float
-    usable: bool
-    reason: str
-    frames_used: int
-    frames_seen: int
-
-
-@dataclass(frozen=True)
-class SeenDecision:
-    """A decision.
-
-    Attributes:
-        stamp: Time [s].
-        name: Its kind.
-        reason: The reason, for a person.
-        data: Its data, JSON values.
-    """
-
-    stamp: float
-    name: str
-    reason: str
-    data: dict[str, Any]
 
 
 @dataclass(eq=False)
@@ -114,11 +36,19 @@ class RunHistory:
     """Measured joint positions of the arm, (6,) [rad]."""
     commanded: Series[Array] = field(default_factory=Series)
     """Commanded joint positions of the arm, (6,) [rad]."""
+    velocities: Series[Array] = field(default_factory=Series)
+    """Measured joint velocities of the arm, (6,) [rad/s]; empty where they were not recorded."""
+    torques: Series[Array] = field(default_factory=Series)
+    """Joint torques of the commanded motion as the controller computed them, (6,) [Nm]; likewise."""
+    currents: Series[Array] = field(default_factory=Series)
+    """Measured motor currents of the arm, (6,) [A]; likewise."""
+    safety_bits: Series[int] = field(default_factory=Series)
+    """The controller's own safety status, at the begin of each motion and where it changed in one; likewise."""
     hand: Series[Array] = field(default_factory=Series)
     """Measured joint positions of the hand, (n,) [rad]."""
     wrenches: Series[Array] = field(default_factory=Series)
     """Force [N] and torque [Nm] on the flange, (6,)."""
-    status: Series[str] = field(default_factory=Series)
+    status: Series[SeenStatus] = field(default_factory=Series)
     """State of the robot's own safety system."""
     images: Series[bytes] = field(default_factory=Series)
     """Colour images, PNG."""
@@ -199,6 +129,29 @@ def _positions(message: Any) -> Array:
     return np.array([joint.position for joint in message.joints])
 
 
+def _measured(history: RunHistory, stamp: float, message: Any) -> None:
+    history.joints.add(stamp, _positions(message))
+    _add_known(history.velocities, stamp, message, "velocity")
+
+
+def _commanded(history: RunHistory, stamp: float, message: Any) -> None:
+    history.commanded.add(stamp, _positions(message))
+    _add_known(history.torques, stamp, message, "effort")
+
+
+def _add_known(series: Series[Array], stamp: float, message: Any, name: str) -> None:
+    if all(joint.HasField(name) for joint in message.joints):
+        series.add(stamp, np.array([getattr(joint, name) for joint in message.joints]))
+
+
+def _status(history: RunHistory, stamp: float, m: Any) -> None:
+    known = m.DESCRIPTOR.fields_by_name  # as the recording describes them
+    bits, code = (
+        getattr(m, name) if name in known and m.HasField(name) else None for name in ("safety_bits", "error_code")
+    )
+    history.status.add(stamp, SeenStatus(m.status, bits, code))
+
+
 def _tf(history: RunHistory, stamp: float, message: Any) -> None:
     for t in message.transforms:
         if (t.parent_frame_id, t.child_frame_id) == ("camera", "hand"):
@@ -242,10 +195,12 @@ def _cloud(history: RunHistory, stamp: float, m: Any) -> None:
 
 
 _HANDLERS: dict[str, Callable[[RunHistory, float, Any], None]] = {
-    "/arm/measured": lambda h, t, m: h.joints.add(t, _positions(m)),
-    "/arm/commanded": lambda h, t, m: h.commanded.add(t, _positions(m)),
+    "/arm/measured": _measured,
+    "/arm/commanded": _commanded,
+    "/arm/currents": lambda h, t, m: h.currents.add(t, np.array(m.currents)),
+    "/arm/safety_bits": lambda h, t, m: h.safety_bits.add(t, m.bits),
     "/arm/wrench": _wrench,
-    "/arm/status": lambda h, t, m: h.status.add(t, m.status),
+    "/arm/status": _status,
     "/hand/measured": lambda h, t, m: h.hand.add(t, _positions(m)),
     "/camera/rgb": lambda h, t, m: h.images.add(t, m.data),
     "/camera/depth": _depth,

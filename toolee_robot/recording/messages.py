@@ -1,4 +1,4 @@
-"""Messages of a recording: Foxglove's published Protocol Buffers, and what those lack."""
+"""Builds the messages of a recording: Foxglove's published Protocol Buffers, and those of `own_messages`."""
 
 from __future__ import annotations
 
@@ -22,58 +22,21 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.timestamp_pb2 import Timestamp
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array
+from toolee_robot.hal import ArmState
+from toolee_robot.recording.own_messages import (
+    ArmStatus,
+    Decision,
+    Estimate,
+    JointCurrents,
+)
 from toolee_robot.types import CameraIntrinsics, InHandEstimate, RgbdFrame, ToolEstimate
 
 LOG_LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 """Levels of `foxglove.Log` by name."""
-
-_FIELD = descriptor_pb2.FieldDescriptorProto
-_SCALARS = {"double": _FIELD.TYPE_DOUBLE, "string": _FIELD.TYPE_STRING, "bool": _FIELD.TYPE_BOOL}
-_SCALARS["uint32"] = _FIELD.TYPE_UINT32
-_OWN = {
-    "Wrench": {"timestamp": "google.protobuf.Timestamp", "force": "foxglove.Vector3", "torque": "foxglove.Vector3"},
-    "Contact": {"timestamp": "google.protobuf.Timestamp", "force": "double", "position": "foxglove.Vector3"},
-    "StopRatios": {"timestamp": "google.protobuf.Timestamp", "position_deviation": "double", "collision": "double"},
-    "ArmStatus": {"timestamp": "google.protobuf.Timestamp", "status": "string", "digital_inputs": "uint32"},
-    "Estimate": {
-        "timestamp": "google.protobuf.Timestamp", "frame_id": "string", "category": "string", "pose": "foxglove.Pose",
-        "covariance": "double*", "confidence": "double", "trust": "double", "usable": "bool", "reason": "string",
-        "score": "double", "box": "double*", "frames_used": "uint32", "frames_seen": "uint32",
-    },
-    "Decision": {
-        "timestamp": "google.protobuf.Timestamp", "name": "string", "reason": "string",
-        "data": "string",
-    },
-}  # fmt: skip
-"""Messages that no maintained schema covers: their fields in order; `*` marks a list."""
-
-
-def _own_messages() -> dict[str, type[Any]]:
-    """Classes of the messages in _OWN; the file that describes them goes into every recording."""
-    file = descriptor_pb2.FileDescriptorProto(name="toolee/recording.proto", package="toolee", syntax="proto3")
-    used = (Timestamp, Vector3, Pose)
-    file.dependency.extend(kind.DESCRIPTOR.file.name for kind in used)
-    for name, fields in _OWN.items():
-        message = file.message_type.add(name=name)
-        for number, (field, kind) in enumerate(fields.items(), 1):
-            scalar = _SCALARS.get(kind.rstrip("*"))
-            label = _FIELD.LABEL_REPEATED if kind.endswith("*") else _FIELD.LABEL_OPTIONAL
-            added = message.field.add(name=field, number=number, label=label, type=scalar or _FIELD.TYPE_MESSAGE)
-            if scalar is None:
-                added.type_name = f".{kind}"
-    descriptor_pool.Default().Add(file)
-    find = descriptor_pool.Default().FindMessageTypeByName
-    return {name: message_factory.GetMessageClass(find(f"toolee.{name}")) for name in _OWN}
-
-
-_CLASSES = _own_messages()
-Wrench, Contact, StopRatios = _CLASSES["Wrench"], _CLASSES["Contact"], _CLASSES["StopRatios"]
-ArmStatus, Estimate, Decision = _CLASSES["ArmStatus"], _CLASSES["Estimate"], _CLASSES["Decision"]
 
 
 def nanoseconds(stamp: float) -> int:
@@ -200,19 +163,57 @@ def poses_in_frame(stamp: float, frame: str, Xs: Array) -> PosesInFrame:
     return PosesInFrame(timestamp=timestamp(stamp), frame_id=frame, poses=[pose(X) for X in Xs])
 
 
-def joint_states(stamp: float, names: Sequence[str], q: Array) -> JointStates:
+def joint_states(
+    stamp: float, names: Sequence[str], q: Array, velocity: Array | None = None, effort: Array | None = None
+) -> JointStates:
     """The message of joint positions.
 
     Args:
         stamp: Time [s].
         names: Names of the n joints.
         q: Joint positions, (n,) [rad].
+        velocity: Joint velocities, (n,) [rad/s]; None where they are not known.
+        effort: Joint torques, (n,) [Nm]; None likewise.
 
     Returns:
         The message.
     """
     joints = [JointState(name=name, position=float(p)) for name, p in zip(names, q, strict=True)]
+    for i, joint in enumerate(joints):
+        if velocity is not None:
+            joint.velocity = float(velocity[i])
+        if effort is not None:
+            joint.effort = float(effort[i])
     return JointStates(timestamp=timestamp(stamp), joints=joints)
+
+
+def joint_currents(stamp: float, currents: Array) -> Any:
+    """The message of motor currents.
+
+    Args:
+        stamp: Time [s].
+        currents: Currents of the joints' motors, (n,) [A].
+
+    Returns:
+        The message.
+    """
+    return JointCurrents(timestamp=timestamp(stamp), currents=currents.tolist())
+
+
+def arm_status(stamp: float, state: ArmState) -> Any:
+    """The message of the arm's own safety system.
+
+    Args:
+        stamp: Time [s].
+        state: State of the arm.
+
+    Returns:
+        The message.
+    """
+    return ArmStatus(
+        timestamp=timestamp(stamp), status=str(state.status), digital_inputs=state.digital_inputs,
+        safety_bits=state.safety_bits, error_code=state.error_code,
+    )  # fmt: skip
 
 
 def estimate(stamp: float, e: ToolEstimate) -> Any:

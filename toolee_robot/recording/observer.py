@@ -128,8 +128,7 @@ class RecordingObserver(TaskObserver):
 
     def _status(self) -> None:
         with suppress(DeviceError):  # an arm that does not answer has no status; the job's end says so
-            state = self._station.arm.state()
-            self._recorder.record_status(state.joints.stamp, state.status, state.digital_inputs)
+            self._recorder.record_status(self._station.arm.state())
 
 
 class PictureCollector(TaskObserver):

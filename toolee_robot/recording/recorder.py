@@ -20,10 +20,11 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.hal import ArmStatus, MotionReport
+from toolee_robot.hal import ArmState, MotionReport
 from toolee_robot.recording import messages
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.mcap_file import Item, McapFile
+from toolee_robot.recording.own_messages import Contact, SafetyBits, StopRatios, Wrench
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 
@@ -156,8 +157,9 @@ class RunRecorder:
     def record_motion(self, name: str, report: MotionReport, joint_names: Sequence[str]) -> None:
         """Record every sample of an arm's motion, and its outcome as a decision.
 
-        Topics: `/arm/measured`, `/arm/commanded`, `/arm/wrench`, and `/arm/stop_ratios` where the controller reports
-        them. A command that was not sent is not recorded.
+        Topics: `/arm/measured`, `/arm/commanded`, `/arm/wrench`; `/arm/stop_ratios`, `/arm/currents` and
+        `/arm/safety_bits` where the controller reports them, the last at the motion's begin and where they change. A
+        command that was not sent is not recorded.
 
         Args:
             name: Name of the motion.
@@ -170,17 +172,14 @@ class RunRecorder:
             data = {"name": name, "outcome": report.outcome.value, "overruns": report.overruns}
             self.record_decision(float(report.stamps[-1]), "motion", reason, data)
 
-    def record_status(self, stamp: float, status: ArmStatus, digital_inputs: int) -> None:
+    def record_status(self, state: ArmState) -> None:
         """Record the state of the robot's own safety system on `/arm/status`.
 
         Args:
-            stamp: Time [s].
-            status: The state.
-            digital_inputs: The digital inputs, one bit each.
+            state: State of the arm.
         """
-        message = messages.ArmStatus(status=str(status), digital_inputs=digital_inputs)
-        message.timestamp.CopyFrom(messages.timestamp(stamp))
-        self._one("/arm/status", stamp, lambda: message)
+        stamp = state.joints.stamp
+        self._one("/arm/status", stamp, lambda: messages.arm_status(stamp, state))
 
     def record_contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         """Record a contact of the face on `/contacts`.
@@ -191,7 +190,7 @@ class RunRecorder:
             X_base_ee: Estimated pose of the end effector in `base`, (4, 4).
         """
         position = messages.vector(X_base_ee[:3, 3])
-        message = messages.Contact(timestamp=messages.timestamp(stamp), force=float(force), position=position)
+        message = Contact(timestamp=messages.timestamp(stamp), force=float(force), position=position)
         self._one("/contacts", stamp, lambda: message)
 
     def record_decision(self, stamp: float, name: str, reason: str, data: Mapping[str, Any] | None = None) -> None:
@@ -236,15 +235,23 @@ class RunRecorder:
 def _motion(report: MotionReport, names: Sequence[str]) -> list[Item]:
     sent = len(report.stamps) if report.commands is None else report.commands
     deviation, collision = report.position_deviation_ratios, report.collision_ratios
+    qd, torques, currents, bits = report.qd_measured, report.torques, report.currents, report.safety_bits
     items: list[Item] = []
     for i, t in enumerate(map(float, report.stamps)):
-        items.append(("/arm/measured", t, messages.joint_states(t, names, report.q_measured[i])))
+        velocity, torque_row = (None if rows is None else rows[i] for rows in (qd, torques))
+        items.append(("/arm/measured", t, messages.joint_states(t, names, report.q_measured[i], velocity)))
         if i < sent:
-            items.append(("/arm/commanded", t, messages.joint_states(t, names, report.q_commanded[i])))
+            commanded = messages.joint_states(t, names, report.q_commanded[i], effort=torque_row)
+            items.append(("/arm/commanded", t, commanded))
+        if currents is not None:
+            items.append(("/arm/currents", t, messages.joint_currents(t, currents[i])))
+        if bits is not None and (i == 0 or bits[i] != bits[i - 1]):
+            changed = SafetyBits(timestamp=messages.timestamp(t), bits=int(bits[i]))
+            items.append(("/arm/safety_bits", t, changed))
         force, torque = messages.vector(report.wrenches[i, :3]), messages.vector(report.wrenches[i, 3:])
-        items.append(("/arm/wrench", t, messages.Wrench(timestamp=messages.timestamp(t), force=force, torque=torque)))
+        items.append(("/arm/wrench", t, Wrench(timestamp=messages.timestamp(t), force=force, torque=torque)))
         if deviation is not None and collision is not None:
-            ratios = messages.StopRatios(position_deviation=float(deviation[i]), collision=float(collision[i]))
+            ratios = StopRatios(position_deviation=float(deviation[i]), collision=float(collision[i]))
             ratios.timestamp.CopyFrom(messages.timestamp(t))
             items.append(("/arm/stop_ratios", t, ratios))
     return items

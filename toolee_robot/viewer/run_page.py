@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.config import StationConfig
-from toolee_robot.recording.history import RunHistory, SeenDecision, thinned
+from toolee_robot.recording.history import RunHistory, thinned
 from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.recording.series import SeenDecision
 from toolee_robot.viewer.run_scene import SIGMAS, RunScene
 from toolee_robot.viewer.run_state import RunState
 
@@ -236,9 +237,10 @@ class RunPage:
         if self._prompt:
             parts.append(f"### ➤ {self._prompt}")
         parts.append(f"**Nail**: {state.protrusion * 1e3:.1f} mm over the wood")
-        status = h.status.at(state.stamp)
-        if status is not None:
-            parts.append(f"**Robot**: {status.replace('_', ' ')}")
+        seen = h.status.at(state.stamp)
+        if seen is not None:
+            code = "" if seen.error_code is None else f", {seen.error_code}"
+            parts.append(f"**Robot**: {seen.status.replace('_', ' ')}{code}")
         if not h.complete and not self._live:
             parts.append("*The run was killed: the recording ends where it was last written.*")
         strikes = [d.reason for t, d in h.decisions if d.name == "strike" and t <= state.stamp]

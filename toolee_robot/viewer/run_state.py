@@ -11,7 +11,8 @@ import numpy as np
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.recording.history import RunHistory, SeenEstimate
+from toolee_robot.recording.history import RunHistory
+from toolee_robot.recording.series import SeenEstimate
 from toolee_robot.sim_backend.visuals.scene import nail_of
 
 GAP = 0.1

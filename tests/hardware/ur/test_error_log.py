@@ -27,6 +27,7 @@ from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.94"
 TWIST = [0.0, 0.0, 0.0, 0.0, 80.0, 0.0]
+PROTECTIVE_STOP = 1 << 2  # of RTDE's safety_status_bits
 REST = 0.5  # [s] until a stop at rest is known
 
 
@@ -145,6 +146,16 @@ def test_a_stop_in_a_motion_names_code_joint_and_remedy(arm: UnsupervisedUrArm, 
     assert reason.startswith("C15")
     assert reason in message
     assert JOINTS[int(reason.partition("A")[2])] in message
+    state, report = arm.state(), caught.value.report
+    assert state.error_code == reason
+    assert state.safety_bits is not None
+    assert state.safety_bits & PROTECTIVE_STOP
+    assert report is not None
+    assert report.safety_bits is not None
+    assert not report.safety_bits[0] & PROTECTIVE_STOP
+    assert report.safety_bits[-1] & PROTECTIVE_STOP
+    assert report.torques is not None
+    assert report.currents is None, "the stand-in has none"
     with pytest.raises(LatchedError, match=reason):
         arm.execute(swing(held(arm)), None, PATIENT)
 

@@ -73,3 +73,30 @@ def test_a_motion_ends_when_a_ringing_arm_has_stood_for_a_while() -> None:
         assert seen[seen[:, 0] > 0.21, 1].max() > 3 * STANDSTILL
         simulation.station.clock.sleep(0.3)
         assert np.array(speeds)[len(seen) :, 1].max() < 1.2 * STANDSTILL
+
+
+@pytest.mark.parametrize("compliance", [0.0, 1.0])
+def test_a_motion_is_reported_with_velocities_and_the_torques_that_the_controller_computes(compliance: float) -> None:
+    options = SimOptions(q_start=np.array(StationConfig().scene.home), hands_over=False, compliance=compliance)
+    with SimStation.build(StationConfig(), 0, options) as simulation:
+        arm = simulation.station.arm
+        q = arm.state().q_commanded
+        times = np.linspace(0.0, 0.4, 81)
+        s = (times / 0.4)[:, None]
+        turn = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+        path = q + turn * (10 * s**3 - 15 * s**4 + 6 * s**5)
+        velocity = turn * 30 * (s - s**2) ** 2 / 0.4
+        acceleration = turn * (60 * s - 180 * s**2 + 120 * s**3) / 0.4**2
+        report = arm.execute(Trajectory(times, path, velocity, acceleration))
+    assert report.qd_measured is not None
+    moved = np.cumsum(report.qd_measured, axis=0)[-1] / RATE
+    assert moved[0] == pytest.approx(0.1, abs=2e-3)
+    if compliance == 0.0:
+        assert report.torques is None, "joints that are exact have no torques"
+    else:
+        assert report.torques is not None
+        assert report.torques.shape == report.q_measured.shape
+        gravity = report.torques[-1]
+        assert 20.0 < abs(gravity[1]) < 330.0, "the shoulder carries the arm"
+        assert np.abs(report.torques[:, 0] - gravity[0]).max() > 1.0, "the base accelerates"
+    assert report.currents is None

@@ -138,7 +138,7 @@ class UnsupervisedUrArm:
                 f"the arm's newest state is {age:.2f} s old: check the robot and its network cable, then reset the arm",
                 code="stale_data.arm",
             )
-        return arm_state(state)
+        return arm_state(state, self._errors)
 
     def execute(
         self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None

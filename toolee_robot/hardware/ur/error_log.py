@@ -59,12 +59,20 @@ class ErrorLog:
         with self._changed:
             while not self._errors and not self._failure and (left := deadline - time.monotonic()) > 0.0:
                 self._changed.wait(left)
-            return max(self._errors, key=lambda error: error.level, default=None)
+            return self._most_severe()
+
+    def told(self) -> ControllerError | None:
+        """What `reason` returns, without a wait."""
+        with self._changed:
+            return self._most_severe()
 
     @property
     def why_empty(self) -> str:
         """Why there may be no errors, a clause for a message."""
         return self._failure or f"it sent none on port {PRIMARY_PORT}"
+
+    def _most_severe(self) -> ControllerError | None:
+        return max(self._errors, key=lambda error: error.level, default=None)
 
     def _run(self) -> None:
         timeout, retry = (self._clock.to_wall_time(seconds) for seconds in (TIMEOUT, RETRY))

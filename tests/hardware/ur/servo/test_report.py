@@ -10,9 +10,12 @@ import pytest
 from toolee_robot.errors import ProtectiveStopError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus
+from toolee_robot.hardware.ur.error_log import ErrorLog
+from toolee_robot.hardware.ur.protocols.primary import ControllerError
 from toolee_robot.hardware.ur.servo.messages import Cause
 from toolee_robot.hardware.ur.servo.report import arm_state, build_report, fault
 from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
+from toolee_robot.runtime.clock import HostClock
 
 NAN = float("nan")
 PROTECTIVE_STOP = 1 << 2
@@ -38,6 +41,40 @@ def test_a_state_has_the_ratios_and_inputs_that_the_controller_reports() -> None
     assert (told.position_deviation_ratio, told.collision_ratio) == (0.25, 0.5)
     untold = arm_state(state((NAN, 0.5)))
     assert (untold.position_deviation_ratio, untold.collision_ratio) == (None, 0.5)
+
+
+def test_a_state_has_the_safety_bits_and_the_code_that_explains_a_stop() -> None:
+    log = ErrorLog("127.0.0.95", HostClock())  # nobody answers there
+    try:
+        assert arm_state(state((NAN, NAN)), log).error_code is None
+        log._errors += [ControllerError(204, 3, 2, ""), ControllerError(157, 4, 3, ""), ControllerError(191, 7, 3, "")]
+        told = arm_state(state((NAN, NAN)), log)
+    finally:
+        log.close()
+    assert (told.safety_bits, told.error_code) == (PROTECTIVE_STOP, "C157A4")
+
+
+def test_a_report_has_velocities_torques_currents_and_safety_bits(memory: ServoMemory) -> None:
+    drawn = np.random.default_rng(0).normal(0.0, 1.0, (4, 18))
+    memory.rows[:4, Column.QD], memory.rows[:4, Column.DRIVES] = drawn[:, :6], drawn[:, 6:]
+    memory.rows[:4, Column.SAFETY_BITS] = 1, 1, 0x404, 0x404
+    memory.words[Word.ROWS] = 4
+    report = build_report(memory, Cause.STOPPED_BY_ROBOT)
+    for told, rows in zip((report.qd_measured, report.torques, report.currents), np.split(drawn, 3, 1), strict=True):
+        assert told is not None
+        np.testing.assert_array_equal(told, rows)
+    assert report.safety_bits is not None
+    assert report.safety_bits.tolist() == [1, 1, 0x404, 0x404]
+
+
+@pytest.mark.parametrize("said", [NAN, 0.0])
+def test_torques_and_currents_that_a_controller_does_not_know_are_not_reported(
+    memory: ServoMemory, said: float
+) -> None:
+    memory.rows[:3, Column.DRIVES] = said
+    memory.words[Word.ROWS] = 3
+    report = build_report(memory, Cause.NONE)
+    assert (report.torques, report.currents) == (None, None)
 
 
 @pytest.mark.parametrize(

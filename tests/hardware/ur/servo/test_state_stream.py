@@ -24,7 +24,8 @@ HOST = "127.0.0.63"
 JOINTS = (0.1, -1.2, 1.3, -0.4, 1.5, 0.6)
 NAN, INF = math.nan, math.inf
 OLD = ["DOUBLE", *["VECTOR6D"] * 4, "DOUBLE", "DOUBLE", "UINT32", "INT32", "UINT32", "UINT64"]
-TYPES = [*OLD, "VECTOR6D", "DOUBLE", "VECTOR3D", "DOUBLE", "DOUBLE"]
+TYPES = [*OLD, "VECTOR6D", "DOUBLE", "VECTOR3D", "DOUBLE", "DOUBLE", "VECTOR6D", "VECTOR6D"]
+TORQUES = (0.5, 90.0, 40.0, 2.0, 1.0, 0.25)
 HELLO = packet(b"V", b"\x01")
 
 
@@ -35,12 +36,15 @@ def reading(
     force: float = 5.0,
     slider: float = 1.0,
     ratio: float = 0.25,
+    current: float = 1.5,
     optional: slice = slice(None),
 ) -> bytes:
-    """optional: which of the outputs that not every version has are reported: TCP, payload, its centre, two ratios."""
+    """optional: which of the outputs that not every version has are reported: TCP, payload, its centre, two ratios,
+    torques, currents."""
     joints, wrench = (q0, *JOINTS[1:]), (force, 2.0, 3.0, 4.0, 5.0, 6.0)
     always = (timestamp, joints, (0.0,) * 6, JOINTS, wrench, slider, 1.0, 1, 7, 2, 0b1000_0000_0000_0101)
     newer: tuple[object, ...] = ((0.0, 0.0, 0.1, 0.0, 0.0, 0.0), 1.25, (0.1, 0.2, 0.3), ratio, 0.5)
+    newer += (TORQUES, (current, -0.5, 0.25, 0.0, 0.0, 0.0))
     return data([*OLD, *TYPES[len(OLD) :][optional]], (*always, *newer[optional]))
 
 
@@ -149,19 +153,18 @@ def refusal(types: list[str]) -> bytes:
 
 
 def test_an_old_controller_does_without_what_it_does_not_have() -> None:
-    with controller(refusal([*OLD, *["NOT_FOUND"] * 5]), greeting(OLD, reading(1.0, optional=slice(0)))):
+    with controller(refusal([*OLD, *["NOT_FOUND"] * 7]), greeting(OLD, reading(1.0, optional=slice(0)))):
         newest = connect().newest
     assert newest.payload is None
     assert newest.tcp is None
     assert math.isnan(newest.position_deviation_ratio)
     assert math.isnan(newest.collision_ratio)
+    assert np.isnan([*newest.torques, *newest.currents]).all()
     assert newest.digital_inputs == 0b1000_0000_0000_0101
 
 
 def test_a_controller_without_ratios_still_reports_its_payload_and_tcp() -> None:
-    with controller(
-        refusal([*TYPES[:-2], "NOT_FOUND", "NOT_FOUND"]), greeting(TYPES[:-2], reading(1.0, optional=slice(3)))
-    ):
+    with controller(refusal([*TYPES[:-4], *["NOT_FOUND"] * 4]), greeting(TYPES[:-4], reading(1.0, optional=slice(3)))):
         newest = connect().newest
     assert newest.payload == (1.25, 0.1, 0.2, 0.3)
     assert newest.tcp is not None
@@ -173,6 +176,15 @@ def test_the_ratios_to_a_protective_stop_are_read_where_the_controller_reports_t
     with controller(greeting(TYPES, reading(1.0, ratio=0.75))):
         newest = connect().newest
     assert (newest.position_deviation_ratio, newest.collision_ratio) == (0.75, 0.5)
+
+
+def test_torques_and_currents_are_read_and_stop_no_arm_whatever_they_are() -> None:
+    with controller(greeting(TYPES, reading(1.0))) as accepted:
+        stream = connect()
+        assert (tuple(stream.newest.torques), stream.newest.currents[0]) == (TORQUES, 1.5)
+        accepted[0].sendall(reading(2.0, current=NAN) + reading(3.0, current=INF))
+        assert [r.timestamp for r in stream.take()] == [2.0, 3.0]
+        assert stream.plausible
 
 
 def test_what_is_zeroed_is_zeroed_in_every_reading_to_come() -> None:

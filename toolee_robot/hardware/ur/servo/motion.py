@@ -189,6 +189,7 @@ class Motion:
         row[Column.SEEN], row[Column.TIMESTAMP] = reading[StateColumn.SEEN], reading[StateColumn.TIMESTAMP]
         row[Column.PATH_TIME], row[Column.COMMANDED] = self._time, q
         row[Column.Q], row[Column.QD] = reading[StateColumn.Q], reading[StateColumn.QD]
+        row[Column.DRIVES], row[Column.SAFETY_BITS] = reading[StateColumn.DRIVES], reading[StateColumn.SAFETY_BITS]
         wrenches = [new.wrench for new in self._readings] or [reading[StateColumn.WRENCH]]
         row[Column.WRENCH] = max(wrenches, key=lambda wrench: float(wrench[:3] @ wrench[:3]))
         ratios = [(new.position_deviation_ratio, new.collision_ratio) for new in self._readings]

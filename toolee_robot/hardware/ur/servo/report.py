@@ -27,8 +27,16 @@ RATIO_LIMIT = 1.0
 _OUTCOME = {Cause.NONE: MotionOutcome.COMPLETED, Cause.CONTACT: MotionOutcome.CONTACT}
 
 
-def arm_state(state: Array) -> ArmState:
-    """Convert a state of the shared memory, (StateColumn.COUNT,)."""
+def arm_state(state: Array, errors: ErrorLog | None = None) -> ArmState:
+    """Convert a state of the shared memory.
+
+    Args:
+        state: The state, (StateColumn.COUNT,).
+        errors: What the controller has said since the last motion began; None where nobody has listened.
+
+    Returns:
+        The state.
+    """
     stamp = float(state[StateColumn.SEEN])
     deviation, collision = (None if np.isnan(ratio) else float(ratio) for ratio in state[StateColumn.RATIOS])
     return ArmState(
@@ -39,6 +47,8 @@ def arm_state(state: Array) -> ArmState:
         position_deviation_ratio=deviation,
         collision_ratio=collision,
         digital_inputs=int(state[StateColumn.DIGITAL_INPUTS]),
+        safety_bits=int(state[StateColumn.SAFETY_BITS]),
+        error_code=None if errors is None or (told := errors.told()) is None else told.name,
     )
 
 
@@ -59,6 +69,7 @@ def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
         row = rows[contact_row]
         contact = JointState(row[Column.Q], row[Column.QD], float(row[Column.SEEN]))
     deviations, collisions = (None if np.isnan(ratios).any() else ratios for ratios in rows[:, Column.RATIOS].T)
+    torques, currents = (_reported(drives) for drives in np.split(rows[:, Column.DRIVES], 2, axis=1))
     return MotionReport(
         outcome=_OUTCOME.get(cause, MotionOutcome.STOPPED),
         stamps=rows[:, Column.SENT],
@@ -72,7 +83,20 @@ def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
         commands=min(int(memory.words[Word.COMMANDS]), len(rows)),
         lateness=float(rows[:, Column.LATENESS].max(initial=0.0)),
         data_age=float((rows[:, Column.SENT] - rows[:, Column.SEEN]).max(initial=0.0)),
+        qd_measured=rows[:, Column.QD],
+        torques=torques,
+        currents=currents,
+        safety_bits=rows[:, Column.SAFETY_BITS].astype(np.int64),
     )
+
+
+def _reported(drives: Array) -> Array | None:
+    """Torques or currents of a motion, (N, 6), if they are any.
+
+    A motor that holds an arm has a current: zeros in all rows are those of a controller that has none to report, such
+    as the stand-in.
+    """
+    return drives if np.isfinite(drives).all() and drives.any() else None
 
 
 def fault(

@@ -170,6 +170,7 @@ class UrLink:
         )
         reading[StateColumn.RATIOS] = newest.position_deviation_ratio, newest.collision_ratio
         reading[StateColumn.DIGITAL_INPUTS] = newest.digital_inputs
+        reading[StateColumn.TORQUES], reading[StateColumn.CURRENTS] = newest.torques, newest.currents
         if not self.servoing:  # a person may move it, or it may still be decelerating after a program's end
             reading[StateColumn.COMMANDED] = newest.target
         self.status = arm_status(safety, mode)

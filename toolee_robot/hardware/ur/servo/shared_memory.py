@@ -69,6 +69,8 @@ class Column:
             force.
         RATIOS: Position deviation ratio and collision ratio, (2,): of the same readings, each one's largest. NaN from a
             controller that does not report it.
+        DRIVES: Torques of the commanded motion [Nm] and measured motor currents [A] of the joints, (12,); NaN likewise.
+        SAFETY_BITS: RTDE's safety_status_bits.
         COUNT: Number of columns.
     """
 
@@ -82,7 +84,9 @@ class Column:
     QD = slice(17, 23)
     WRENCH = slice(23, 29)
     RATIOS = slice(29, 31)
-    COUNT = 31
+    DRIVES = slice(31, 43)
+    SAFETY_BITS = 43
+    COUNT = 44
 
 
 class StateColumn:
@@ -103,6 +107,9 @@ class StateColumn:
         RATIOS: Position deviation ratio and collision ratio, (2,): at 1 the controller stops the arm. NaN from a
             controller that does not report it.
         DIGITAL_INPUTS: RTDE's actual_digital_input_bits.
+        TORQUES: Joint torques of the commanded motion, as the controller computes them, (6,) [Nm]; NaN likewise.
+        CURRENTS: Measured motor currents, (6,) [A]; NaN likewise.
+        DRIVES: Both, (12,).
         COUNT: Number of elements.
     """
 
@@ -119,7 +126,10 @@ class StateColumn:
     SPEED_SCALING = 30
     RATIOS = slice(31, 33)
     DIGITAL_INPUTS = 33
-    COUNT = 34
+    TORQUES = slice(34, 40)
+    CURRENTS = slice(40, 46)
+    DRIVES = slice(34, 46)
+    COUNT = 46
 
 
 class ServoMemory:

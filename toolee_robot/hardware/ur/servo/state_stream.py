@@ -34,7 +34,8 @@ _ALWAYS = (
 _TCP = "tcp_offset"
 _PAYLOAD = ("payload", "payload_cog")  # since 3.11 and 5.5.1
 _RATIOS = ("joint_position_deviation_ratio", "collision_detection_ratio")  # newer e-Series versions only
-_OPTIONAL = (_TCP, *_PAYLOAD, *_RATIOS)
+_DRIVES = ("target_moment", "actual_current")
+_OPTIONAL = (_TCP, *_PAYLOAD, *_RATIOS, *_DRIVES)
 
 _IMPLAUSIBLE = 100.0
 """[rad], [rad/s] Bound of plausible joint readings."""
@@ -43,6 +44,7 @@ _IMPLAUSIBLE_WRENCH = 1e4
 
 # The controller's base is `base` rotated by pi about z: forces and torques change sign in x and y.
 _TURN = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
+_UNKNOWN = np.full(6, np.nan)
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ class Reading:
             C153, C159), which comes at 1; NaN likewise.
         collision_ratio: How near the collision detection is to a protective stop (C157, C158), which comes at 1; NaN
             likewise.
+        torques: Joint torques of the commanded motion, as the controller computes them, (6,) [Nm]; NaN likewise.
+        currents: Measured motor currents, (6,) [A]; NaN likewise.
     """
 
     timestamp: float
@@ -85,6 +89,8 @@ class Reading:
     tcp: Array | None
     position_deviation_ratio: float
     collision_ratio: float
+    torques: Array
+    currents: Array
 
 
 class StateStream:
@@ -199,6 +205,7 @@ def _reading(sample: RtdeSample) -> Reading:
         _numbers(values[_TCP]) if _TCP in values else None,
         deviation,
         collision,
+        *(_drives(values.get(name)) for name in _DRIVES),
     )
 
 
@@ -208,6 +215,12 @@ def _ratio(value: Value) -> float:
     if not 0.0 <= ratio < np.inf:
         raise ProtocolError("a ratio to a protective stop is negative or no number", code="protocol.implausible")
     return float(ratio)
+
+
+def _drives(value: Value | None) -> Array:
+    """Convert torques or currents of the six joints, which are recorded only: implausible ones stop no arm."""
+    numbers = _UNKNOWN if value is None else _numbers(value)
+    return numbers if numbers.shape == (6,) else _UNKNOWN
 
 
 def _numbers(value: Value | list[Value]) -> Array:
