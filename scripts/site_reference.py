@@ -22,6 +22,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 from toolee_robot import errors
 from toolee_robot.config import StationConfig
 from toolee_robot.config.field_docs import field_docs
+from toolee_robot.runtime.yaml_files import name_in_file
 
 MARKER = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
 COMMAND_WIDTH = 80
@@ -56,7 +57,7 @@ def _section(config: type[Any], name: str) -> Iterator[str]:
         for field in fields(config)
         if (kind := _record(config, field)) is not None
     ]
-    plain = [field for field in fields(config) if _record(config, field) is None]
+    plain = [field for field in fields(config) if _record(config, field) is None and name_in_file(field)]
     if name:
         rows = "\n".join(_row(config, field) for field in plain)
         yield f"## `{name}`\n\n{_summary(config)}\n\n| field | type | default | meaning |\n|---|---|---|---|\n{rows}"
@@ -73,7 +74,7 @@ def _record(config: type[Any], field: Field[Any]) -> type[Any] | None:
 def _row(config: type[Any], field: Field[Any]) -> str:
     kind = str(field.type).replace("|", "\\|").replace("Annotated[", "").replace("'", "")
     meaning = field_docs(config).get(field.name, "")
-    return f"| `{field.name}` | {_kind(config, field, kind)} | {_default(field)} | {meaning} |"
+    return f"| `{name_in_file(field)}` | {_kind(config, field, kind)} | {_default(field)} | {meaning} |"
 
 
 def _kind(config: type[Any], field: Field[Any], text: str) -> str:
@@ -85,6 +86,7 @@ def _kind(config: type[Any], field: Field[Any], text: str) -> str:
         "NotNegative": "number >= 0",
         "Count": "whole number >= 1",
         "InputNumber": "0 to 17",
+        "Rows": "4 x 4 matrix",
     }
     if text.startswith("tuple["):
         parts = text.removeprefix("tuple[").removesuffix("]").split(", ")

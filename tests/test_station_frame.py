@@ -17,9 +17,10 @@ from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.config import CameraConfig, Obstacle, SceneConfig, StationConfig, WorkConfig, load_station
 from toolee_robot.config.field_docs import field_docs
-from toolee_robot.config.station_frame import BOX, OBSTACLES, POINTS
+from toolee_robot.config.station_frame import BOX, OBSTACLES, POINTS, POSE
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import HALF_TURN, transform
+from toolee_robot.runtime.yaml_files import name_in_file
 
 SECTIONS = {"camera": CameraConfig, "work": WorkConfig, "scene": SceneConfig}
 _coordinate = st.floats(-1.5, 1.5)
@@ -137,11 +138,11 @@ def test_an_unknown_frame_is_refused_and_none_is_needed_without_positions(tmp_pa
 
 def test_every_field_in_base_is_converted() -> None:
     """A new field whose description says that it is in `base` belongs into the list."""
-    known = {*POINTS, *((BOX[0], corner) for corner in BOX[1:])}
+    known = {*POINTS, POSE, *((BOX[0], corner) for corner in BOX[1:])}
     assert {name for name, text in field_docs(Obstacle).items() if "`base`" in text} == {"center", "rotation"}
     assert OBSTACLES == ("scene", "obstacles")
     in_base = {
-        (section, field.name)
+        (section, name_in_file(field))
         for section, kind in SECTIONS.items()
         for field in dataclasses.fields(kind)
         if "`base`" in field_docs(kind)[field.name]

@@ -78,6 +78,21 @@ def test_a_station_file_takes_the_cameras_pose_from_the_record(calibrated: Path,
     assert config.calibration.robot_serial == "20185500001"
 
 
+def test_a_record_holds_instead_of_another_program_s_pose(calibrated: Path, tmp_path: Path) -> None:
+    """Whose place is compared with the record's, under its own name."""
+    path = _station(tmp_path, calibrated)
+    whole = f"{{X_base_camera: {CAMERA.X_base_camera.tolist()}}}"
+    path.write_text(path.read_text().replace("{position: [0.93, -0.60, 0.86], target: [0.61, -0.17, 0.7]}", whole))
+    camera = load_station(path).camera
+    np.testing.assert_array_equal(camera.X_base_camera, read_record(calibrated / "camera.json").pose)
+    np.testing.assert_allclose(camera.uncalibrated.X_base_camera, CAMERA.X_base_camera, atol=1e-12)
+    path.write_text(path.read_text().replace("frame: base_link", "frame: pendant_base"))
+    with pytest.raises(ConfigError) as error:
+        load_station(path)
+    assert error.value.code == "config.calibration_half_turn"
+    assert "camera.X_base_camera" in str(error.value)
+
+
 def test_a_rehearsal_does_not_take_the_place_of_a_real_record(
     calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -55,6 +55,16 @@ def test_places_are_told_in_the_files_own_frame(tmp_path: Path) -> None:
         assert rows["nail (not given)"][:2] == [-0.75, -0.10]
 
 
+def test_a_camera_by_another_program_s_pose_is_drawn_where_it_stands(tmp_path: Path) -> None:
+    path = tmp_path / "pose.yaml"
+    pose = "{position: [-0.60, 0.15, 1.50], quaternion: [1.0, 0.0, 0.0, 0.0]}"
+    path.write_text(f"frame: pendant_base\ncamera: {{X_base_camera: {pose}}}\n")
+    with _page(path) as page:
+        assert _rows(page)["camera"] == [-0.60, 0.15, 1.50]
+        assert "position, target" not in page.texts()[3], "nothing of it is missing"
+        assert "as far as the nail" in page.texts()[1]
+
+
 def test_what_the_file_leaves_out_is_marked_and_listed() -> None:
     with _page(EXAMPLES / "nails.yaml") as page:
         rows = _rows(page)

@@ -13,7 +13,7 @@ from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, Ca
 from toolee_robot.config.camera_device import CameraDevice
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
-from toolee_robot.config.measured import MEASURED, given_by_nails, load_lab_station, unmeasured
+from toolee_robot.config.measured import MEASURED, given_by_nails, given_by_pose, load_lab_station, unmeasured
 from toolee_robot.config.obstacle import Obstacle
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
@@ -47,6 +47,7 @@ __all__ = [
     "ToolEnvelope",
     "WorkConfig",
     "given_by_nails",
+    "given_by_pose",
     "load_lab_station",
     "load_station",
     "read_station",

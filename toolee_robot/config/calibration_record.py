@@ -30,11 +30,14 @@ def take_record(data: dict[str, Any], path: Path) -> tuple[dict[str, Any], Calib
         The data with what the record gives, and the record; None where the file names none.
 
     Raises:
-        ConfigError: The record cannot be read or was altered, or the file gives what the record gives.
+        ConfigError: The record cannot be read or was altered, or the file gives what the record gives, or a pose that
+            is not given so (`config.camera_pose`).
     """
-    if "pose" in (data.get("camera") or {}):
+    camera = data.get("camera")
+    if by_hand := [name for name in ("pose", "measured_pose") if isinstance(camera, dict) and name in camera]:
         raise ConfigError(
-            f"{path}: camera.pose is not given by hand: name a calibration's record in {SECTION}.{FIELD}",
+            f"{path}: camera.{by_hand[0]} is not given by hand: name a calibration's record in {SECTION}.{FIELD}, or "
+            "give the pose by another program in camera.X_base_camera",
             code="config.camera_pose",
         )
     section = data.get(SECTION)
@@ -86,12 +89,13 @@ def check_record(
         )
 
 
-def check_place(record: CalibrationRecord, expected: Sequence[float], frame: BaseFrame, path: Path) -> None:
-    """Refuse a record whose camera stands far from the station file's `camera.position`.
+def check_place(record: CalibrationRecord, expected: Sequence[float], field: str, frame: BaseFrame, path: Path) -> None:
+    """Refuse a record whose camera stands far from where the station file has it.
 
     Args:
         record: The record.
         expected: The camera's place by the file, in `base`, (3,) [m].
+        field: The field of the file that tells it.
         frame: The frame that the file names, in which the message tells places.
         path: The station file, for the errors.
 
@@ -106,14 +110,14 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], frame: Bas
     if half_a_turn_apart(place, by_file):
         raise ConfigError(
             f"{path}: half a turn about the base's z lies between the calibrated camera, {calibrated} m in {frame}, "
-            f"and camera.position, {typed} m: the file's `frame` names the other base, or its positions are of the "
+            f"and {field}, {typed} m: the file's `frame` names the other base, or its positions are of the "
             "other",
             code="config.calibration_half_turn",
         )
     off = float(np.linalg.norm(place - by_file))
     raise ConfigError(
-        f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from camera.position, {typed} "
-        "m: measure that again (x, y, z in this order); if the camera was moved, take `calibration` out of the file "
+        f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from {field}, {typed} m: "
+        "measure that again (x, y, z in this order); if the camera was moved, take `calibration` out of the file "
         "and calibrate again",
         code="config.calibration_place",
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,26 +11,32 @@ from toolee_robot.config.camera_device import CameraDevice
 from toolee_robot.config.obstacle import Obstacle
 from toolee_robot.config.values import STRICT, Count, Positive
 from toolee_robot.frames import Array, frame_from_axes
+from toolee_robot.runtime.yaml_files import IN_FILE
 from toolee_robot.types import CameraIntrinsics
 
 BODY_NAMES = ("table", "stand", "block", "camera", "person")
 """Names of the bodies that every station has."""
+VERTICAL = 1e-6
+"""Sine of the angle from the vertical up to which position and target tell no level rows of the image."""
 
 
 @dataclass(frozen=True)
 class CameraConfig:
     """Pose and intrinsics of the fixed camera (eye-to-hand).
 
-    The default intrinsics are those of a Kinect v2's depth camera with the colour image registered to it. Without a
-    calibration's record the image's vertical axis is aligned with the z axis of `base`. A simulated camera stands
-    exactly where `position` and `target` say, whatever the record says.
+    The default intrinsics are those of a Kinect v2's depth camera with the colour image registered to it. The pose is
+    that of the optical frame (z forward, x right, y down): `X_base_camera`, or `position` and `target`, by which the
+    rows of the image are level. A simulated camera stands exactly where these say, whatever a record says.
     """
 
     __pydantic_config__ = STRICT
     position: tuple[float, float, float] = (0.95, -0.62, 0.85)
-    """Optical centre in `base` [m]."""
+    """Optical centre in `base` [m]; left out with `X_base_camera`."""
     target: tuple[float, float, float] = (0.60, -0.15, 0.72)
-    """A point on the optical axis, in `base` [m]."""
+    """A point on the optical axis, in `base` [m], not straight below `position`; left out with `X_base_camera`."""
+    measured_pose: Rows | None = field(default=None, metadata={IN_FILE: "X_base_camera"})
+    """Pose of the optical frame in `base` [m] by another calibration program, instead of `position` and `target`: four
+    rows of four numbers, or `{position: [x, y, z], quaternion: [x, y, z, w]}`."""
     fx: Positive = 365.5
     """Focal length along x [px]."""
     fy: Positive = 365.5
@@ -45,9 +51,17 @@ class CameraConfig:
     """Height of the image [px]."""
     device: CameraDevice | None = None
     """The camera itself, for its driver; null for the simulated one."""
-    pose: Rows | None = None
-    """X_base_camera of the calibration's record, 4 x 4, which then holds instead of `position` and `target`; null
-    without a record. A station file names the record in `calibration` and never gives this."""
+    pose: Rows | None = field(default=None, metadata={IN_FILE: ""})
+    """X_base_camera of the calibration's record, 4 x 4, which then holds instead of what was measured; null without a
+    record, which a station file names in `calibration`."""
+
+    def __post_init__(self) -> None:
+        z = np.subtract(self.target, self.position)
+        if self.measured_pose is None and np.hypot(z[0], z[1]) <= VERTICAL * np.linalg.norm(z):
+            raise ValueError(
+                "target lies on the vertical through position, which leaves open how the image is turned about the "
+                "optical axis: give X_base_camera instead of both"
+            )
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
@@ -57,8 +71,9 @@ class CameraConfig:
     @property
     def X_base_camera(self) -> Array:
         """Pose of the camera in `base`, (4, 4), OpenCV axes."""
-        if self.pose is not None:
-            return np.array(self.pose)
+        whole = self.measured_pose if self.pose is None else self.pose
+        if whole is not None:
+            return np.array(whole)
         z = np.subtract(self.target, self.position)
         x = np.cross(z, [0.0, 0.0, 1.0])
         return frame_from_axes(z=z, x=x, p=self.position)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from toolee_robot.config.camera_pose import FIELD, LOOK_AT, SECTION
 from toolee_robot.config.station import StationConfig, read_station, to_station
 from toolee_robot.config.work import SIZES
 from toolee_robot.errors import ConfigError
@@ -89,8 +90,8 @@ def _missing(data: Any) -> list[str]:
     missing = [f"{section}.{name}" for section, name in wanted if _field(data, section, name) is None]
     if _field(data, "hand", "model") == MOUNT and "hand.weighed" in missing:
         missing.remove("hand.weighed")  # a mount's data say what it weighs
-    of_nails = given_by_nails(_field(data, "work", "nails"))
-    return [name for name in missing if name not in of_nails]
+    unneeded = given_by_nails(_field(data, "work", "nails")) | given_by_pose(_field(data, SECTION, FIELD))
+    return [name for name in missing if name not in unneeded]
 
 
 def given_by_nails(nails: Any) -> set[str]:
@@ -108,6 +109,18 @@ def given_by_nails(nails: Any) -> set[str]:
         for name, field in of_each.items()
         if nails and all(isinstance(nail, dict) and nail.get(field) is not None for nail in nails)
     }
+
+
+def given_by_pose(pose: Any) -> set[str]:
+    """Tell which measured fields a pose of the camera makes unnecessary.
+
+    Args:
+        pose: The station file's `camera.X_base_camera`; None for none.
+
+    Returns:
+        Names of the fields, such as `camera.position`.
+    """
+    return set() if pose is None else {f"{SECTION}.{name}" for name in LOOK_AT}
 
 
 def _field(data: Any, section: str, name: str) -> Any:

@@ -10,6 +10,7 @@ from typing import Any
 
 from toolee_robot.config.calibration import SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.config.calibration_record import check_place, check_record, take_record
+from toolee_robot.config.camera_pose import take_camera_pose
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.person import PersonConfig
@@ -111,7 +112,8 @@ def load_station(path: Path) -> StationConfig:
 
     Raises:
         ConfigError: The file cannot be read, or a field is invalid (the message lists every one), or positions are
-            given and no frame is named, or a size is in another unit, or the calibration is of another place.
+            given and no frame is named, or the camera's pose is given twice or cannot be one, or a size is in another
+            unit, or the calibration is of another place.
     """
     return to_station(read_station(path), path)
 
@@ -134,6 +136,7 @@ def to_station(data: Any, path: Path) -> StationConfig:
         return to_record(data, path, StationConfig, what)
     data, record = take_record(_first_nail(dict(data)), path)
     frame = take_frame(data)
+    data = take_camera_pose(data, frame, path)
     config = to_record(data, path, StationConfig, what)
     if (converted := to_base(data, frame)) is not data:
         config = to_record(converted, path, StationConfig, what)
@@ -141,8 +144,10 @@ def to_station(data: Any, path: Path) -> StationConfig:
     if record is None:
         return config
     check_record(record, config.camera.intrinsics, config.arm.calibration, path)
-    if "position" in (data.get("camera") or {}):
-        check_place(record, config.camera.position, frame, path)
+    measured = config.camera.measured_pose is not None
+    if measured or "position" in (data.get("camera") or {}):
+        told_by = "camera.X_base_camera" if measured else "camera.position"
+        check_place(record, config.camera.center, told_by, frame, path)
     return replace(config, camera=replace(config.camera, pose=record.X_base_camera))
 
 

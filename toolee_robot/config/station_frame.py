@@ -23,6 +23,8 @@ POINTS = (
     ("scene", "handover_facing"),
 )
 """Fields that hold a point or a direction in `base`: section and name."""
+POSE = ("camera", "X_base_camera")
+"""Section and field of the camera's pose, which `take_camera_pose` converts."""
 BOX = ("scene", "workspace_lower", "workspace_upper")
 """Section and fields of the box that is axis-aligned in `base`."""
 OBSTACLES = ("scene", "obstacles")
@@ -72,7 +74,7 @@ def to_base(data: dict[str, Any], frame: BaseFrame) -> dict[str, Any]:
     """Convert a station file's positions to `base`.
 
     Args:
-        data: What a valid file holds, without its frame.
+        data: What a valid file holds, without its frame; the pose of its camera is in `base` already.
         frame: The frame of its positions.
 
     Returns:
@@ -108,6 +110,6 @@ def _turned(point: Any) -> list[float]:
 
 def _positions(data: dict[str, Any]) -> Iterator[str]:
     section, *corners = BOX
-    for part, name in (*POINTS, OBSTACLES, NAILS, *((section, corner) for corner in corners)):
+    for part, name in (*POINTS, POSE, OBSTACLES, NAILS, *((section, corner) for corner in corners)):
         if isinstance(fields := data.get(part), dict) and name in fields:
             yield f"{part}.{name}"

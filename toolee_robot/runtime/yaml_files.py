@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -14,6 +14,8 @@ from pydantic import TypeAdapter, ValidationError
 from toolee_robot.errors import ConfigError, words_of
 
 T = TypeVar("T")
+IN_FILE = "in_file"
+"""Key in a dataclass field's metadata: its name in the file, where that is another one; empty where it has none."""
 
 
 class _UniqueKeys(yaml.SafeLoader):
@@ -121,4 +123,16 @@ def _names_at(kind: Any, loc: Sequence[int | str]) -> list[str]:
         if not inner:
             return []
         kind = inner[0]
-    return [field.name for field in fields(kind)] if is_dataclass(kind) else []
+    return [name for field in fields(kind) if (name := name_in_file(field))] if is_dataclass(kind) else []
+
+
+def name_in_file(field: Field[Any]) -> str:
+    """Tell what a record's field is called in its YAML file.
+
+    Args:
+        field: The field of a dataclass.
+
+    Returns:
+        The name; empty for a field that the program alone sets.
+    """
+    return str(field.metadata.get(IN_FILE, field.name))

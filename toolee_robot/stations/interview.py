@@ -25,6 +25,7 @@ from toolee_robot.config import (
     ToolEnvelope,
     WorkConfig,
     given_by_nails,
+    given_by_pose,
 )
 from toolee_robot.config.field_docs import field_docs
 from toolee_robot.config.units import wrong_unit
@@ -175,6 +176,8 @@ def contradiction(data: dict[str, Any], section: str) -> str:
         What is wrong, of the records of which every field is there; empty for nothing.
     """
     probe = {name: value for name, value in data.items() if name not in ("frame", "calibration")}
+    if isinstance(camera := probe.get("camera"), dict):  # the loader takes the pose, as it does those two
+        probe["camera"] = {name: value for name, value in camera.items() if name != "X_base_camera"}
     try:
         TypeAdapter(StationConfig).validate_python(probe)
     except ValidationError as error:
@@ -216,7 +219,7 @@ def _all(data: dict[str, Any]) -> Iterator[Question]:
     device = ("camera", "device")
     yield Question((*device, "driver"), str, field_docs(CameraDevice)["driver"], tuple(camera_drivers()))
     yield from _of(CameraDevice, device, _DEVICE[1:])
-    yield from _of_camera((data.get("camera") or {}).get("device") or {})
+    yield from _of_camera(data.get("camera") or {})
     yield from _of(SceneConfig, ("scene",), MEASURED["scene"])
     of_nails = given_by_nails((data.get("work") or {}).get("nails"))
     yield from _of(WorkConfig, ("work",), [name for name in MEASURED["work"] if f"work.{name}" not in of_nails])
@@ -239,9 +242,10 @@ def _of_strikes(hand: dict[str, Any]) -> Iterator[Question]:
         yield from _of(StrikeConfig, ("strike",), ("deepest",))
 
 
-def _of_camera(device: dict[str, Any]) -> Iterator[Question]:
-    names = MEASURED["camera"]
-    if device.get("driver") not in WITH_MODE:
+def _of_camera(camera: dict[str, Any]) -> Iterator[Question]:
+    by_pose = given_by_pose(camera.get("X_base_camera"))
+    names = [name for name in MEASURED["camera"] if f"camera.{name}" not in by_pose]
+    if (camera.get("device") or {}).get("driver") not in WITH_MODE:
         yield from _of(CameraConfig, ("camera",), names)
         return
     # The mode first: the driver opens the camera in it, and the camera then tells the rest.

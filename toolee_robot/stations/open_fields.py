@@ -131,6 +131,8 @@ def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> I
         yield OpenFields("servo", ("gain", "lookahead", "lag"), command, typed=False, note="recommended")
     if not data.get("calibration"):
         command = f"toolee calibrate camera --station {path} --bars-mm X Y --plate-distance M --plate-mass KG --write"
+        if camera.get("X_base_camera") is not None:
+            command += "  # or type in the other program's, docs/how-to/calibrate.md"
         yield OpenFields("", ("calibration",), command, typed=False)
         nail, place = (" --nail NAME", "nails") if (data.get("work") or {}).get("nails") else ("", "nail_xy")
         command = f"toolee calibrate nail --camera --station {path}{nail} --bars-mm X Y --thickness-mm T --write"

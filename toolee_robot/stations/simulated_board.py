@@ -9,9 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Sheet
+from toolee_robot.calibration.record import rows
 from toolee_robot.config import CameraConfig, StationConfig
 from toolee_robot.frames import transform
 from toolee_robot.sim_backend.options import PlacedBoard, SimOptions
@@ -27,6 +29,8 @@ TAPE = 0.03
 SCREWS = 0.008, float(np.deg2rad(2.0))
 """Largest error of the plate's place on the flange along and about each axis [m], [rad]."""
 
+AIM = 0.6
+"""Distance of the point on the optical axis at which a person measures where a camera looks [m]."""
 SET_BACK = 0.022
 """Distance of the simulated plate behind the print [m]."""
 
@@ -65,7 +69,7 @@ def simulated_board(config: StationConfig, sheet: Sheet, distance: float, mass: 
     """Print a board, screw it on the flange, and measure it.
 
     Args:
-        config: The station; its camera stands where `position` and `target` say.
+        config: The station; its camera stands where the station file says, and not where a calibration's record does.
         sheet: The sheet that is printed.
         distance: Distance of the print from the flange [m].
         mass: Mass of plate and holder [kg].
@@ -90,8 +94,13 @@ def simulated_board(config: StationConfig, sheet: Sheet, distance: float, mass: 
 
 
 def _by_tape(camera: CameraConfig, rng: np.random.Generator) -> CameraConfig:
-    def measured(point: tuple[float, float, float]) -> tuple[float, float, float]:
+    def measured(point: ArrayLike) -> tuple[float, float, float]:
         x, y, z = (np.asarray(point) + rng.uniform(-TAPE, TAPE, 3)).tolist()
         return x, y, z
 
-    return replace(camera, position=measured(camera.position), target=measured(camera.target))
+    if camera.measured_pose is None:
+        return replace(camera, position=measured(camera.position), target=measured(camera.target))
+    X = np.array(camera.measured_pose)
+    position, target = (np.array(measured(X[:3, 3] + distance * X[:3, 2])) for distance in (0.0, AIM))
+    turn, _ = Rotation.align_vectors([target - position], [X[:3, 2]])  # the shortest: it keeps the roll
+    return replace(camera, measured_pose=rows(transform(turn.as_matrix() @ X[:3, :3], position)))

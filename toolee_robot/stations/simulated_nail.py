@@ -133,7 +133,7 @@ def simulated_nail_board(config: StationConfig, sheet: Sheet, seed: int, tilt: f
     """Print a board and lay it on the wood of a station with a calibrated camera.
 
     Args:
-        config: The station; its camera stands where `position` and `target` say.
+        config: The station; its camera stands where the station file says, and not where a calibration's record does.
         sheet: The sheet that is printed.
         seed: Seed of what is drawn.
         tilt: Standard deviation of each component of the wood's tilt [rad].

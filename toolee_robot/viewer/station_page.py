@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.config import StationConfig, given_by_nails, read_station
+from toolee_robot.config import StationConfig, given_by_nails, given_by_pose, read_station
 from toolee_robot.config.station import to_station
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import HALF_TURN, Array, BaseFrame, frame_from_axes, inverse, transform, transform_points
@@ -122,7 +122,7 @@ class StationPage:
     def _calibration(self) -> str:
         calibration = self._config.calibration
         if not (self._data or {}).get("calibration") or calibration is None:
-            return "not calibrated: it is drawn at `camera.position`"
+            return "not calibrated: it is drawn where `camera` says"
         by = "of another program" if calibration.record is None else f"record `{calibration.record}`"
         return f"calibrated on {calibration.measured_on}, {by}, residual {calibration.residual * 1e3:.1f} mm"
 
@@ -139,11 +139,12 @@ class StationPage:
     def _named(self, name: str) -> str:
         """Name of what is drawn, and whether the simulated station's values stand in for what the file leaves out."""
         data = self._data or {}
-        of_nails = given_by_nails((data.get("work") or {}).get("nails"))
+        unneeded = given_by_nails((data.get("work") or {}).get("nails"))
+        unneeded |= given_by_pose((data.get("camera") or {}).get("X_base_camera"))
         fields = _SHOWN.get("nail" if name.startswith("nail") else name, ())
         given = [
             field for field in fields
-            if field in of_nails or (data.get(field.split(".")[0]) or {}).get(field.split(".")[1]) is not None
+            if field in unneeded or (data.get(field.split(".")[0]) or {}).get(field.split(".")[1]) is not None
         ]  # fmt: skip
         if len(given) == len(fields):
             return name
@@ -162,10 +163,12 @@ class StationPage:
         return corners
 
     def _draw_view(self) -> None:
-        """Draw what the camera sees, as far as the point at which it looks."""
+        """Draw what the camera sees, as far as the point at which it looks; by a whole pose, as the first nail."""
         camera = self._config.camera
         X, k = camera.X_base_camera, camera.intrinsics
         depth = float(np.linalg.norm(np.subtract(camera.target, camera.position)))
+        if camera.measured_pose is not None:
+            depth = float(np.linalg.norm(self._config.work.X_base_nail()[:3, 3] - X[:3, 3]))
         pixels = np.array([(0, 0), (k.width, 0), (k.width, k.height), (0, k.height)])
         ends = list(transform_points(X, depth * k.rays(pixels)))
         rays = [(X[:3, 3], end) for end in ends]
@@ -186,7 +189,10 @@ def _colours(config: StationConfig) -> str:
     named = [
         (WORKSPACE, "workspace, which the arm does not leave"),
         (CAMERA_BOX, "camera, with the box that is kept clear around it"),
-        (VIEW, "what it sees, as far as `camera.target`"),
+        (
+            VIEW,
+            f"what it sees, as far as {'`camera.target`' if config.camera.measured_pose is None else 'the nail is'}",
+        ),
         (rgb(PINE_COLOR), "wood"),
         (rgb(STAND_COLOR), "stand, and hand or mount on the flange"),
     ]

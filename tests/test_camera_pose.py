@@ -1,0 +1,216 @@
+"""The pose of a camera by another calibration program: the same however it is written, refused where it cannot be."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.errors import raises
+from tests.examples import examples
+from toolee_robot.calibration.board import SHEETS
+from toolee_robot.config import CameraConfig, StationConfig, load_lab_station, load_station, unmeasured
+from toolee_robot.errors import ConfigError
+from toolee_robot.frames import HALF_TURN, Array, is_rigid, rotation_angle, transform
+from toolee_robot.runtime.yaml_files import to_record
+from toolee_robot.sim_backend.cell_errors import NOMINAL, draw_errors
+from toolee_robot.stations.interview import contradiction, questions
+from toolee_robot.stations.open_fields import open_fields, told
+from toolee_robot.stations.simulated_board import TAPE, simulated_board
+
+LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
+LOOK_AT = CameraConfig().X_base_camera
+DOWN = transform(Rotation.from_rotvec([np.pi, 0.0, 0.0]), [0.60, -0.15, 1.50])
+"""A camera that looks straight down, the top of its image towards +y."""
+_coordinate = st.floats(-3.0, 3.0)
+_quaternion = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+def _load(folder: Path, camera: dict[str, Any], frame: str | None = "base_link") -> StationConfig:
+    path = folder / "lab.yaml"
+    path.write_text(yaml.safe_dump({"camera": camera} | ({} if frame is None else {"frame": frame})))
+    return load_station(path)
+
+
+def _matrix(X: Array) -> list[list[float]]:
+    rows: list[list[float]] = X.tolist()
+    return rows
+
+
+def _lab(X: Array) -> dict[str, Any]:
+    """The complete file of a lab, its camera's pose by another program."""
+    said: dict[str, Any] = yaml.safe_load(LAB.read_text())
+    for name in ("position", "target"):
+        del said["camera"][name]
+    said["camera"]["X_base_camera"] = _matrix(X)
+    return said
+
+
+@examples(10)
+@given(st.tuples(*[_coordinate] * 3), _quaternion)
+def test_matrix_and_quaternion_in_either_frame_are_one_pose(
+    tmp_path_factory: pytest.TempPathFactory, position: tuple[float, ...], q: tuple[float, ...]
+) -> None:
+    folder = tmp_path_factory.mktemp("poses")
+    X = transform(Rotation.from_quat(q), position)
+    for frame, there in (("base_link", X), ("pendant_base", HALF_TURN @ X)):
+        quaternion = Rotation.from_matrix(there[:3, :3]).as_quat().tolist()
+        for pose in (_matrix(there), {"position": there[:3, 3].tolist(), "quaternion": quaternion}):
+            camera = _load(folder, {"X_base_camera": pose}, frame).camera
+            np.testing.assert_allclose(camera.X_base_camera, X, atol=1e-9)
+            np.testing.assert_allclose(camera.uncalibrated.X_base_camera, X, atol=1e-9)
+
+
+def test_a_pose_is_the_camera_that_position_and_target_are(tmp_path: Path) -> None:
+    q = Rotation.from_matrix(LOOK_AT[:3, :3]).as_quat().round(4).tolist()
+    camera = _load(tmp_path, {"X_base_camera": {"position": [0.95, -0.62, 0.85], "quaternion": q}}).camera
+    assert q == [0.7403, 0.2454, -0.1969, -0.5941], "the example of docs/how-to/calibrate.md"
+    np.testing.assert_allclose(camera.X_base_camera, LOOK_AT, atol=2e-4)
+
+
+def test_a_camera_that_looks_straight_down_needs_a_pose(tmp_path: Path) -> None:
+    camera = _load(tmp_path, {"X_base_camera": _matrix(DOWN)}).camera
+    np.testing.assert_allclose(camera.X_base_camera, DOWN, atol=1e-12)
+    with raises(ConfigError, "config.invalid") as caught:
+        _load(tmp_path, {"position": [0.60, -0.15, 1.50], "target": [0.60, -0.15, 0.70]})
+    assert "X_base_camera" in str(caught.value)
+
+
+@examples(10)
+@given(_quaternion, st.integers(4, 6))
+def test_the_digits_of_a_report_are_enough(
+    tmp_path_factory: pytest.TempPathFactory, q: tuple[float, ...], digits: int
+) -> None:
+    """Rounded off, with exponents, which YAML takes for text: behind the loader it is a rotation."""
+    folder = tmp_path_factory.mktemp("digits")
+    X = transform(Rotation.from_quat(q), [0.95, -0.62, 0.85])
+    for reported in (X.round(digits).tolist(), [[f"{x:.{digits}e}" for x in row] for row in X]):
+        found = _load(folder, {"X_base_camera": reported}).camera.X_base_camera
+        assert is_rigid(found, 1e-9)
+        np.testing.assert_allclose(found, X, atol=1e-3)
+
+
+def _changed(row: int, column: int, value: float) -> list[list[float]]:
+    X = DOWN.copy()
+    X[row, column] = value
+    return _matrix(X)
+
+
+POSITION, HALF = [0.60, -0.15, 1.50], [0.5, 0.5, 0.5, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("pose", "code", "words"),
+    [
+        ({"position": POSITION, "quaternion": [0.5, 0.5, 0.5, 0.51]}, "config.camera_pose_quaternion", "x, y, z, w"),
+        ({"position": POSITION, "quaternion": [0.0, 0.0, 0.0, 0.0]}, "config.camera_pose_quaternion", "norm 0.0000"),
+        (_changed(0, 0, 1.002), "config.camera_pose_rotation", "no rotation"),
+        (_changed(0, 1, 0.01), "config.camera_pose_rotation", "no rotation"),
+        (_changed(0, 0, -1.0), "config.camera_pose_reflection", "x right, y down, z forward"),
+        (_changed(3, 3, 1.01), "config.camera_pose_last_row", "[0, 0, 0, 1]"),
+        (_matrix(DOWN.T), "config.camera_pose_last_row", "transposed"),
+        (_changed(2, 3, 1500.0), "config.camera_pose_unit", "millimetres"),
+        ({"position": [600.0, -150.0, 1500.0], "quaternion": HALF}, "config.camera_pose_unit", "millimetres"),
+        (_matrix(DOWN)[:3], "config.camera_pose_form", "four rows"),
+        (_matrix(DOWN[:, :3]), "config.camera_pose_form", "four rows"),
+        (DOWN.ravel().tolist(), "config.camera_pose_form", "four rows"),
+        (_changed(0, 0, float("nan")), "config.camera_pose_form", "four rows"),
+        ("matrix.txt", "config.camera_pose_form", "matrix.txt"),
+        ({"position": POSITION}, "config.camera_pose_form", "quaternion: [x, y, z, w]"),
+        ({"qw": 1.0, "x": 0.6}, "config.camera_pose_form", "has the fields qw, x"),
+        ({"position": POSITION[:2], "quaternion": HALF}, "config.camera_pose_form", "not 3 numbers"),
+        ({"position": POSITION, "quaternion": ["a", 0, 0, 1]}, "config.camera_pose_form", "not 4 numbers"),
+    ],
+)
+def test_what_is_no_pose_of_a_camera_is_refused(tmp_path: Path, pose: Any, code: str, words: str) -> None:
+    with raises(ConfigError, code) as caught:
+        _load(tmp_path, {"X_base_camera": pose})
+    assert words in str(caught.value)
+    assert "camera.X_base_camera" in str(caught.value)
+
+
+@pytest.mark.parametrize(("error", "accepted"), [(0.9e-3, True), (1.1e-3, False), (-0.9e-3, True), (-1.1e-3, False)])
+def test_the_norm_of_a_quaternion_may_be_off_by_a_thousandth(tmp_path: Path, error: float, accepted: bool) -> None:
+    pose = {"position": POSITION, "quaternion": [(1.0 + error) * part for part in HALF]}
+    if accepted:
+        assert is_rigid(_load(tmp_path, {"X_base_camera": pose}).camera.X_base_camera)
+        return
+    with raises(ConfigError, "config.camera_pose_quaternion"):
+        _load(tmp_path, {"X_base_camera": pose})
+
+
+def test_a_pose_beside_position_and_target_is_refused_with_the_names_of_both(tmp_path: Path) -> None:
+    for given_too in (("position",), ("target",), ("position", "target")):
+        camera = {name: list(getattr(CameraConfig(), name)) for name in given_too}
+        with raises(ConfigError, "config.camera_pose_twice") as caught:
+            _load(tmp_path, {"X_base_camera": _matrix(DOWN), **camera})
+        assert all(f"camera.{name}" in str(caught.value) for name in ("X_base_camera", *given_too))
+
+
+def test_a_pose_needs_the_name_of_its_frame(tmp_path: Path) -> None:
+    with raises(ConfigError, "config.no_frame") as caught:
+        _load(tmp_path, {"X_base_camera": _matrix(DOWN)}, frame=None)
+    assert "camera.X_base_camera" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["pose", "measured_pose"])
+def test_the_program_s_own_fields_are_not_given_by_hand(tmp_path: Path, name: str) -> None:
+    with raises(ConfigError, "config.camera_pose") as caught:
+        _load(tmp_path, {name: _matrix(DOWN)})
+    assert "camera.X_base_camera" in str(caught.value)
+
+
+def test_a_misspelt_field_is_told_its_name(tmp_path: Path) -> None:
+    with raises(ConfigError, "config.invalid") as caught:
+        _load(tmp_path, {"X_base_camra": _matrix(DOWN)})
+    assert "did you mean X_base_camera?" in str(caught.value)
+
+
+def test_a_labs_file_is_complete_with_a_pose(tmp_path: Path) -> None:
+    said = _lab(DOWN)
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(said))
+    assert unmeasured(path) == []
+    np.testing.assert_allclose(load_lab_station(path).camera.X_base_camera, _in_base(said, DOWN), atol=1e-12)
+    assert list(questions(said)) == []
+    assert contradiction(said, "camera") == ""
+    del said["camera"]["X_base_camera"], said["calibration"]
+    assert {"camera.position", "camera.target"} <= {question.name for question in questions(said)}
+    said["camera"]["X_base_camera"] = _matrix(DOWN)
+    assert "the other program's" in told(open_fields(said, path), path)
+
+
+def _in_base(said: dict[str, Any], X: Array) -> Array:
+    return HALF_TURN @ X if said["frame"] == "pendant_base" else X
+
+
+def test_a_recording_s_station_is_read_back() -> None:
+    """A recording holds the record's own fields, not those of a station file."""
+    config = StationConfig()
+    config = replace(config, camera=replace(config.camera, measured_pose=tuple(map(tuple, DOWN.tolist()))))
+    assert to_record(asdict(config), Path("station.json"), StationConfig, "station") == config
+
+
+def test_a_displaced_camera_stands_beside_the_pose_and_the_simulated_one_at_it(tmp_path: Path) -> None:
+    config = _load(tmp_path, {"X_base_camera": _matrix(DOWN)})
+    moved = draw_errors(NOMINAL, 3).displaced(config).camera
+    assert 0.0 < np.linalg.norm(moved.X_base_camera[:3, 3] - DOWN[:3, 3]) < 0.02
+    assert 0.0 < rotation_angle(moved.X_base_camera[:3, :3].T @ DOWN[:3, :3]) < 0.05
+    np.testing.assert_allclose(moved.uncalibrated.X_base_camera, DOWN, atol=1e-12)
+
+
+def test_a_rehearsed_calibration_begins_beside_the_pose(tmp_path: Path) -> None:
+    config = _load(tmp_path, {"X_base_camera": _matrix(DOWN)})
+    lab = simulated_board(config, next(iter(SHEETS.values())), 0.12, 1.2, seed=3)
+    np.testing.assert_allclose(lab.true.camera.X_base_camera, DOWN, atol=1e-12)
+    X = lab.measured.camera.X_base_camera
+    assert is_rigid(X)
+    assert 0.0 < np.abs(X[:3, 3] - DOWN[:3, 3]).max() <= TAPE
+    assert 0.0 < rotation_angle(X[:3, :3].T @ DOWN[:3, :3]) < 0.2
