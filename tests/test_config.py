@@ -26,6 +26,7 @@ from toolee_robot.config import (
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import is_rigid
 from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.runtime.yaml_files import to_record
 
 
 def _write(folder: Path, text: str) -> Path:
@@ -245,6 +246,72 @@ def test_what_is_wrong_in_a_file_is_said_in_words(tmp_path: Path, change: dict[s
         load_station(path)
     assert words in str(caught.value)
     assert "Value error" not in str(caught.value)
+
+
+LINES = """\
+# A lab.
+frame: base_link
+work:
+  nail_length: 2,2 mm
+  nail_xy:
+    - 0.7
+    - left
+tool: {name: claw}
+camera:
+  fx: 600.0
+  width: 0.4
+  target:
+"""
+
+
+def test_what_is_wrong_or_missing_in_a_file_is_said_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(LINES)
+    with raises(ConfigError, "config.invalid") as caught:
+        load_station(path)
+    told = {line.split(":")[0].strip(): line for line in str(caught.value).splitlines()}
+    assert told["work.nail_length"].endswith("(line 4)")
+    assert told["work.nail_xy.1"].endswith("(line 7)")
+    assert told["tool.mass"].endswith("is missing (`tool` begins in line 8)")
+    assert told["camera.width"].endswith("(line 11)")
+
+
+def test_the_lines_of_what_a_lab_must_measure_and_of_other_units_are_said(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    text = yaml.safe_dump(_documented_station(), sort_keys=False)
+    lines = text.splitlines()
+    begins = {name: 1 + lines.index(f"{name}:") for name in ("camera", "work")}
+    data = _documented_station()
+    for name in ("nail_diameter", "nail_length"):
+        del data["work"][name]
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    with raises(ConfigError, "config.unmeasured") as caught:
+        load_lab_station(path)
+    assert f"work.nail_diameter, work.nail_length (`work` begins in line {begins['work']});" in str(caught.value)
+    at = 1 + next(i for i, line in enumerate(lines) if line.startswith("  fx:"))
+    data = _documented_station()
+    data["camera"]["fx"] = None
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    with raises(ConfigError, "config.invalid") as caught:
+        load_lab_station(path)
+    assert f"(line {at})" in str(caught.value)
+    data["camera"]["fx"] = 0.4
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    with raises(ConfigError, "config.unit") as caught:
+        load_lab_station(path)
+    assert f"image (line {at})" in str(caught.value)
+    del data["scene"]
+    data["camera"]["fx"] = 600.0
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    with raises(ConfigError, "config.unmeasured") as caught:
+        load_lab_station(path)
+    assert "scene.camera_size; `toolee" in str(caught.value), "a section that is not there has no line"
+
+
+def test_an_error_in_data_of_no_file_has_no_line(tmp_path: Path) -> None:
+    with raises(ConfigError, "config.invalid") as caught:
+        to_record({"camera": {"width": 0.4}}, tmp_path / "none.json", StationConfig, "station")
+    assert "line" not in str(caught.value)
 
 
 def test_a_head_beside_the_handle_is_refused(tmp_path: Path) -> None:

@@ -109,6 +109,50 @@ def test_a_fault_is_exit_1(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
 
 
 @pytest.mark.realtime(light=True)
+@pytest.mark.parametrize("port", [None, TCP], ids=["rs485", "modbus"])
+def test_a_stall_is_cleared_once_a_person_has_looked(
+    port: str | None, capsys: pytest.CaptureFixture[str], keyboard: int
+) -> None:
+    with _emulated(INSPIRE, port=port) as emulator:
+        happen(emulator, "jam index")
+        code, told = _hand(capsys, INSPIRE, emulator, "close", "--yes")
+        assert code == EXIT_FAILED
+        assert "index: stalled" in " ".join(told["said"].split())
+        happen(emulator, "free index")
+        os.write(keyboard, b"y\n")
+        code, told = _hand(capsys, INSPIRE, emulator, "clear-faults")
+        assert code == EXIT_FAILED
+        assert "not confirmed" in told["said"]
+        assert "stalled" in _hand(capsys, INSPIRE, emulator, "state")[1]["fault"]
+        os.write(keyboard, b"yes\n")
+        code, told = _hand(capsys, INSPIRE, emulator, "clear-faults")
+        assert (code, told["fault"]) == (0, "")
+        assert _hand(capsys, INSPIRE, emulator, "close", "--yes")[0] == 0
+
+
+@pytest.mark.realtime(light=True)
+def test_a_fault_that_cannot_be_cleared_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with _emulated(INSPIRE) as emulator:
+        happen(emulator, "heat index 75")
+        code, told = _hand(capsys, INSPIRE, emulator, "clear-faults", "--yes")
+    assert code == EXIT_FAILED
+    assert "still has a fault (index: too hot)" in " ".join(told["said"].split())
+
+
+@pytest.mark.realtime(light=True)
+@pytest.mark.parametrize("name", ["ability", "shadow"])
+def test_a_hand_that_keeps_no_faults_clears_none_and_nobody_is_asked(
+    name: str, capsys: pytest.CaptureFixture[str], keyboard: int
+) -> None:
+    del keyboard  # a terminal at which nobody types
+    station = EXAMPLES / f"{name}.yaml"
+    with _emulated(station) as emulator:
+        code, told = _hand(capsys, station, emulator, "clear-faults")
+    assert code == EXIT_USER
+    assert "clears no faults" in " ".join(told["said"].split())
+
+
+@pytest.mark.realtime(light=True)
 def test_two_programs_do_not_command_a_hand_on_a_serial_port(capsys: pytest.CaptureFixture[str]) -> None:
     with (
         _emulated(INSPIRE) as emulator,
@@ -124,6 +168,8 @@ def test_two_programs_do_not_command_a_hand_on_a_serial_port(capsys: pytest.Capt
     [
         (["open", "--station", str(INSPIRE)], "standard input is none"),
         (["close", "--station", str(INSPIRE)], "standard input is none"),
+        (["clear-faults", "--station", str(INSPIRE)], "standard input is none"),
+        (["clear-faults", "--station", str(EXAMPLES / "mount.yaml")], "neither motors nor sensors"),
         (["open", "--station", str(EXAMPLES / "mount.yaml")], "neither motors nor sensors"),
         (["state", "--station", str(EXAMPLES / "lab.yaml")], "neither motors nor sensors"),
         (["state", "--station", "none.yaml"], "none.yaml"),

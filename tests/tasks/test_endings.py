@@ -11,12 +11,13 @@ import pybullet as pb
 import pytest
 
 from tests.tasks.bench import Log, is_home, soon
+from toolee_robot.config import CameraDevice, StationConfig
 from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.errors import PerceptionError, StaleDataError, UserError
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from toolee_robot.faults.rigs.people import People
 from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception, moved, unsure
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.nail import HINGE_X, SLIDE
@@ -214,6 +215,36 @@ def test_a_look_tells_how_far_the_camera_is_off(bench: Bench, millimetres: float
     (text,) = said[0]
     assert f"{millimetres:.0f} ± {1e3 * sigma:.0f} mm off" in text
     assert ("calibrate it again" in text) is again
+
+
+@pytest.mark.parametrize("sees", [True, False])
+def test_a_job_that_ends_without_a_pose_says_that_the_camera_is_too_near(bench: Bench, sees: bool) -> None:
+    perceiver = ScriptedPerception(bench.sim.judge, unsure)
+    perceiver.sees = sees
+    result = bench.seeing_task(Log(), _with_least_range(0.6), perceiver).run()
+    assert result.outcome is Outcome.POSE_UNKNOWN
+    assert "in 2 of 2 views, and it measures from 0.60 m on (camera.device.least_range)" in result.reason
+    assert "take a smaller depth image" in result.reason
+    assert ("sigma 31 mm" in result.reason) is sees
+    told = float(result.reason.split(" m before it")[0].split()[-1])
+    assert 0.3 < told < 0.56
+
+
+@pytest.mark.parametrize("least", [0.2, 0.6])
+def test_a_camera_is_too_near_only_where_no_pose_was_found_within_its_least_range(bench: Bench, least: float) -> None:
+    X_camera_hand = transform(p=[0.0, 0.0, 0.5]) @ inverse(bench.true_grasp.X_hand_ee)  # the face at 0.5 m
+    scripted = ScriptedPerception(bench.sim.judge, lambda e: e, unsure)
+    look = Look(_with_least_range(least), RobotModel.load(), scripted, Log(), bench.true_grasp.X_hand_ee)
+    look.add(bench.station.camera.read(), X_camera_hand)
+    look.fuse(0.0)
+    with pytest.raises(PerceptionError) as error:
+        look.fuse(0.0)
+    assert error.value.code == ("perception.too_near" if least == 0.6 else "perception.not_usable")
+    assert ("0.50 m before it in 1 of 1 views" in str(error.value)) is (least == 0.6)
+
+
+def _with_least_range(least: float) -> StationConfig:
+    return replace(CONFIG, camera=replace(CONFIG.camera, device=CameraDevice("realsense", "832112070123", least)))
 
 
 def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> None:

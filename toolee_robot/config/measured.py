@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from toolee_robot.config.camera_pose import FIELD, LOOK_AT, SECTION
 from toolee_robot.config.station import StationConfig, read_station, to_station
 from toolee_robot.config.work import SIZES
 from toolee_robot.errors import ConfigError
+from toolee_robot.runtime.yaml_lines import YamlLines
 from toolee_robot.types import MOUNT
 
 MEASURED: Mapping[str, tuple[str, ...]] = {
@@ -72,14 +73,14 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
 
     Raises:
         ConfigError: As `load_station`, or the file leaves out what must be measured (`config.unmeasured`), or gives a
-            size in another unit (`config.unit`); the message names it.
+            size in another unit (`config.unit`); the message names it and its line, or that of its section.
     """
     data = read_station(path)
     config = to_station(data, path)
     if complete and (missing := _missing(data)):
         raise ConfigError(
             f"{path} leaves out what describes your station, and the simulated one's values would stand in for it: "
-            f"measure and give {', '.join(missing)}; `toolee station check {path}` says how",
+            f"measure and give {', '.join(missing)}{_lines(missing, path)}; `toolee station check {path}` says how",
             code="config.unmeasured",
         )
     return config if data.get("calibration") else replace(config, calibration=None)
@@ -92,6 +93,15 @@ def _missing(data: Any) -> list[str]:
         missing.remove("hand.weighed")  # a mount's data say what it weighs
     unneeded = given_by_nails(_field(data, "work", "nails")) | given_by_pose(_field(data, SECTION, FIELD))
     return [name for name in missing if name not in unneeded]
+
+
+def _lines(missing: Sequence[str], path: Path) -> str:
+    """The lines of the sections in which fields are missing, each once, and of fields that are given as null."""
+    lines, told = YamlLines(path), dict[str, None]()
+    for name in missing:
+        if where := lines.told(name.split(".")):
+            told[f"{name}: {where}" if where.startswith("line") else where] = None
+    return f" ({', '.join(told)})" if told else ""
 
 
 def given_by_nails(nails: Any) -> set[str]:

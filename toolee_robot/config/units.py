@@ -10,6 +10,7 @@ import numpy as np
 
 from toolee_robot.config.field_docs import field_docs
 from toolee_robot.errors import ConfigError
+from toolee_robot.runtime.yaml_lines import YamlLines
 
 if TYPE_CHECKING:
     from toolee_robot.config.station import StationConfig
@@ -45,7 +46,7 @@ def check_units(config: StationConfig, path: Path) -> None:
         path: The file, for the message.
 
     Raises:
-        ConfigError: A size is (`config.unit`); the message names it.
+        ConfigError: A size is (`config.unit`); the message names it and its line.
     """
     records = [(name, getattr(config, name)) for name in SECTIONS if getattr(config, name) is not None]
     records += [(f"work.nails {nail.name}", nail) for nail in config.work.nails]
@@ -65,7 +66,15 @@ def check_units(config: StationConfig, path: Path) -> None:
     if config.tool is not None and config.tool.mass > HEAVIEST:
         wrong.append(f"tool.mass: {config.tool.mass} kg is no hammer for one hand")
     if wrong:
-        raise ConfigError(f"{path}: {'; '.join(wrong)}", code="config.unit")
+        raise ConfigError(f"{path}: {'; '.join(_with_lines(wrong, path))}", code="config.unit")
+
+
+def _with_lines(wrong: list[str], path: Path) -> Iterator[str]:
+    lines = YamlLines(path)
+    for text in wrong:
+        section, _, name = text.partition(":")[0].rpartition(".")
+        where = lines.told((*section.split()[0].split("."), name))  # a nail of a list: the line of the list
+        yield f"{text} ({where})" if where else text
 
 
 def wrong_unit(name: str, text: str, value: Any) -> str:

@@ -19,7 +19,7 @@ from toolee_robot.hal.arm import (
 )
 from toolee_robot.hal.camera import RgbdCamera
 from toolee_robot.hal.device import Clock, Device
-from toolee_robot.hal.hand import Hand, HandState
+from toolee_robot.hal.hand import ClearsFaults, Hand, HandState
 from toolee_robot.hal.person import CLEAR_TIME, Person, wait_until_clear
 from toolee_robot.hal.station import Station
 
@@ -29,6 +29,7 @@ __all__ = [
     "Arm",
     "ArmState",
     "ArmStatus",
+    "ClearsFaults",
     "Clock",
     "ContactGuard",
     "Device",

@@ -73,3 +73,15 @@ class Hand(Device, Protocol):
 
     def stop(self) -> None:
         """Stop the fingers and keep the grip; the hand never releases the object."""
+
+
+@runtime_checkable
+class ClearsFaults(Protocol):
+    """A hand whose faults stay until a person has looked and clears them; most hands have none of this kind."""
+
+    def clear_faults(self) -> None:
+        """Clear the faults that can be cleared; no finger is given a target.
+
+        Raises:
+            DeviceError: The hand does not take it.
+        """

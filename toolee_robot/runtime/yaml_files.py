@@ -12,6 +12,7 @@ import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from toolee_robot.errors import ConfigError, words_of
+from toolee_robot.runtime.yaml_lines import YamlLines
 
 T = TypeVar("T")
 IN_FILE = "in_file"
@@ -84,13 +85,17 @@ def to_record(data: Any, path: Path, kind: type[T], what: str) -> T:
         The record, validated.
 
     Raises:
-        ConfigError: A field is wrong; the message names every one.
+        ConfigError: A field is wrong; the message names every one, and its line where the file is there to be read.
     """
     try:
         return TypeAdapter(kind).validate_python(data)
     except ValidationError as error:
-        lines = [f"  {_said(kind, e['loc'], e)}" for e in error.errors()]
-        raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(lines), code="config.invalid") from error
+        lines = YamlLines(path)
+        wrong = [
+            f"  {_said(kind, e['loc'], e)}" + (f" ({where})" if (where := lines.told(e["loc"])) else "")
+            for e in error.errors()
+        ]
+        raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(wrong), code="config.invalid") from error
 
 
 def _said(kind: type[Any], loc: Sequence[int | str], error: Any) -> str:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from toolee_robot.cli.hand.clear_faults import ClearFaults
 from toolee_robot.cli.hand.close import Close
 from toolee_robot.cli.hand.open import Open
 from toolee_robot.cli.hand.state import State
@@ -15,12 +16,15 @@ _Action = (
     Annotated[State, tyro.conf.subcommand("state")]
     | Annotated[Open, tyro.conf.subcommand("open")]
     | Annotated[Close, tyro.conf.subcommand("close")]
+    | Annotated[ClearFaults, tyro.conf.subcommand("clear-faults")]
 )
 
 
 @dataclass(frozen=True)
 class Hand:
-    """Read, open or close the hand of a station file, without a job. The arm is neither asked nor moved.
+    """Read, open or close the hand of a station file, or clear its faults, without a job.
+
+    The arm is neither asked nor moved.
 
     Example: toolee hand state --station lab.yaml
     """

@@ -51,7 +51,7 @@ class HandOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class HandMotionOptions(HandOptions):
-    """Which hand, and who answers for its motion."""
+    """Which hand, and who answers for what it does."""
 
     yes: Flag = False
     """Ask nobody: for scripts, with an emulated hand, or where nobody and nothing is in the hand."""

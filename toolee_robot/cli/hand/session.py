@@ -14,7 +14,8 @@ from toolee_robot.cli.hand.options import HandMotionOptions, HandOptions
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.terminal import confirm_typed, require_terminal
 from toolee_robot.config import HandConfig
-from toolee_robot.hal import Hand, HandState
+from toolee_robot.errors import DeviceError, UserError
+from toolee_robot.hal import ClearsFaults, Hand, HandState
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.stations.hand import open_hand
 
@@ -47,7 +48,13 @@ def connected(config: HandConfig, console: Console) -> Iterator[Hand]:
         yield hand
 
 
-def run_motion(options: HandMotionOptions, question: str, done: str, move: Callable[[Hand], None]) -> int:
+def run_motion(
+    options: HandMotionOptions,
+    question: str,
+    done: str,
+    move: Callable[[Hand], None],
+    check: Callable[[Hand], None] | None = None,
+) -> int:
     """Ask a person, then move the fingers and tell the state.
 
     Args:
@@ -55,6 +62,7 @@ def run_motion(options: HandMotionOptions, question: str, done: str, move: Calla
         question: What the person is to do before, and what will happen.
         done: What is told after it.
         move: Moves the fingers.
+        check: Refuses a hand that cannot do it, before a person is asked; None where every hand can.
 
     Returns:
         The exit code.
@@ -69,6 +77,8 @@ def run_motion(options: HandMotionOptions, question: str, done: str, move: Calla
     if not options.yes:
         require_terminal("a person confirms each motion of the hand", "--yes asks nobody")
     with connected(config, console) as hand:
+        if check is not None:
+            check(hand)
         if hand.state(MAX_AGE).holding:
             console.print("The hand holds something.")
         if not options.yes:
@@ -79,6 +89,45 @@ def run_motion(options: HandMotionOptions, question: str, done: str, move: Calla
         console.print(done)
         tell(options, hand, state, console)
     return 0
+
+
+def refuse_without_clearing(hand: Hand) -> None:
+    """Refuse a hand whose driver clears no faults.
+
+    Args:
+        hand: The hand.
+
+    Raises:
+        UserError: It is one (`user.no_clear_faults`).
+    """
+    if not isinstance(hand, ClearsFaults):
+        raise UserError(
+            "the driver of this hand clears no faults: look what `toolee hand state` says, take away the cause, and "
+            "switch the hand off and on if the fault stays",
+            code="user.no_clear_faults",
+        )
+
+
+def clear_faults(hand: Hand) -> None:
+    """Clear a hand's faults and see whether they are gone.
+
+    Args:
+        hand: The hand.
+
+    Raises:
+        UserError: Its driver clears no faults (`user.no_clear_faults`).
+        DeviceError: It does not take it, or a fault is left (`device.hand_fault_left`).
+    """
+    refuse_without_clearing(hand)
+    assert isinstance(hand, ClearsFaults)
+    hand.clear_faults()
+    HostClock().sleep(SETTLED)
+    if fault := hand.state(MAX_AGE).fault:
+        raise DeviceError(
+            f"the hand still has a fault ({fault}): heat has to go by itself, and what blocks a finger has to be taken "
+            "away first, then clear again; a motor that has failed is for the hand's maker",
+            code="device.hand_fault_left",
+        )
 
 
 def tell(options: HandOptions, hand: Hand, state: HandState, console: Console) -> None:

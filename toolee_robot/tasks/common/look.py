@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from toolee_robot.config import StationConfig
+from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
@@ -120,6 +121,7 @@ class Look:
         self._observer = observer
         self._nominal = X_hand_ee_nominal
         self._largest = largest_displacement(X_hand_ee_nominal)
+        self._device = config.camera.device
         self._region = held_region(config, X_hand_ee_nominal, self._largest)
         self.frames: list[RgbdFrame] = []
         self._seen: list[list[ToolEstimate]] = []
@@ -181,8 +183,19 @@ class Look:
             The pose of the face in the hand.
 
         Raises:
-            PerceptionError: The face was not seen, its pose is too uncertain, or it is implausible for a held hammer.
+            PerceptionError: The face was not seen, its pose is too uncertain, or it is implausible for a held hammer;
+                `perception.too_near` where it is nearer to the camera than that can measure.
         """
+        try:
+            return self._fuse(stamp)
+        except PerceptionError as error:
+            if (near := self._too_near()) is None:
+                raise
+            # Where nothing was seen, perception advises to come closer, which would be wrong.
+            said = f"; {error}" if error.code in ("perception.not_usable", "perception.implausible") else ""
+            raise PerceptionError(f"{near}{said}", code="perception.too_near") from error
+
+    def _fuse(self, stamp: float) -> InHandEstimate:
         estimate = self._perceiver.fuse(self._seen, self._hands, Category.HAMMER_HEAD, self._camera)
         self._observer.in_hand(stamp, estimate)
         if not estimate.usable:
@@ -198,6 +211,26 @@ class Look:
                 code="perception.implausible",
             )
         return estimate
+
+    def _too_near(self) -> str | None:
+        """What to say if the camera cannot measure the depth of a face where the nominal grasp has it; None if it can.
+
+        Moving the camera is no remedy: the planner puts the views before it, wherever it is.
+        """
+        if self._device is None or not self._hands:
+            return None
+        least = self._device.least_range
+        depths = [float((X_camera_hand @ self._nominal)[2, 3]) for X_camera_hand in self._hands]
+        near = [depth for depth in depths if depth < least]
+        if not near:
+            return None
+        return (
+            f"the camera is too near to the tool: the face is {min(near):.2f} m before it in {len(near)} of "
+            f"{len(depths)} views, and it measures from {least:.2f} m on (camera.device.least_range). Views are "
+            f"planned {DISTANCE[0]:.2f} to {DISTANCE[1]:.2f} m before the camera, wherever it stands: take a smaller "
+            "depth image, which sees nearer things (camera.width and camera.height with its intrinsics and "
+            "least_range), or another camera"
+        )
 
     def _tell_of_camera(self, estimate: InHandEstimate) -> None:
         if estimate.camera is None or self._camera is not None:
