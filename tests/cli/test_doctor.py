@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -118,6 +120,79 @@ def test_a_point_that_was_read_in_the_other_frame_is_found(
     found = {f["name"]: f for f in record["findings"]}["jogged point"]
     assert (found["level"], code) == (level, int(turned)), said
     assert ("half a turn" in found["message"]) is turned
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch, keyboard: int) -> int:
+    """A person at a terminal, who sees what is printed and may type."""
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("TTY_INTERACTIVE", "0")
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setenv("COLUMNS", "200")
+    return keyboard
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("turned", "code", "expected_text"), [(False, 0, "0.0 mm from what the robot reports"), (True, 1, "half a turn")]
+)
+def test_at_a_terminal_the_jogged_point_is_asked_for_and_compared(
+    robot: ControllerProcess,
+    lab: str,
+    capsys: pytest.CaptureFixture[str],
+    terminal: int,
+    turned: bool,
+    code: int,
+    expected_text: str,
+) -> None:
+    x, y, z = 1e3 * DhParameters.of(StationConfig().arm.model).fk(np.array(robot.state()["q"]))[:3, 3]
+    sign = -1.0 if turned else 1.0
+    os.write(terminal, f"home\n{sign * x:.1f} {sign * y:.1f} {z:.1f}\n".encode())
+    assert run(["doctor", "--config", lab]) == code
+    said = capsys.readouterr().out
+    assert said.count("Which X Y Z of the TCP does its Move screen show now, with the feature Base") == 1, said
+    assert "give three numbers" in said, "home is none"
+    assert expected_text in said
+
+
+@pytest.mark.sim
+@pytest.mark.usefixtures("robot")
+@pytest.mark.parametrize("answer", [b"\n", b"\x04"])
+def test_who_skips_the_question_has_the_yellow_line(
+    lab: str, capsys: pytest.CaptureFixture[str], terminal: int, answer: bytes
+) -> None:
+    os.write(terminal, answer)
+    assert run(["doctor", "--config", lab]) == 0
+    said = capsys.readouterr().out
+    assert said.count("feature Base, in millimetres?") == 1, said
+    assert "nobody has compared the frames with the pendant" in said
+
+
+@pytest.mark.sim
+@pytest.mark.usefixtures("robot", "terminal")
+@pytest.mark.parametrize(
+    "args", [["--json"], ["--jogged-point", "1", "2", "3"], ["--robot-host", "127.0.0.51"]], ids=lambda args: args[0]
+)
+def test_nobody_is_asked_without_need(lab: str, capsys: pytest.CaptureFixture[str], args: list[str]) -> None:
+    """Neither by a program, nor of a point that is given, nor of a robot that does not answer: it would wait."""
+    run(["doctor", "--config", lab, *args])
+    captured = capsys.readouterr()
+    assert "in millimetres?" not in captured.out + captured.err
+
+
+@pytest.mark.sim
+@pytest.mark.usefixtures("robot")
+def test_nobody_is_asked_where_the_question_is_not_seen_or_there_is_no_keyboard(
+    lab: str, capsys: pytest.CaptureFixture[str], keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert keyboard
+    assert run(["doctor", "--config", lab]) == 0
+    assert "in millimetres?" not in capsys.readouterr().out, "standard output is a pipe"
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setattr(sys, "stdin", io.StringIO("1 2 3\n"))
+    assert run(["doctor", "--config", lab]) == 0
+    assert "in millimetres?" not in capsys.readouterr().out
 
 
 @pytest.mark.sim

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from tests.examples import examples
 from toolee_robot.config import StationConfig
 from toolee_robot.doctor.force import check_force, force_at_rest
-from toolee_robot.doctor.frames import check_frames
+from toolee_robot.doctor.frames import check_frames, parse_point
 from toolee_robot.findings import Finding, Level
 from toolee_robot.frames import HALF_TURN, Array, transform
 from toolee_robot.hardware.ur.report import UrState
@@ -34,6 +34,18 @@ def _state(q: Array, tcp_offset: Array) -> UrState:
 
 def _found(state: UrState, point: Array | None) -> dict[str, Finding]:
     return {finding.name: finding for finding in check_frames(state, CONFIG, point)}
+
+
+@pytest.mark.parametrize("text", ["-691.4 -174.2 676.9", " -691.4, -174.2,  676.9 ", "-691.4; -174.2; 676.9"])
+def test_a_point_is_read_as_it_is_typed(text: str) -> None:
+    point = parse_point(text)
+    assert point is not None
+    assert point == pytest.approx([-0.6914, -0.1742, 0.6769])
+
+
+@pytest.mark.parametrize("text", ["", "1 2", "1 2 3 4", "-691,4 -174,2 676,9", "1 2 nan", "1 2 inf", "x y z"])
+def test_what_is_no_point_is_none(text: str) -> None:
+    assert parse_point(text) is None
 
 
 def test_the_tcp_is_told_in_both_frames() -> None:

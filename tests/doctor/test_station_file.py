@@ -9,8 +9,15 @@ from typing import Any
 
 import pytest
 
-from toolee_robot.config import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig, StationConfig, load_station
-from toolee_robot.doctor.configuration import check_calibration, check_limits
+from toolee_robot.config import (
+    SIMULATED,
+    SIMULATED_CALIBRATION,
+    CalibrationConfig,
+    PersonConfig,
+    StationConfig,
+    load_station,
+)
+from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits
 from toolee_robot.doctor.reach import check_reach
 from toolee_robot.doctor.weights import check_weights
 from toolee_robot.findings import Finding, Level, worst
@@ -64,6 +71,34 @@ def test_a_hand_without_a_wrist_needs_strikes_that_turn_back() -> None:
     found = {f.name: f for f in check_limits(replace(config, strike=replace(config.strike, deepest=None)))}
     assert found["strike.deepest"].level is Level.FAIL
     assert "0.01 m" in found["strike.deepest"].remedy
+
+
+@pytest.mark.parametrize(
+    ("door", "switch", "expected"),
+    [
+        (1, 3, {"contacts": Level.OK}),
+        (None, 3, {"door contacts": Level.WARN}),
+        (1, None, {"switch contacts": Level.WARN}),
+        (None, None, {"door contacts": Level.WARN, "switch contacts": Level.WARN}),
+    ],
+)
+def test_a_single_contact_is_told_and_does_not_fail(
+    door: int | None, switch: int | None, expected: dict[str, Level]
+) -> None:
+    person = PersonConfig(
+        door_closed_input=0, door_open_input=door, hold_to_run_input=2, hold_to_run_released_input=switch
+    )
+    found = list(check_contacts(replace(StationConfig(), person=person)))
+    assert {f.name: f.level for f in found} == expected
+    for finding in found:
+        if finding.level is Level.WARN:
+            assert "stuck high or bridged" in finding.message
+            assert ("person.door_open_input" in finding.remedy) == (finding.name == "door contacts")
+            assert "toolee doctor --inputs" in finding.remedy
+
+
+def test_a_station_without_inputs_has_no_contacts_to_check() -> None:
+    assert not list(check_contacts(StationConfig()))
 
 
 @pytest.mark.parametrize(

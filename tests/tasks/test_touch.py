@@ -122,6 +122,20 @@ def test_a_face_that_leans_against_something_is_not_zeroed(bench: Bench) -> None
     assert bench.arm.state().wrench[2] == pytest.approx(pressing, abs=1.0)
 
 
+def test_a_zero_that_was_taken_while_the_face_leant_is_told_before_the_next_touch(bench: Bench) -> None:
+    """The offset is unknown before the first zero; but free again, the face misses the force that it leant with."""
+    rig = Rig(bench, 3, scale=0.0)
+    rig.go_over(0.006)
+    assert rig.touch.prepare()
+    assert rig.touch.lower("nail", 0.016) is not None
+    pressing = bench.arm.state().wrench[2]
+    assert pressing > CONFIG.strike.touch_force
+    rig.motions.zero_wrench()
+    rig.motions.straight("up", (0.0, 0.0, 1.0), 0.010)
+    assert not rig.touch.prepare()
+    assert bench.arm.state().wrench[2] == pytest.approx(-pressing, abs=1.5)
+
+
 @pytest.mark.sim(seconds=10)
 @pytest.mark.parametrize(("scale", "kept"), [(0.0, True), (1.0, False)])
 def test_a_zero_that_still_holds_is_kept_on_a_quiet_arm_only(bench: Bench, scale: float, kept: bool) -> None:

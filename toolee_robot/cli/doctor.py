@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.findings import Finding, Level, worst
+from toolee_robot.frames import Array
 from toolee_robot.hardware.operator.digital_inputs import check_wired
 
 _MARK = {Level.OK: "[green]✓[/green]", Level.WARN: "[yellow]![/yellow]", Level.FAIL: "[bold red]✗[/bold red]"}
@@ -50,7 +52,8 @@ class Doctor:
         tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")
     ] = None
     """X Y Z of the TCP in millimetres, as the pendant's Move screen shows them now with the feature Base: compared with
-    what the robot reports and with this software's kinematics."""
+    what the robot reports and with this software's kinematics. Where it is left out, a person at a terminal
+    is asked for it, but not with --json or --world."""
     inputs: Flag = False
     """Connect with the arm's driver, say what to do with door and hold-to-run switch (the file's `person`), and demand
     to see each change once. The robot's program is started; nothing is moved."""
@@ -85,7 +88,11 @@ class Doctor:
 
         point = None if self.jogged_point is None else 1e-3 * np.array(self.jogged_point)
         tell = (lambda prompt: console.print(f"  [bold]{escape(prompt)}[/bold]")) if self.inputs else None
-        report = DoctorReport(config, host, self.world is not None, self.out, point, console.status, tell, self.config)
+        world = self.world is not None
+        # A question that goes into a pipe would be waited for unseen.
+        seen = sys.stdin.isatty() and console.is_terminal and not self.json
+        ask = (lambda: ask_point(console)) if seen and not world and point is None else None
+        report = DoctorReport(config, host, world, self.out, point, console.status, tell, self.config, ask)
         found: list[tuple[str, Finding]] = []
         for section, findings in report.sections():
             found += [(section, finding) for finding in findings]
@@ -113,6 +120,34 @@ class Doctor:
             return f"[bold red]Not ready: {_count(fails, 'thing')} to mend{told}.[/bold red]"
         real = host is not None and self.world is None
         return f"[bold green]Ready for {'slow, attended motions' if real else 'the job'}[/bold green]{told}."
+
+
+def ask_point(console: Console) -> Array | None:
+    """Ask for the TCP as the teach pendant shows it, until the answer is a point or none.
+
+    Args:
+        console: Where the question goes.
+
+    Returns:
+        The point in the pendant's Base, (3,) [m]; None if the person skips the question.
+    """
+    from toolee_robot.doctor.frames import parse_point
+
+    console.print(
+        "\nJog the arm with the pendant to near the work, and leave it there. Which [bold]X Y Z[/bold] of the TCP does "
+        "its Move screen show now, with the feature [bold]Base[/bold], in millimetres? [dim](Enter: skip)[/dim]",
+        soft_wrap=True,
+    )
+    while True:
+        try:
+            answer = console.input("  > ").strip()
+        except EOFError:
+            return None
+        if not answer:
+            return None
+        if (point := parse_point(answer)) is not None:
+            return point
+        console.print("  [yellow]give three numbers with decimal points, such as -691.4 -174.2 676.9[/yellow]")
 
 
 def findings_table(findings: Iterable[Finding]) -> Table:

@@ -11,7 +11,7 @@ from typing import Any
 
 from toolee_robot.config import StationConfig
 from toolee_robot.doctor.camera import check_range
-from toolee_robot.doctor.configuration import check_calibration, check_limits, check_measured
+from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_measured
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time
 from toolee_robot.doctor.reach import check_reach
@@ -49,6 +49,7 @@ class DoctorReport:
         doing: Context manager that shows what is in progress.
         tell: Shows a prompt to the person whose door and switch are to be seen changing; None to see none of it.
         path: The station file; None for the simulated station.
+        ask: Asks the person at the terminal for `jogged_point`; None to ask nobody.
         facts: Further results for --json.
     """
 
@@ -60,6 +61,7 @@ class DoctorReport:
     doing: Callable[[str], AbstractContextManager[object]]
     tell: Callable[[str], object] | None = None
     path: Path | None = None
+    ask: Callable[[], Array | None] | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     _rate: float | None = field(default=None, init=False)
     _robot_serial: str | None = field(default=None, init=False)
@@ -69,7 +71,7 @@ class DoctorReport:
         """Run the checks and yield the findings, section by section: the file first, which needs no device."""
         config = self.config
         with self.doing("planning"):
-            findings = [*check_limits(config), *check_reach(config)]
+            findings = [*check_limits(config), *check_contacts(config), *check_reach(config)]
             if config.camera.device is not None:
                 findings.append(check_range(config))
             if self.host is not None and not self.with_world:
@@ -98,6 +100,9 @@ class DoctorReport:
                     world = stack.enter_context(RemoteWorld(self.config, _SEED, SimOptions(), host, HostClock()))
             with self.doing(f"asking the robot at {host}"):
                 robot = examine_robot(host, self.config, self.jogged_point)
+            if self.ask is not None and robot.compares_points and (point := self.ask()) is not None:
+                with self.doing("comparing it with the robot"):  # which the person has jogged meanwhile
+                    robot = examine_robot(host, self.config, point)
             self._rate, self._robot_serial = robot.rate, robot.serial
             own = robot.calibration
             self.facts |= {"robot_serial": robot.serial, "arm_calibration": None if own is None else asdict(own)}

@@ -55,6 +55,34 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
         yield warn("swing speed", message, "compare it with the robot's own TCP speed limit")
 
 
+def check_contacts(config: StationConfig) -> Iterator[Finding]:
+    """Check whether door and hold-to-run switch have two antivalent contacts each.
+
+    Args:
+        config: Configuration of the station.
+
+    Yields:
+        OK where both have two, WARN for each that has one; nothing for a station without these inputs.
+    """
+    person = config.person
+    if person is None:
+        return
+    devices = (
+        ("door contacts", "door", "closed", "door_open_input", person.door_open_input),
+        ("switch contacts", "switch", "held", "hold_to_run_released_input", person.hold_to_run_released_input),
+    )
+    single = [device for device in devices if device[-1] is None]
+    for name, device, reading, field, _ in single:
+        message = (
+            f"the {device} has one contact: stuck high or bridged it reads as {reading}, which nothing tells but a "
+            "change that does not come"
+        )
+        remedy = f"wire its second, antivalent contact and give person.{field}; until then, before a session: "
+        yield warn(name, message, f"{remedy}`toolee doctor --inputs`")
+    if not single:
+        yield ok("contacts", "door and hold-to-run switch have two antivalent ones each")
+
+
 def check_measured(path: Path | None, stand_in: bool) -> Finding:
     """Check whether a robot's station file gives everything that a lab must measure.
 

@@ -6,6 +6,7 @@ is consistent in itself, on the far side of the robot.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -20,6 +21,8 @@ from toolee_robot.types import ArmModel
 
 TOLERANCE = 2e-3
 """Deviation of a reading at the pendant that counts as the same point [m]: it shows tenths of a millimetre."""
+JOGGED_POINT = "jogged point"
+"""Name of the finding of that reading."""
 ON_AXIS = 0.02
 """Distance from the base's axis within which half a turn would not be noticed [m]."""
 
@@ -44,7 +47,7 @@ def check_frames(state: UrState, config: StationConfig, jogged_point: Array | No
     off = float(np.linalg.norm(ours - tcp))
     both = f"{BaseFrame.PENDANT_BASE} {_mm(tcp)}, {BaseFrame.BASE_LINK} {_mm(HALF_TURN[:3, :3] @ tcp)}"
     yield ok("TCP place", f"{both}; this software's kinematics: {off * 1e3:.1f} mm off")
-    name = "jogged point"
+    name = JOGGED_POINT
     if jogged_point is None:
         remedy = "jog the arm to near the work, read X Y Z of the TCP there (feature Base), give --jogged-point X Y Z"
         yield warn(name, "nobody has compared the frames with the pendant", remedy)
@@ -60,6 +63,22 @@ def check_frames(state: UrState, config: StationConfig, jogged_point: Array | No
         return
     cause, remedy = _cause(jogged_point, tcp, X_pendant_flange[:3, 3], state, config.arm.model)
     yield fail(name, f"{shown}, {away * 1e3:.0f} mm from what the robot reports: {cause}", remedy)
+
+
+def parse_point(text: str) -> Array | None:
+    """Read a point as a person types it from the pendant.
+
+    Args:
+        text: X Y Z in millimetres, with spaces between them, or commas or semicolons followed by spaces.
+
+    Returns:
+        The point, (3,) [m]; None if the text is not three finite numbers.
+    """
+    try:
+        point = 1e-3 * np.array([float(part) for part in re.split(r"[,;]?\s+", text.strip())])
+    except ValueError:
+        return None
+    return point if point.shape == (3,) and np.all(np.isfinite(point)) else None
 
 
 def _cause(point: Array, tcp: Array, flange: Array, state: UrState, model: ArmModel) -> tuple[str, str]:

@@ -10,7 +10,7 @@ from toolee_robot.arm_data import CB3_RATE
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.doctor.force import check_force, measure_force
-from toolee_robot.doctor.frames import check_frames
+from toolee_robot.doctor.frames import JOGGED_POINT, check_frames
 from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding
 from toolee_robot.frames import Array
@@ -35,6 +35,11 @@ class RobotCheck:
     serial: str | None
     rate: float
     calibration: DhCalibration | None
+
+    @property
+    def compares_points(self) -> bool:
+        """Whether a reading at the pendant can be compared with the robot: it tells where it is."""
+        return any(finding.name == JOGGED_POINT for finding in self.findings)
 
 
 def expected_robot(config: StationConfig) -> UrExpected:
