@@ -125,6 +125,10 @@ def check_clear(q: Array, world: CollisionWorld, exempt: frozenset[tuple[str, st
     )
 
 
+UNSURE = "as the readings of their inputs are late or have not settled"
+"""Why a person forbids motion where nothing was seen of them, but their inputs are not known."""
+
+
 def why_person_forbids(person: Person, mode: Mode) -> str:
     """Why a person forbids motion in a mode.
 
@@ -146,4 +150,4 @@ def why_person_forbids(person: Person, mode: Mode) -> str:
             return ""
         who = "the person at the station does not hold" if certain else "nobody is known to hold"
         reason = f"{who} the hold-to-run switch"
-    return reason if certain else f"{reason}, as the readings of their inputs are late or have not settled"
+    return reason if certain else f"{reason}, {UNSURE}"

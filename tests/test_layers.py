@@ -70,6 +70,7 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
         "Arm": {"rate", "state", "execute", "set_payload", "zero_wrench", "stop", "reset"},
         "HandGuidedArm": {"freedrive"},
         "Hand": {"joint_names", "state", "open", "close", "stop"},
+        "ClearsFaults": {"clear_faults"},
         "RgbdCamera": {"intrinsics", "read"},
         "Person": {
             "request_handover",

@@ -12,6 +12,7 @@ import pytest
 from tests.errors import raises
 from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
+from toolee_robot.control.supervisor_checks import UNSURE
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import (
     ConfigError,
@@ -102,7 +103,8 @@ def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(
         LinkLostError("the robot's data were late", code="link_lost.data"),
         OverrunError("commands were sent late, by up to 31 ms,"),
         NotReadyError("the readings are late", code="not_ready.timing"),
-        PersonNearError("nobody is known to hold the switch: late readings", code="person_near.during_motion"),
+        PersonNearError(f"nobody is known to hold the switch, {UNSURE}", code="person_near.during_motion"),
+        PersonNearError("the hold-to-run switch was not taken", code="person_near.switch_not_taken"),
     ],
     ids=lambda error: str(error.code),
 )
@@ -122,6 +124,7 @@ def test_what_is_no_matter_of_time_is_not_put_down_to_this_machine(config: Stati
     with raises(ProtectiveStopError, "protective_stop") as caught, lab.blaming_the_machine():
         raise ProtectiveStopError("it hit something")
     assert str(caught.value) == "it hit something"
+    assert not lab.why_late(PersonNearError("somebody is within the arm's reach", code="person_near.zone_occupied"))
 
 
 def test_rehearsals_that_begin_together_have_an_address_each() -> None:

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from toolee_robot.config import SIMULATED, HandConfig, StationConfig
 from toolee_robot.control import RobotModel
+from toolee_robot.control.supervisor_checks import UNSURE
 from toolee_robot.errors import (
     ConfigError,
     DeviceError,
@@ -40,9 +41,9 @@ NOTHING_ELSE = 0.05
 """Share of the cores' time that other programs take on a machine that does nothing else."""
 _LATE = (
     "device.timeout", "motion_fault.task_stalled", "no_answer.hand_silent", "no_answer.timeout",
-    "not_ready.timing",
+    "not_ready.timing", "person_near.switch_not_taken",
 )  # fmt: skip
-"""Codes of further errors that late programs alone explain where every device is emulated."""
+"""Codes of further errors that late programs alone explain where every device and the person are emulated."""
 _PORTS = (29999, 30004)
 
 
@@ -179,12 +180,13 @@ class EmulatedLab:
         """Say what an error of late data or commands has to do with this machine.
 
         Args:
-            error: The error of an emulated device, or of the emulated person, who always does what a prompt asks.
+            error: The error of an emulated device, or of the supervisor about the emulated person.
 
         Returns:
             The words, without a full stop; empty for an error that has other causes.
         """
-        if isinstance(error, StaleDataError | OverrunError | PersonNearError) or error.code in _LATE:
+        unsure = isinstance(error, PersonNearError) and UNSURE in str(error)
+        if unsure or isinstance(error, StaleDataError | OverrunError) or error.code in _LATE:
             return late_because(self._load.others(), self._clock.real_time_factor)
         return ""
 

@@ -305,7 +305,7 @@ class Motions:
                 "look for a stuck switch",
                 code="person_near.switch_not_taken",
             )
-        self._wait_for_readings()
+        self.wait_for_readings()
         try:
             with watch or nullcontext():
                 yield watch
@@ -326,7 +326,8 @@ class Motions:
                     return
                 self._station.clock.sleep(STILL_STEP)
 
-    def _wait_for_readings(self) -> None:
+    def wait_for_readings(self) -> None:
+        """Wait until the person's inputs are known and have settled, for `READINGS_PATIENCE` at most."""
         clock = self._station.clock
         end = clock.now() + READINGS_PATIENCE
         while not self.person.readings_certain() and clock.now() < end:

@@ -176,6 +176,7 @@ class Handover:
             clock.sleep(PERIOD)
         self._motions.arm.reset(confirmed=True)
         self._motions.begin()
+        self._motions.wait_for_readings()  # of a real arm's inputs, whose connection is a new one
 
     def give_back(self) -> bool:
         """Open the hand at standstill, once a person has confirmed that they hold the tool. Nothing else moves.
