@@ -96,4 +96,5 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
     assert {f.name for f in dataclasses.fields(hal.ArmState)} == {
         *("joints", "q_commanded", "wrench", "status"),
         *("position_deviation_ratio", "collision_ratio", "digital_inputs"),
+        *("safety_bits", "error_code"),
     }
