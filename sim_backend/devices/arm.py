@@ -152,7 +152,9 @@ class SimArm:
 
         Raises:
             LimitError: The arm may not carry this payload.
+            LatchedError: A fault has not been reset.
         """
+        self._check_latch()
         check_payload(payload, ARM_DATA[self._limits.model].payload)
         self._sensor.payload = payload
         self._world.robot.set_payload(payload)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -12,8 +12,15 @@ from toolee_robot.control.modes import Mode
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.views import plan_handover
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.errors import DeviceError, PersonNearError, PlanningError, StaleDataError, UnreachableError
-from toolee_robot.hal import ArmStatus, Station
+from toolee_robot.errors import (
+    DeviceError,
+    LatchedError,
+    NotReadyError,
+    PersonNearError,
+    PlanningError,
+    UnreachableError,
+)
+from toolee_robot.hal import Station
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
@@ -44,15 +51,18 @@ _MOUNT = _Prompts(
 )
 MOUNT_EMPTY = "The mount cannot tell whether a tool is in it. Is it empty? The arm is about to move to the handover."
 """Question before the arm moves an empty mount."""
-PERIOD = 0.1
-"""Polling period of a safeguard stop that a person has yet to reset [s]."""
+_RESET = (
+    "The arm does not move: {}. A door on the safeguard stops it each time that it opens. Look at robot, hand and "
+    "tool. Leave, close the door, and make the robot ready from outside of its reach. Confirm, and the arm is reset; "
+    "nothing moves by that."
+)
 
 
 class Handover:
     """Handover of the tool, in both directions.
 
-    A door on the robot's safeguard input stops the robot when the person comes. Once they have left and confirmed it,
-    the arm is reset, unless something else has stopped it as well.
+    A door on the robot's safeguard input stops the robot when the person comes. The arm is reset as after any other
+    stop, once a person has looked and confirmed it, and they are then seen out of reach once more.
 
     Args:
         station: The devices of the station.
@@ -80,7 +90,6 @@ class Handover:
         nails: Sequence[str],
     ) -> None:
         self.person_clear = True
-        self._stopped: set[ArmStatus] = set()
         self._station, self._config, self._robot, self._motions = station, config, robot, motions
         self._stages, self._observer, self._grasp, self._nails = stages, observer, grasp, nails
         self._prompts = _MOUNT if robot.description.hand.clamps else _HAND
@@ -98,16 +107,12 @@ class Handover:
         person = self._motions.person
         with self._stages(Stage.HANDOVER):
             self._check_reach()
-            self._empty_hand()
-            q_hand = self._motions.q_hand
-            world = CollisionWorld(self._robot, self._config, q_hand)
-            self._motions.transfer(
-                "to the handover", plan_handover(self._robot, self._config, world, self._motions.q, q_hand)
-            )
+            if self._empty_hand():
+                self._once_reset(self._go_there)
+            else:
+                self._go_there()
             self.person_clear = False
-            given = person.request_handover(self._prompts.give, timeout)
-            self._note_stop()
-            if not given:
+            if not person.request_handover(self._prompts.give, timeout):
                 raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
         with self._stages(Stage.GRIP):
             hand.close()
@@ -120,13 +125,25 @@ class Handover:
             self.tell_payload()
 
     def tell_payload(self) -> None:
-        """Tell the arm that it carries the tool.
+        """Tell the arm that it carries the tool; an arm that was stopped since the person came is reset by a person.
 
         Raises:
-            DeviceError: The arm does not take it.
+            PersonNearError: The person who has looked at the stopped arm was not seen out of reach.
+            DeviceError: The arm does not take the payload, or a person did not confirm its reset.
         """
         grasp, q_hand = self._grasp, self._motions.q_hand
-        self._motions.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
+        payload = self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com)
+        self.person_clear = False
+        self._once_reset(lambda: self._motions.set_payload(payload))
+        self._motions.arm.mode = Mode.UNATTENDED
+        self.person_clear = True
+
+    def _go_there(self) -> None:
+        q_hand = self._motions.q_hand
+        world = CollisionWorld(self._robot, self._config, q_hand)
+        self._motions.transfer(
+            "to the handover", plan_handover(self._robot, self._config, world, self._motions.q, q_hand)
+        )
 
     def clear_person(self, prompt: str) -> None:
         """Ask the person to step back, and allow fast motion once they were seen out of reach.
@@ -136,7 +153,6 @@ class Handover:
 
         Raises:
             PersonNearError: They did not confirm it in time, or were not seen out of reach.
-            DeviceError: The arm was stopped by more than the door, or the door's stop was not reset at the robot.
         """
         self.person_clear = False
         self._see_out(prompt)
@@ -144,39 +160,37 @@ class Handover:
         self.person_clear = True
 
     def _see_out(self, prompt: str) -> None:
-        """Ask the person to step back, and undo what opening the door has done to the arm."""
-        self._note_stop()
         if not self._motions.person.release(prompt, self._config.task.handover_timeout):
             raise PersonNearError(
                 "nobody confirmed to be out of reach, or was seen there: no motion", code="person_near.not_released"
             )
-        self._note_stop()
-        stopped, self._stopped = self._stopped, set()
-        if stopped == {ArmStatus.SAFEGUARD_STOP}:
-            self._reset_safeguard()
 
-    def _note_stop(self) -> None:
-        """Note what has stopped the arm since a person was asked to come near it."""
-        with suppress(StaleDataError):
-            status = self._motions.arm.state().status
-            if status is not ArmStatus.READY:
-                self._stopped.add(status)
+    def _once_reset(self, act: Callable[[], None]) -> bool:
+        """Do something that the arm refuses after a stop: a person looks, makes the robot ready, and is seen out again.
 
-    def _reset_safeguard(self) -> None:
-        """Reset the arm after its safeguard stop, by the door that a person went through and has closed behind them.
+        Args:
+            act: What to do.
 
-        They have confirmed that nobody is within reach; the arm was at rest, and nothing moves by the reset.
+        Returns:
+            Whether the arm was reset; it is in HANDOVER mode then.
+
+        Raises:
+            PersonNearError: They were not seen out of reach.
+            DeviceError: They did not confirm it, or the robot is not ready.
         """
-        clock, asked = self._station.clock, False
-        deadline = clock.now() + self._config.task.handover_timeout
-        while self._motions.arm.state().status is ArmStatus.SAFEGUARD_STOP and clock.now() < deadline:
-            if not asked:
-                self._observer.message("The robot's safeguard stop is still active: reset it, outside of its reach.")
-                asked = True
-            clock.sleep(PERIOD)
+        try:
+            act()
+        except (LatchedError, NotReadyError) as stopped:
+            if not self._motions.person.confirm_inspection(_RESET.format(stopped), self._config.task.handover_timeout):
+                raise
+        else:
+            return False
         self._motions.arm.reset(confirmed=True)
         self._motions.begin()
         self._motions.wait_for_readings()  # of a real arm's inputs, whose connection is a new one
+        self._see_out("The arm is reset. Stay out of its reach.")
+        act()
+        return True
 
     def give_back(self) -> bool:
         """Open the hand at standstill, once a person has confirmed that they hold the tool. Nothing else moves.
@@ -203,30 +217,27 @@ class Handover:
         with suppress(DeviceError):  # a stopped arm may take no payload; the next job sets it
             self._motions.set_payload(self._robot.description.hand_payload(self._motions.q_hand))
 
-    def _empty_hand(self) -> None:
+    def _empty_hand(self) -> bool:
         """Open the hand; a person takes a tool that it still holds first, so that it does not fall.
 
         Whether a mount is empty, only a person knows.
+
+        Returns:
+            Whether a person was asked, who may have opened a door that stops the arm.
         """
         if self._robot.description.hand.clamps:
             if not self._motions.person.confirm_inspection(MOUNT_EMPTY, self._config.task.handover_timeout):
                 raise JobEnded(Outcome.NOT_READY, "nobody confirmed that the mount is empty: take the tool out of it")
             self._station.hand.open()
-            self._leave_again()
-            return
-        if self._station.hand.state().holding:
+            return True
+        asked = self._station.hand.state().holding
+        if asked:
             self.person_clear = False
             prompt = "The hand still holds a tool: take hold of it, the hand opens."
             if not self._motions.person.take_tool(prompt, self._config.task.handover_timeout):
                 raise JobEnded(Outcome.NOT_READY, "the hand still holds a tool, and nobody took it: take it out first")
         self._station.hand.open()
-        self._leave_again()
-
-    def _leave_again(self) -> None:
-        """See a person out whose coming has stopped the arm, before it moves to the handover."""
-        self._note_stop()
-        if self._stopped:
-            self._see_out("Step back: the arm moves to where it takes the tool.")
+        return asked
 
     def _check_reach(self) -> None:
         """Refuse a nail that is out of reach before a tool is requested.

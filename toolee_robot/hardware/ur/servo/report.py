@@ -99,6 +99,12 @@ def _reported(drives: Array) -> Array | None:
     return drives if np.isfinite(drives).all() and drives.any() else None
 
 
+STOPPED_BEFORE = (
+    "the robot had stopped itself, as for a door on its safeguard, and is ready again by now: see why, then reset"
+)
+"""What is told of a stop at rest whose reason nobody has seen in time."""
+
+
 def fault(
     cause: Cause,
     state: ArmState,
@@ -125,9 +131,7 @@ def fault(
             return _protective_stop(state, report, errors)
         if status in (ArmStatus.EMERGENCY_STOP, ArmStatus.SAFEGUARD_STOP):
             return EmergencyStopError(advice(status), report)
-        # The robot may be ready again by now.
-        status = status if status is not ArmStatus.READY else ArmStatus.NOT_READY
-        message = advice(status)
+        message = STOPPED_BEFORE if status is ArmStatus.READY else advice(status)
         if status is ArmStatus.FAULT and errors is not None and (told := errors.reason()) is not None:
             message += f". Its code is {explain(told)[0]}"
         return MotionFaultError(message, report, code="motion_fault.robot_status")
