@@ -105,7 +105,7 @@ class Judge:
         self._watch_strike(now, X_base_ee)
 
     def _watch_strike(self, now: float, X_base_ee: Array) -> None:
-        nail = self._world.nail
+        nail = self._world.nails[self._strikes[-1].nail] if self._open else self._world.nail
         away = X_base_ee[:3, 3] - nail.X_world_surface[:3, 3]
         if away.dot(away) > FAR**2:  # the usual case, kept cheap
             self._armed, self._open = True, False

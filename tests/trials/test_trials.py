@@ -235,6 +235,18 @@ def test_the_table_has_a_row_for_each_trial(tmp_path: Path) -> None:
     assert 0 < compute.sum(flush).as_py() < len(flush)
 
 
+def test_a_figure_of_several_kinds_is_text_in_the_table(tmp_path: Path) -> None:
+    def odd(options: Sequence[str]) -> dict[str, Any]:
+        made = job(options)
+        return {**made, "odd": made["strikes"] if made["strikes"] % 2 else "none", "big": 2**70}
+
+    run_trials(PLAN, tmp_path, 1, quietly, odd)
+    write_report(PLAN, tmp_path)
+    rows = parquet.read_table(tmp_path / "trials.parquet").to_pylist()
+    assert {json.loads(row["odd"]) for row in rows} == {"none", *(r["strikes"] for r in rows if r["strikes"] % 2)}
+    assert {json.loads(row["big"]) for row in rows} == {2**70}
+
+
 def test_a_plan_without_results_has_an_empty_table(tmp_path: Path) -> None:
     write_report(PLAN, tmp_path)
     assert parquet.read_table(tmp_path / "trials.parquet").num_rows == 0

@@ -49,7 +49,7 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
     camera = data.get(SECTION)
     if not isinstance(camera, dict) or camera.get(FIELD) is None:
         return data
-    if given := [f"{SECTION}.{name}" for name in LOOK_AT if name in camera]:
+    if given := [f"{SECTION}.{name}" for name in LOOK_AT if camera.get(name) is not None]:
         raise ConfigError(
             f"{path}: {SECTION}.{FIELD} is the camera's whole pose, and {' and '.join(given)} give it, too: leave out "
             "one or the other",
@@ -64,7 +64,7 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
             f"{named}: the camera is {distance:.0f} m from the base, which looks like millimetres: give metres",
             code="config.camera_pose_unit",
         )
-    others = {name: field for name, field in camera.items() if name != FIELD}
+    others = {name: field for name, field in camera.items() if name not in (FIELD, *LOOK_AT)}
     return {**data, SECTION: {**others, HELD: rows(frame.X_base_this @ X)}}
 
 

@@ -77,7 +77,7 @@ class SeenStatus:
 
     Attributes:
         status: The state, a `hal.ArmStatus` in words.
-        safety_bits: The controller's own bits; None where it has none, and of a recording from before they were kept.
+        safety_bits: The controller's own bits; None where it has none, or the recording.
         error_code: Code that explains the last stop, such as C157A4; None where none is known, and likewise.
     """
 

@@ -83,8 +83,8 @@ def write_report(plan: TrialPlan, folder: Path) -> Path:
     found = sweeps(plan, first)
     made = _figures(plan, records, events, first, found)
     write_atomic(folder / FIGURES, (json.dumps(made, indent=1) + "\n").encode())
-    write_table(records, plan.hash, folder / TABLE)
     write_atomic(folder / REPORT, _page(plan, made, records, first, found, folder).encode())
+    write_table(records, plan.hash, folder / TABLE)
     return folder / REPORT
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -24,7 +25,7 @@ def write_table(records: Sequence[Record], plan: str, path: Path) -> None:
     The columns are those of the trial (`trial.arm`, `trial.seed`, ...), the figures of its job by the names that
     `toolee hammer --json` gives them (those inside others joined by a dot: `errors.camera_mm`), `command`, and in the
     file's metadata the plan's `hash`. A figure that a job lacks is null; of what a job has several of, such as nails,
-    the column holds a list.
+    the column holds a list. A column whose values are of several kinds has them as JSON.
 
     Args:
         records: The trials' results.
@@ -33,11 +34,18 @@ def write_table(records: Sequence[Record], plan: str, path: Path) -> None:
     """
     rows = [dict(_flat(_row(record))) for record in records]
     names = list(dict.fromkeys(name for row in rows for name in row))
-    columns = {name: pyarrow.array([row.get(name) for row in rows]) for name in names}
+    columns = {name: _column([row.get(name) for row in rows]) for name in names}
     table = pyarrow.table(columns).replace_schema_metadata({"hash": plan})
     stream = io.BytesIO()
     parquet.write_table(table, stream)
     write_atomic(path, stream.getvalue())
+
+
+def _column(values: list[Any]) -> pyarrow.Array:
+    try:
+        return pyarrow.array(values)
+    except (pyarrow.ArrowException, OverflowError):
+        return pyarrow.array([None if value is None else json.dumps(value) for value in values])
 
 
 def _row(record: Record) -> dict[str, Any]:

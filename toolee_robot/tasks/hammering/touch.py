@@ -2,7 +2,7 @@
 
 The motion ends when the mean force of a window exceeds a threshold that follows from the noise, which is measured at
 rest once in a job. What still presses on the face at rest is a contact; what presses on the tool's side shows that the
-face is not where it is believed to be; where nothing presses there was a phantom, and the face goes on.
+face is not where it is believed to be; where nothing presses, there was a phantom, and the face goes on.
 
 Where the face met the thing is the place from which the force has risen, found in the course of force over height: on
 the way down, or where the noise is too large for that, on a slow way up until the force is gone. If that way up leaves
@@ -194,7 +194,8 @@ class Touch:
                 return best
             pressing = float(np.mean(motions.forces(max(CONFIRM_TIME, settings.window)), axis=0) @ self._up)
             if pressing < CONFIRM_SHARE * settings.force:
-                self._check_sides(CONFIRM_SHARE * settings.force)
+                if best is None:
+                    self._check_sides(CONFIRM_SHARE * settings.force)
                 continue
             course = self._course(report, report.contact.stamp, X_flange_ee)
             rise = onset(course) or Rise(float(course.heights[-1]), UNKNOWN.stiffness, np.inf)

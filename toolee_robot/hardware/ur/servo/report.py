@@ -96,7 +96,8 @@ def _reported(drives: Array) -> Array | None:
     A motor that holds an arm has a current: zeros in all rows are those of a controller that has none to report, such
     as the stand-in.
     """
-    return drives if np.isfinite(drives).all() and drives.any() else None
+    known = drives[np.isfinite(drives).all(axis=1)]  # a reading that was lost does not cost the others
+    return drives if known.any() else None
 
 
 STOPPED_BEFORE = (
