@@ -52,9 +52,8 @@ _MOUNT = _Prompts(
 MOUNT_EMPTY = "The mount cannot tell whether a tool is in it. Is it empty? The arm is about to move to the handover."
 """Question before the arm moves an empty mount."""
 _RESET = (
-    "The arm does not move: {}. A door on the safeguard stops it each time that it opens. Look at robot, hand and "
-    "tool. Leave, close the door, and make the robot ready from outside of its reach. Confirm, and the arm is reset; "
-    "nothing moves by that."
+    "The arm does not move: {}. Look at robot, hand and tool. Leave, close the door, and make the robot ready from "
+    "outside of its reach. Confirm, and the arm is reset; nothing moves by that."
 )
 
 

@@ -101,7 +101,8 @@ def _reported(drives: Array) -> Array | None:
 
 
 STOPPED_BEFORE = (
-    "the robot had stopped itself, as for a door on its safeguard, and is ready again by now: see why, then reset"
+    "the robot had stopped itself and is ready again by now, as after a door on its safeguard was opened: see why, "
+    "then reset"
 )
 """What is told of a stop at rest whose reason nobody has seen in time."""
 
