@@ -110,26 +110,27 @@ def test_what_presses_on_the_tools_side_is_no_contact_of_the_face_and_no_phantom
     assert rig.log.motions.count("touch the nail") == 1, "it presses no harder"
 
 
-def test_a_face_that_leans_against_something_is_not_zeroed(bench: Bench) -> None:
-    """Zeroed while touching, the force of the nail would be gone, and the next touch would press twice as hard."""
+def leaning(bench: Bench) -> tuple[Rig, float]:
+    """A face that rests on the nail, and the force with which it does [N]."""
     rig = Rig(bench, 3, scale=0.0)
     rig.go_over(0.006)
     assert rig.touch.prepare()
     assert rig.touch.lower("nail", 0.016) is not None
     pressing = bench.arm.state().wrench[2]
     assert pressing > CONFIG.strike.touch_force
+    return rig, pressing
+
+
+def test_a_face_that_leans_against_something_is_not_zeroed(bench: Bench) -> None:
+    """Zeroed while touching, the force of the nail would be gone, and the next touch would press twice as hard."""
+    rig, pressing = leaning(bench)
     assert not rig.touch.prepare()
     assert bench.arm.state().wrench[2] == pytest.approx(pressing, abs=1.0)
 
 
 def test_a_zero_that_was_taken_while_the_face_leant_is_told_before_the_next_touch(bench: Bench) -> None:
     """The offset is unknown before the first zero; but free again, the face misses the force that it leant with."""
-    rig = Rig(bench, 3, scale=0.0)
-    rig.go_over(0.006)
-    assert rig.touch.prepare()
-    assert rig.touch.lower("nail", 0.016) is not None
-    pressing = bench.arm.state().wrench[2]
-    assert pressing > CONFIG.strike.touch_force
+    rig, pressing = leaning(bench)
     rig.motions.zero_wrench()
     rig.motions.straight("up", (0.0, 0.0, 1.0), 0.010)
     assert not rig.touch.prepare()

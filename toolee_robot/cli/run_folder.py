@@ -10,9 +10,6 @@ from pathlib import Path
 
 from toolee_robot.errors import UserError, words_of
 
-RECORDING = "recording.mcap"
-"""Name of the recording in a run's folder."""
-
 
 class RunFolder:
     """Folder of a run; without `keep` it is removed at the end of the context.

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from toolee_robot.recording.file_names import PICTURE, RECORDING
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.html_page import Page
 from toolee_robot.tasks.common.outcome import Stage
@@ -27,8 +28,6 @@ from toolee_robot.trials.table import TABLE, write_table
 
 REPORT, FIGURES = "report.html", "report.json"
 """Names of the page and of its figures, in the trials' folder."""
-PICTURE, RECORDING = "picture.png", "recording.mcap"
-"""Names of what the page leads to, in a job's folder."""
 MEDIANS = {
     "strikes": "strikes",
     "robot_seconds": "robot's time, s",

@@ -19,8 +19,8 @@ from toolee_robot.cli.hammering.report import HammerReport
 from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
-from toolee_robot.cli.run_folder import RECORDING
 from toolee_robot.perception.weight_files import weights_hash
+from toolee_robot.recording.file_names import PICTURE, RECORDING
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
@@ -281,7 +281,7 @@ class HammerJob:
         title = f"{outcome} after {strikes}"
         picture = collector.picture(title, f"{opened.words}, {self._mode()}")
         if picture is not None:
-            write_atomic(folder / "picture.png", picture)
+            write_atomic(folder / PICTURE, picture)
 
 
 def _true_nail_figures(truth: NailTruth | None) -> dict[str, float | None]:

@@ -8,8 +8,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.cli.run_folder import RECORDING
 from toolee_robot.errors import UserError
+from toolee_robot.recording.file_names import RECORDING
 
 UNFINISHED = "unfinished"
 """Outcome of a run without a summary: it goes on, or was killed."""

@@ -132,10 +132,8 @@ class Handover:
         """
         grasp, q_hand = self._grasp, self._motions.q_hand
         payload = self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com)
-        self.person_clear = False
-        self._once_reset(lambda: self._motions.set_payload(payload))
-        self._motions.arm.mode = Mode.UNATTENDED
-        self.person_clear = True
+        if self._once_reset(lambda: self._motions.set_payload(payload)):
+            self._permit_fast()
 
     def _go_there(self) -> None:
         q_hand = self._motions.q_hand
@@ -153,12 +151,15 @@ class Handover:
         Raises:
             PersonNearError: They did not confirm it in time, or were not seen out of reach.
         """
-        self.person_clear = False
         self._see_out(prompt)
+        self._permit_fast()
+
+    def _permit_fast(self) -> None:
         self._motions.arm.mode = Mode.UNATTENDED
         self.person_clear = True
 
     def _see_out(self, prompt: str) -> None:
+        self.person_clear = False
         if not self._motions.person.release(prompt, self._config.task.handover_timeout):
             raise PersonNearError(
                 "nobody confirmed to be out of reach, or was seen there: no motion", code="person_near.not_released"
