@@ -156,7 +156,7 @@ def _page(
             "number below leads to the job's picture; its recording opens in Foxglove or Rerun, and toolee replay "
             "shows the job, given their folder."
         )
-        head = [pair, CONDITIONS, "tool", "stage", "outcome", "reason", "recording"]
+        head = [pair, "recording", CONDITIONS, "tool", "stage", "outcome", "reason"]
         for arm in plan.arms:
             if mine := of_arm(failed, arm):
                 page.heading(f"Failures: {arm.replace('_', ' ')}")
@@ -277,7 +277,7 @@ def _failure(record: Record, folder: Path) -> list[Any]:
     f, (stage, outcome) = record.figures, _failure_kind(record)
     words = outcome.replace("_", " ")
     number, recording = _link(record, folder, str(record.trial.seed), PICTURE), _link(record, folder, "mcap", RECORDING)
-    return [number, record.trial.conditions, f["tool"], stage, words, cause(f["reason"]), recording]
+    return [number, recording, record.trial.conditions, f["tool"], stage, words, cause(f["reason"])]
 
 
 def _row(record: Record, folder: Path) -> list[Any]:
