@@ -29,15 +29,26 @@ class ArmData:
         torque: Largest joint torques [Nm].
         payload: Largest mass at the flange [kg].
         rate: Rate of the controller's real-time data and of servoj [Hz].
+        link_mass: Masses of the links that the joints move [kg].
+        link_center_of_mass: Their centres of mass [m], each in the link's Denavit-Hartenberg frame.
     """
 
     d: Six
     a: Six
     payload: float
     rate: float
+    link_mass: Six
     alpha: Six = (pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0)
     velocity: Six = (radians(120), radians(120), radians(180), radians(180), radians(180), radians(180))
     torque: Six = (330.0, 330.0, 150.0, 56.0, 56.0, 56.0)
+    link_center_of_mass: tuple[tuple[float, float, float], ...] = (
+        (0.021, 0.0, 0.027),
+        (0.38, 0.0, 0.158),
+        (0.24, 0.0, 0.068),
+        (0.0, 0.007, 0.018),
+        (0.0, 0.007, 0.018),
+        (0.0, 0.0, -0.026),
+    )
 
 
 ARM_DATA = {
@@ -46,11 +57,13 @@ ARM_DATA = {
         a=(0.0, -0.612, -0.5723, 0.0, 0.0, 0.0),
         payload=10.0,
         rate=CB3_RATE,
+        link_mass=(7.1, 12.7, 4.27, 2.0, 2.0, 0.365),
     ),
     ArmModel.UR10E: ArmData(
         d=(0.1807, 0.0, 0.0, 0.17415, 0.11985, 0.11655),
         a=(0.0, -0.6127, -0.57155, 0.0, 0.0, 0.0),
         payload=12.5,
         rate=E_SERIES_RATE,
+        link_mass=(7.369, 13.051, 3.989, 2.1, 1.98, 0.615),
     ),
 }

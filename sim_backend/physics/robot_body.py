@@ -75,7 +75,7 @@ class RobotBody:
         self._elastic: JointSprings | None = None
         self._load(self.q_arm_target, np.zeros(6), self.q_hand_target, np.zeros_like(self.q_hand_target), rigid=True)
         if compliance > 0.0:
-            poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (30, 6))  # any that are spread out
+            poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (150, 6))  # any that are spread out
             inertias = np.array([self.inertia(q) for q in (self.q_arm_target, *poses)])
             effort = np.array(self._arm_effort)
             self._elastic = JointSprings(compliance, effort, inertias, robot, self.q_arm_target, time_step)

@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.errors import AssetError
-from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.frames import HALF_TURN, Array, inverse, transform
 from toolee_robot.robots.assets import UR10_URDF
-from toolee_robot.robots.dh import joint_origins
+from toolee_robot.robots.dh import DhParameters, joint_origins
 from toolee_robot.robots.hands import SHADOW_HAND, HandChoice, HandModel, hand_model
 from toolee_robot.robots.installed import install_urdf
 from toolee_robot.robots.meshes import link_mesh
-from toolee_robot.robots.tree import FLANGE_FRAME, Shape, Tree
+from toolee_robot.robots.tree import FLANGE_FRAME, Inertial, Link, Shape, Tree
 from toolee_robot.robots.urdf import read_urdf
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
@@ -45,7 +46,7 @@ _ARM_CELL = 0.012
 class RobotDescription:
     """Arm and hand as one kinematic tree rooted in `base` (the UR base_link).
 
-    A UR10e has its own kinematics and the inertias of the UR10. Its collision shapes are the UR10's meshes at both
+    A UR10e has its own kinematics and masses. Its collision shapes are the UR10's meshes at both
     joints of each link (`arm_tree`); `SHAPE_MARGIN` says how far the real links stand out. Pictures show the UR10's
     meshes as they are.
     """
@@ -139,6 +140,9 @@ def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None 
     The shapes of a UR10e's link are those of the UR10's twice: where its own joint has them, and where the next joint
     does, which is up to 53 mm from there. The convex hull of both reaches from joint to joint.
 
+    Masses and centres of mass are the maker's (`ARM_DATA`), about which each link has the moments of inertia of the
+    UR10's description, in proportion to the mass: the maker gives none.
+
     Args:
         model: The arm.
         calibration: Factory calibration of the arm; None: nominal kinematics.
@@ -159,12 +163,30 @@ def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None 
             replace(link, X_parent_joint=X, collisions=_stretched(link.collisions, shift))
             for link, X, shift in zip(links, origins, [*shifts, np.zeros(3)], strict=True)
         )
-    tree = Tree(links)
+    tree = Tree(_weighed(links, model))
     if tree.joints != ARM_JOINTS:
         raise AssetError(
             f"{UR10_URDF} has unexpected joints: {tree.joints}; reinstall toolee_robot", code="asset.joints"
         )
     return tree
+
+
+def _weighed(links: tuple[Link, ...], model: ArmModel) -> tuple[Link, ...]:
+    """The arm's links, base and flange among them, with the masses and centres of mass of a model."""
+    data = ARM_DATA[model]
+    poses = Tree(links).link_poses(np.zeros(6))
+    frames = DhParameters.of(model).zero_frames()[1:]
+    found = {}
+    for link, X_dh, mass, centre in zip(links[1:-1], frames, data.link_mass, data.link_center_of_mass, strict=True):
+        was = link.inertial
+        if was is None:
+            raise AssetError(f"{UR10_URDF}: {link.name} has no inertia; reinstall toolee_robot", code="asset.inertia")
+        p = (inverse(poses[link.name]) @ HALF_TURN @ X_dh @ [*centre, 1.0])[:3]
+        moments = tuple(moment * mass / was.mass for moment in was.moments)
+        found[link.name] = replace(
+            link, inertial=Inertial(mass, transform(was.X_link_com[:3, :3], p), (moments[0], moments[1], moments[2]))
+        )
+    return tuple(found.get(link.name, link) for link in links)
 
 
 def _stretched(shapes: tuple[Shape, ...], shift: Array) -> tuple[Shape, ...]:

@@ -12,23 +12,19 @@ from math import cos, sin
 
 import numpy as np
 
+from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import Chain, chain
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.types import ArmModel
 
-CENTRES_OF_MASS = np.array(
-    [(0.021, 0, 0.027), (0.38, 0, 0.158), (0.24, 0, 0.068), (0, 0.007, 0.018), (0, 0.007, 0.018), (0, 0, -0.026)]
-)
-"""Centres of mass of the links of a UR10 and a UR10e, (6, 3) [m]."""
-MASSES = {"UR10": (7.1, 12.7, 4.27, 2.0, 2.0, 0.365), "UR10e": (7.369, 13.051, 3.989, 2.1, 1.98, 0.615)}
-"""Masses of the links [kg]."""
 UPRIGHT = np.array([0.0, 0.0, 9.82])
 """Acceleration of an upright base that is equivalent to gravity, as the controller has it, (3,) [m/s^2]."""
 
 
 _NEXT, _LAST = np.array((1, 2, 0)), np.array((2, 0, 1))
 # A link's centre is its frame's origin and two steps along axes of that frame [m], (6, 1) each.
-_COM = CENTRES_OF_MASS
+_COM = np.array(ARM_DATA[ArmModel.UR10].link_center_of_mass)  # and of the UR10e
 _FIRST = np.array([[_COM[0, 0]], [_COM[1, 0]], [_COM[2, 0]], [_COM[3, 1]], [_COM[4, 2]], [_COM[5, 2]]])
 _SECOND = np.array([[_COM[0, 2]], [_COM[1, 2]], [_COM[2, 2]], [_COM[3, 2]], [-_COM[4, 1]], [0.0]])
 
@@ -58,7 +54,7 @@ class ArmDynamics:
     """
 
     def __init__(self, model: ControllerModel) -> None:
-        self._masses = np.array([*MASSES[model.name], 0.0])
+        self._masses = np.array([*ARM_DATA[ArmModel(model.name)].link_mass, 0.0])
         self._poses: Array | None = None  # of the flange, in this tick, the last, and the one before
         self._links = np.empty(0)  # centres of the links, likewise
 
