@@ -9,6 +9,7 @@ import numpy as np
 from toolee_robot.calibration.board import Board
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.tools import Tool
 
 
@@ -76,6 +77,7 @@ class SimOptions:
         compliance: Elasticity of the arm's joints as a share of the nominal one (`physics.joint_springs`); 0 for joints
             that follow exactly.
         boards: Calibration boards in the world; nothing touches them.
+        sensor: Kind of depth camera, which the seed draws; None for the nominal time-of-flight camera.
     """
 
     gui: bool = False
@@ -88,6 +90,7 @@ class SimOptions:
     wrench_errors: float = 0.0
     compliance: float = 0.0
     boards: tuple[PlacedBoard, ...] = ()
+    sensor: SensorKind | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.friction <= 2.0:

@@ -13,11 +13,14 @@ from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.hal import Clock
 from toolee_robot.render.lab import laboratory
 from toolee_robot.render.material import Material
+from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.palette import finish
 from toolee_robot.render.renderer import render
 from toolee_robot.render.scene import Body, Rendering, Scene
 from toolee_robot.render.sensors.color_camera import Photo, photograph
 from toolee_robot.render.sensors.depth_camera import measure_depth
+from toolee_robot.render.sensors.depth_sensors import random_reading
+from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody, VisualWorld
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
@@ -37,15 +40,18 @@ class SimCamera:
         clock: The station's clock.
         config: Intrinsics and pose of the camera.
         seed: Seed of the room, the surface patterns and the noise.
+        sensor: Kind of depth camera, which the seed draws; None for the nominal time-of-flight camera.
 
     Attributes:
         blinded: Fault: whether no pixel has a depth.
     """
 
-    def __init__(self, world: VisualWorld, clock: Clock, config: CameraConfig, seed: int = 0) -> None:
+    def __init__(
+        self, world: VisualWorld, clock: Clock, config: CameraConfig, seed: int = 0, sensor: SensorKind | None = None
+    ) -> None:
         self._world, self._clock, self._config = world, clock, config
         self._noise, self._photo = DepthNoise(), Photo()
-        self._seed = seed
+        self._seed, self._sensor = seed, sensor
         self._room = laboratory(np.random.default_rng([seed, 1]), _ROOM_ID)
         self._rng = np.random.default_rng([seed, 2])
         self._materials: dict[str, Material] = {}
@@ -114,14 +120,21 @@ class SimCamera:
             self._clock.sleep(self._last.stamp + PERIOD - now)
             now = max(self._clock.now(), np.nextafter(self._last.stamp, np.inf))
         rendering = self.render()
-        depth = measure_depth(
-            rendering.depth, rendering.cos_incidence, rendering.shininess, self.intrinsics, self._noise, self._rng
-        )
+        depth = self._depth(rendering)
         if self.blinded:
             depth = np.zeros_like(depth)
         frame = RgbdFrame(photograph(rendering.rgb, self._photo, self._rng), depth, self.intrinsics, float(now))
         self._last = frame
         return frame
+
+    def _depth(self, rendering: Rendering) -> FloatArray:
+        """What the depth camera reads, (H, W) [m]."""
+        if self._sensor is not None:
+            drawn = np.random.default_rng([self._seed, 4])  # anew for each frame: the same camera
+            return random_reading(self._sensor, rendering, self.intrinsics, drawn, noise=self._rng)
+        return measure_depth(
+            rendering.depth, rendering.cos_incidence, rendering.shininess, self.intrinsics, self._noise, self._rng
+        )
 
     def render(self) -> Rendering:
         """Render the current world without sensor noise, with the world's body ids; ground truth."""

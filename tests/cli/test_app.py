@@ -68,6 +68,10 @@ def _frame_args(
         (["hammer", "--paper-weights", "scene"], "without --ablation paper"),
         (["hammer", "--ablation", "icp", "--paper-weights", "scene"], "without --ablation paper"),
         (["hammer", "--exact", "--errors", "errors.yaml"], "leave one out"),
+        (
+            ["hammer", "--sensor", "mixed", "--arm", "ur-rtde", "--robot-host", "127.0.0.2", "--world", "pybullet"],
+            "--sensor with --arm",
+        ),
         (["hammer", "--errors", "none.yaml"], "none.yaml"),
         (["trials", "none.yaml"], "none.yaml"),
         (["bench", "--repeats", "0"], "--repeats"),

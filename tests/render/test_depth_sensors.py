@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolee_robot.perception.synthesis.example import Series, make_example
+from toolee_robot.render.scene import Rendering
+from toolee_robot.render.sensors.depth_sensors import random_reading
 from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors
 from toolee_robot.render.sensors.registration import Registration, hidden_from
 from toolee_robot.render.sensors.smooth_noise import in_patches, smooth_noise
@@ -159,3 +161,21 @@ def test_every_kind_takes_the_same_picture_with_its_own_depth(kind: SensorKind) 
     error = np.abs(example.depth_mm[known] - depth) / (depth / 1000) ** 2
     assert np.median(error) < 15  # mm at a metre
     assert (kind == "time-of-flight") == np.array_equal(example.depth_mm, usual.depth_mm)
+
+
+@pytest.mark.parametrize("kind", ["time-of-flight", "time-of-flight-lab"])
+def test_one_camera_errs_alike_in_every_frame(kind: SensorKind) -> None:
+    """A job's frames are of one camera: only its noise is new in each."""
+    flat = (np.full(SHAPE, value, np.float32) for value in (1.0, 0.0))
+    seen = Rendering(
+        np.full((*SHAPE, 3), 120, np.uint8), np.full(SHAPE, 0.7, np.float32), np.zeros(SHAPE, np.int16), *flat
+    )
+
+    def error(camera: int, frame: int) -> float:
+        drawn, noise = np.random.default_rng(camera), np.random.default_rng([camera, frame])
+        reading = random_reading(kind, seen, K, drawn, noise=noise)
+        return float(np.median(reading[reading > 0])) - 0.7
+
+    errors = np.array([[error(camera, frame) for frame in range(3)] for camera in range(6)])
+    assert np.all(np.ptp(errors, axis=1) < 1e-4)
+    assert np.std(errors[:, 0]) > 5e-4

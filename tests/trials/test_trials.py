@@ -17,6 +17,7 @@ from pyarrow import compute, parquet
 
 from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
+from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
@@ -212,6 +213,30 @@ def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Pa
     assert load_plan(kept / "sweep.yaml").hash.startswith("122b571a6722")
 
 
+def test_the_site_s_own_results_have_their_report_by_one_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = EXAMPLES.parent / "docs" / "benchmark"
+    command = ["trials", str(kept / "whole_system.yaml"), "--out", str(tmp_path / "out"), "--results"]
+    assert run([*command, str(kept / "whole_system.jsonl")]) == 0
+    assert "198 of 200 flush (0.96 to 1.00)" in capsys.readouterr().out
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<b>195</b><span>distinct tools</span>" in page
+    assert page.count(">toolee hammer --seed 9053<") == page.count(">toolee hammer --seed 9119<") == 1
+    assert "the camera sees the nail lean by 20" in page
+    assert not (tmp_path / "out" / RESULTS).exists(), "they are no trials of this folder"
+
+
+@pytest.mark.parametrize("name", ["sweep.jsonl", "rehearsals.jsonl", "accuracy.png", "nothing.jsonl"])
+def test_a_file_without_a_plan_s_results_is_refused(tmp_path: Path, name: str) -> None:
+    kept = EXAMPLES.parent / "docs" / "benchmark"
+    code = "user.other_plan" if name == "sweep.jsonl" else "user.no_results"
+    with raises(UserError, code=code) as refused:
+        write_report(load_plan(kept / "whole_system.yaml"), tmp_path, kept / name)
+    assert name in str(refused.value)
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_table_has_a_row_for_each_trial(tmp_path: Path) -> None:
     kept = EXAMPLES.parent / "docs" / "benchmark"
     shutil.copy(kept / "sweep.jsonl", tmp_path / RESULTS)
@@ -267,6 +292,20 @@ def test_every_seed_and_arm_gets_every_nail_in_every_wood(tmp_path: Path) -> Non
     assert {words: of["of"] for words, of in made.items()}["3.1 x 65, oak"] == 2
     assert "tool, nail, wood" in page
     assert made["2.2 x 30, white pine"]["hits"] == 2
+
+
+def test_every_seed_and_arm_gets_every_kind_of_sensor(tmp_path: Path) -> None:
+    plan = replace(PLAN, trials=2, sensors=("active-stereo", "mixed"))
+    assert plan.hash != PLAN.hash
+    asked = Asked()
+    records = run_trials(plan, tmp_path, 1, quietly, asked)
+    given = [option(options, "--sensor") for options in asked.options]
+    assert given == ["active-stereo", "active-stereo", "mixed", "mixed"] * 2
+    assert len({option(options, "--out") for options in asked.options}) == 4, "arm and sensor"
+    assert finished(plan, tmp_path) == records
+    write_report(plan, tmp_path)
+    made = json.loads((tmp_path / "report.json").read_text())["arms"]["full"]["conditions"]
+    assert {words: of["of"] for words, of in made.items()} == {"active-stereo": 2, "mixed": 2}
 
 
 @pytest.fixture
@@ -335,8 +374,12 @@ def _work(setup: Path) -> dict[str, float]:
         ("woods: {oak: 680}", "woods"),
         ("options: [--setup, a.yaml]", "--setup"),
         ("options: [--paper-weights, a]", "--paper-weights"),
+        ("options: [--sensor, mixed]", "--sensor"),
+        ("sensors: [lidar]", "sensors"),
+        ("sensors: [mixed, mixed]", "sensors"),
         ("arms: [paper]", "paper_weights"),
         ("instructions: look", "instructions"),
+        ("sensors: [mixed]\noptions: [--station, lab.yaml, --rehearse]", "sensors"),
     ],
 )
 def test_what_is_no_plan_is_refused_by_the_field(tmp_path: Path, change: str, what: str) -> None:
@@ -371,8 +414,11 @@ def test_the_report_tells_shares_pairs_failures_and_distinct_tools(tmp_path: Pat
 
 def test_each_failure_leads_to_its_picture_and_its_recording(tmp_path: Path) -> None:
     def kept(options: Sequence[str]) -> dict[str, Any]:
-        seed = options[options.index("--seed") + 1]
-        return {**job(options), "run_folder": str(tmp_path / "runs" / "full" / seed)}
+        run = Path(options[options.index("--out") + 1], options[options.index("--seed") + 1])
+        run.mkdir(parents=True)
+        for name in ("picture.png", "recording.mcap"):
+            (run / name).touch()
+        return {**job(options), "run_folder": str(run)}
 
     plan = replace(PLAN, trials=8, arms=(Arm.FULL,))
     (failed,) = [r for r in run_trials(plan, tmp_path, 1, quietly, kept) if not r.success]
@@ -380,6 +426,13 @@ def test_each_failure_leads_to_its_picture_and_its_recording(tmp_path: Path) -> 
     run = f"runs/full/{failed.trial.seed}"
     assert page.count(f'href="{run}/picture.png"') == 2, "among the failures and among all trials"
     assert page.count(f'href="{run}/recording.mcap"') == 1
+    moved = tmp_path.with_name(f"{tmp_path.name}-moved")
+    tmp_path.rename(moved)
+    assert write_report(plan, moved).read_text() == page, "a folder may be moved"
+    shutil.rmtree(moved / "runs")
+    page = write_report(plan, moved).read_text()
+    assert 'href="runs' not in page, "no link leads nowhere"
+    assert f">toolee hammer {' '.join(failed.command)}<" in page, "how the failure is seen again"
 
 
 def test_a_nail_that_is_flush_for_the_robot_alone_is_a_failure_with_a_name(tmp_path: Path) -> None:

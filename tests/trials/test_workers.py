@@ -26,6 +26,9 @@ from toolee_robot.trials import Arm, TrialPlan, run_trials
 from toolee_robot.trials.results import read_results
 from toolee_robot.trials.run import Workers, on_threads
 
+OF_THE_RUN = frozenset({"seconds", "stage_seconds", "run_folder"})
+"""Figures of a job that are no outcome: times of this machine, and where its folder lies."""
+
 
 @pytest.fixture(scope="module")
 def one_core() -> Iterator[None]:
@@ -183,9 +186,8 @@ def test_a_simulated_trial_has_the_same_outcome_on_ray(tmp_path: Path) -> None:
     plan = TrialPlan("tiny", 101, 1, (Arm.NO_CORRECTION,), "exact")
     (here,) = run_trials(plan, tmp_path / "here", 1, str)
     (there,) = run_trials(plan, tmp_path / "there", None, str, workers=on_ray)
-    own = {"seconds", "stage_seconds", "run_folder"}
-    assert {k: v for k, v in here.figures.items() if k not in own} == {
-        k: v for k, v in there.figures.items() if k not in own
+    assert {k: v for k, v in here.figures.items() if k not in OF_THE_RUN} == {
+        k: v for k, v in there.figures.items() if k not in OF_THE_RUN
     }
     assert here.command == there.command
     assert Path(there.figures["run_folder"], "summary.json").is_file()

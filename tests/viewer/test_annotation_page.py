@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.perception.annotation.rendered import RenderedEnd, rendered_ends
-from tests.viewer.test_replayed_job import ARGUMENTS, CHROMIUM
+from tests.viewer.browser import ARGUMENTS, CHROMIUM
 from toolee_robot.cli.app import run
 from toolee_robot.perception.annotation.clicks import ClickedEnd, ClickedFrame, ClicksFile, read_clicks, write_clicks
 from toolee_robot.perception.annotation.frame_set import FrameSet

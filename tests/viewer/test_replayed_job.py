@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.viewer.browser import CHROMIUM, MOST_MESSAGES, MOST_RECEIVED, MOST_SERVED, browser, page_speed
 from toolee_robot.cli.app import run
 from toolee_robot.recording.reading import read_history
 from toolee_robot.viewer.run_page import RunPage
@@ -23,8 +23,6 @@ from toolee_robot.viewer.run_page import RunPage
 pytestmark = pytest.mark.nightly
 
 _MAIN = "from toolee_robot.cli import main; main()"
-CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
-ARGUMENTS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +69,36 @@ def test_it_takes_less_than_20_mb_a_minute_without_images(job: Path) -> None:
     assert size / (history.end - history.start) * 60.0 < 20e6
 
 
+def test_every_message_is_read_by_the_libraries_of_mcap_and_foxglove(job: Path) -> None:
+    """Checksums, order and number; each of Foxglove's messages by its published schema, which knows every field."""
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    count, newest, seen = 0, 0, set()
+    with (job / "recording.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        for schema, channel, message, content in reader.iter_decoded_messages():
+            assert schema is not None
+            assert message.log_time >= newest
+            count, newest = count + 1, message.log_time
+            package, _, name = schema.name.partition(".")
+            if package == "foxglove":
+                published = getattr(import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
+                known = published.FromString(message.data)
+                known.DiscardUnknownFields()
+                assert known.ByteSize() == len(message.data), channel.topic
+                stamped = known.transforms if name == "FrameTransforms" else [known]
+                assert {one.timestamp.ToNanoseconds() for one in stamped} == {message.log_time}, channel.topic
+                seen.add(name)
+            else:
+                assert content.DESCRIPTOR.full_name == schema.name
+    assert summary is not None
+    assert summary.statistics is not None
+    assert count == summary.statistics.message_count > 10_000
+    assert len(seen) == 8, "all kinds that are recorded"
+
+
 def test_it_opens_in_rerun(job: Path, tmp_path: Path) -> None:
     """By Rerun's own reader, which knows images, poses, points, the pinhole and every other message's fields."""
     rerun = str(Path(sys.executable).parent / "rerun")
@@ -90,32 +118,30 @@ def test_it_opens_in_rerun(job: Path, tmp_path: Path) -> None:
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on this machine")
 def test_the_browser_shows_plays_and_jumps(page: RunPage) -> None:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        view = browser.new_page(viewport={"width": 1300, "height": 900})
-        received = [0]
-
-        def count(_data: Any) -> None:
-            received[0] += 1
-
-        view.on("websocket", lambda socket: socket.on("framereceived", count))
-        view.goto(page.address)
-        view.get_by_text("Nail: 20.0 mm over the wood").wait_for(timeout=60_000)
-        view.wait_for_timeout(8_000)  # software rendering: the meshes appear
-        before = np.frombuffer(view.screenshot(), np.uint8)
-        view.get_by_role("button", name="next strike").click()
-        view.get_by_text("strike 1:").first.wait_for(timeout=60_000)
+    with browser() as seen:
+        print(f"there in {seen.load(page.address, 'Nail: 20.0 mm over the wood'):.1f} s")
+        seen.view.wait_for_timeout(8_000)  # software rendering: the meshes appear
+        before = np.frombuffer(seen.view.screenshot(), np.uint8)
+        seen.view.get_by_role("button", name="next strike").click()
+        seen.view.get_by_text("strike 1:").first.wait_for(timeout=60_000)
         assert page.stamp in [d.stamp for d in page.decisions if d.name == "strike"]
-        view.wait_for_timeout(3_000)
-        assert len(before) != len(view.screenshot()), "the robot stands elsewhere"
-        drawn, messages = page.drawn, received[0]
-        view.get_by_role("button", name="Play", exact=True).click()
-        view.wait_for_timeout(5_000)
+        seen.view.wait_for_timeout(3_000)
+        assert len(before) != len(seen.view.screenshot()), "the robot stands elsewhere"
+        drawn, messages = page.drawn, seen.messages
+        seen.view.get_by_role("button", name="Play", exact=True).click()
+        seen.view.wait_for_timeout(5_000)
         assert page.drawn - drawn > 0.8 * 30 * 5, "drawings in five seconds"
-        assert received[0] - messages > 0.8 * 30 * 5, "and the browser was sent them"
-        browser.close()
+        assert seen.messages - messages > 0.8 * 30 * 5, "and the browser was sent them"
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on this machine")
+def test_what_a_job_s_page_costs(page: RunPage) -> None:
+    """How long it takes depends on the machine, and is printed; what is sent does not."""
+    cost = page_speed(page, "Nail: 20.0 mm over the wood")
+    print(cost)
+    assert cost.served < MOST_SERVED
+    assert cost.received < MOST_RECEIVED
+    assert cost.messages <= MOST_MESSAGES
 
 
 def test_a_killed_job_is_listed_and_shown_up_to_its_last_second(

@@ -48,6 +48,8 @@ class Trials:
     DIR."""
     report_only: Flag = False
     """Run nothing: write the report of the results that there are."""
+    results: Annotated[Path | None, tyro.conf.arg(metavar="JSONL", help_behavior_hint="")] = None
+    """Run nothing: write the report of the results in this file, such as those of the site's tables."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -61,13 +63,13 @@ class Trials:
         pairs = "repetitions" if plan.led else "seeds"
         console.print(f"[bold]{escape(plan.name)}[/bold]  [dim]plan {plan.hash[:12]}, {plan.trials} {pairs}[/dim]")
         try:
-            if not self.report_only:
+            if not self.report_only and self.results is None:
                 self._do(plan, console)
         except BaseException:  # Ctrl-C, too: what is done is reported
             if read_results(plan, self.out)[0]:
                 write_report(plan, self.out)
             raise
-        page = write_report(plan, self.out)
+        page = write_report(plan, self.out, self.results)
         made = json.loads((self.out / FIGURES).read_text())
         for arm, of in made["arms"].items():
             flush = of["flush"]

@@ -17,6 +17,7 @@ from pydantic import Field
 from toolee_robot.config import ToolData
 from toolee_robot.config.values import STRICT, Count, NotNegative, Positive
 from toolee_robot.runtime.yaml_files import read_record
+from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.trials.attended_plan import option, why_not_attended
 
 
@@ -53,10 +54,11 @@ class Arm(StrEnum):
 
 
 OWN = frozenset(
-    {"--seed", "--json", "--out", "--errors", "--exact", "--ablation", "--no-correction", "--setup", "--paper-weights"}
+    {"--seed", "--json", "--out", "--errors", "--exact", "--ablation", "--no-correction"}
+    | {"--setup", "--paper-weights", "--sensor"}
 )
 """Options of `toolee hammer` that the plan's other fields say."""
-LATER = frozenset({"sweep", "attended", "instructions", "tools", "nails", "woods", "paper_weights"})
+LATER = frozenset({"sweep", "attended", "instructions", "tools", "nails", "woods", "sensors", "paper_weights"})
 """Fields that count in the hash only where they say something: plans that were begun before have none of them."""
 Name = Annotated[str, Field(min_length=1, max_length=60)]
 
@@ -93,6 +95,7 @@ class Trial:
         tool: Name of the tool that a person hands over; None where the plan lists none.
         nail: Name of the nail; None where the plan lists none.
         wood: Name of the wood; None where the plan lists none.
+        sensor: Kind of the simulated depth camera; None where the plan lists none.
     """
 
     arm: Arm
@@ -102,6 +105,7 @@ class Trial:
     tool: str | None = None
     nail: str | None = None
     wood: str | None = None
+    sensor: str | None = None
 
     @property
     def put_there(self) -> str:
@@ -112,13 +116,13 @@ class Trial:
     def variation(self) -> str:
         """What differs between trials of a seed and an arm, as the name of a folder; empty for nothing."""
         error = "" if self.error is None else f"{self.error}-{self.size:g}"
-        return "-".join(part for part in (error, self.put_there) if part)
+        return "-".join(part for part in (error, self.put_there, self.sensor) if part)
 
     @property
     def conditions(self) -> str:
         """The same in words."""
         error = None if self.error is None else f"{self.error} {self.size:g}"
-        return ", ".join(part for part in (self.tool, self.nail, self.wood, error) if part)
+        return ", ".join(part for part in (self.tool, self.nail, self.wood, self.sensor, error) if part)
 
 
 @dataclass(frozen=True)
@@ -153,6 +157,9 @@ class TrialPlan:
     """Nails, each of which every seed and arm gets: the name of one of the station's, or sizes. None: the station's."""
     woods: dict[Name, Annotated[float, Field(gt=0, lt=1.5)]] = field(default_factory=dict)
     """Woods, each of which every seed and arm gets: names, and their specific gravity. None: the station's."""
+    sensors: tuple[SensorKind, ...] = ()
+    """Kinds of the simulated depth camera, each of which every seed and arm gets. None: the nominal time-of-flight
+    camera."""
     paper_weights: Annotated[str, Field(max_length=1000)] = ""
     """Folder of a training of the paper's estimator, for the arm `paper`, from where the trials are run."""
 
@@ -178,6 +185,10 @@ class TrialPlan:
             raise ValueError(
                 "tools: in a simulation the tool is drawn from the seed; a person hands over those of a plan on a robot"
             )
+        if self.sensors and option(self.options, "--station") is not None:
+            raise ValueError("sensors: they are drawn in a simulation; a station has its own camera, so leave them out")
+        if len(set(self.sensors)) < len(self.sensors):
+            raise ValueError("sensors: each one once")
         if not self.led and self.instructions:
             raise ValueError("instructions: nobody reads them in a simulation")
 
@@ -207,13 +218,14 @@ class TrialPlan:
         swept = [(None, None), *((error, size) for error, sizes in self.sweep.items() for size in sizes)]
         for seed in range(self.first_seed, self.first_seed + self.trials):
             for error, size in swept:
-                for tool, nail, wood in self._put_there():
+                for tool, nail, wood, sensor in self._conditions():
                     for arm in self.arms:
-                        yield Trial(arm, seed, error, size, tool, nail, wood)
+                        yield Trial(arm, seed, error, size, tool, nail, wood, sensor)
 
-    def _put_there(self) -> Iterator[tuple[str | None, str | None, str | None]]:
+    def _conditions(self) -> Iterator[tuple[str | None, ...]]:
         none: tuple[str | None, ...] = (None,)
-        return product(names_of(self.tools) or none, names_of(self.nails) or none, tuple(self.woods) or none)
+        lists = (names_of(self.tools), names_of(self.nails), tuple(self.woods), self.sensors)
+        return product(*(names or none for names in lists))
 
     def order(self) -> list[Trial]:
         """The jobs in the order in which they are run.

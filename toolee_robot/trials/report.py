@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -21,10 +20,11 @@ from toolee_robot.tasks.common.recovery import cause
 from toolee_robot.trials.panels import BLUE, errors, panels, png, rates
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.report_attended import agreement, attended_section
-from toolee_robot.trials.results import Event, Record, read_results
+from toolee_robot.trials.results import Event, Record, read_results, read_results_file
 from toolee_robot.trials.statistics import Share, by_conditions, by_size, compare, median, of_arm, share
 from toolee_robot.trials.sweeps import Sweep, curves, sweeps
 from toolee_robot.trials.table import TABLE, write_table
+from toolee_robot.trials.tasks import out_of
 
 REPORT, FIGURES = "report.html", "report.json"
 """Names of the page and of its figures, in the trials' folder."""
@@ -58,25 +58,28 @@ ERRORS = {
 }
 """Errors against which success is shown, and how the axis is called."""
 CONDITIONS = "conditions"
-"""Head of the column with a trial's nail, wood, tool or size of an error."""
+"""Head of the column with a trial's nail, wood, tool, sensor or size of an error."""
 FALSE_FLUSH = "flush_by_the_robot_alone"
 """Outcome of a trial whose nail is flush for the robot and not for the judge, or the person."""
 
 
-def write_report(plan: TrialPlan, folder: Path) -> Path:
+def write_report(plan: TrialPlan, folder: Path, results: Path | None = None) -> Path:
     """Write the report of a plan's trials, of the results that there are.
 
     Args:
         plan: The plan.
         folder: The trials' folder, which gets the page, its figures and the table.
+        results: File of the results; None for the folder's own.
 
     Returns:
         The page.
 
     Raises:
-        UserError: The folder holds another plan's trials; code `user.other_plan`.
+        UserError: The folder, or the file, holds another plan's trials (`user.other_plan`), or the file none
+            (`user.no_results`).
     """
-    records, events = read_results(plan, folder)
+    own = read_results(plan, folder)
+    records, events = own if results is None else read_results_file(plan, results)
     folder.mkdir(parents=True, exist_ok=True)
     first = of_arm(records, plan.arms[0])
     found = sweeps(plan, first)
@@ -145,8 +148,8 @@ def _page(
         ],
     )
     if rows := _conditions(made):
-        page.heading("Tools, nails and woods")
-        page.table(["arm", "tool, nail, wood", "flush", "95 % (Wilson)"], rows, left=2)
+        page.heading("Tools, nails, woods and sensors")
+        page.table(["arm", "tool, nail, wood, sensor", "flush", "95 % (Wilson)"], rows, left=2)
     page.section("Failures")
     failed = [record for record in records if not record.success]
     if failed:
@@ -155,12 +158,13 @@ def _page(
             "The stage is the one in which the job ended; empty in results of versions that did not tell it. Each "
             "number below leads to the job's picture; its recording opens in Foxglove or Rerun, and toolee replay "
             "shows the job, given their folder."
+            + ("" if plan.on_robot else " Where that is not here, the command runs the job again, by today's program.")
         )
         head = [pair, "recording", CONDITIONS, "tool", "stage", "outcome", "reason"]
         for arm in plan.arms:
             if mine := of_arm(failed, arm):
                 page.heading(f"Failures: {arm.replace('_', ' ')}")
-                _listed(page, head, [_failure(r, folder) for r in mine], 7)
+                _listed(page, head, [_failure(r, folder, plan.on_robot) for r in mine], 7)
     else:
         page.paragraph("None.")
     if plan.led:
@@ -273,10 +277,12 @@ def _failure_kind(record: Record) -> tuple[str, str]:
     return str(record.figures.get("stage") or ""), _outcome(record)
 
 
-def _failure(record: Record, folder: Path) -> list[Any]:
+def _failure(record: Record, folder: Path, on_robot: bool) -> list[Any]:
     f, (stage, outcome) = record.figures, _failure_kind(record)
     words = outcome.replace("_", " ")
     number, recording = _link(record, folder, str(record.trial.seed), PICTURE), _link(record, folder, "mcap", RECORDING)
+    if not isinstance(recording, Markup) and not on_robot:
+        recording = f"toolee hammer {' '.join(record.command)}"
     return [number, recording, record.trial.conditions, f["tool"], stage, words, cause(f["reason"])]
 
 
@@ -296,11 +302,14 @@ def _row(record: Record, folder: Path) -> list[Any]:
 
 
 def _link(record: Record, folder: Path, words: str, file: str) -> Markup | str:
-    """The words, with a link to a file of the job's folder."""
+    """The words, with a link to a file of the job's folder where that is here: results may have come alone."""
     run = record.figures.get("run_folder")
     if not run:
         return words
-    return Markup('<a href="{0}/{1}">{2}</a>').format(Path(os.path.relpath(run, folder)).as_posix(), file, words)
+    place = out_of(record.trial, folder) / Path(run).name / file
+    if not place.is_file():
+        return words
+    return Markup('<a href="{0}">{1}</a>').format(place.relative_to(folder).as_posix(), words)
 
 
 def _figure(value: float | None) -> str:

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import toolee_robot
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.trials.plan import Arm, Trial, TrialPlan
 
@@ -160,7 +160,24 @@ def read_results(plan: TrialPlan, folder: Path) -> tuple[list[Record], list[Even
         UserError: The folder holds another plan's trials; code `user.other_plan`.
     """
     path = folder / RESULTS
-    done, events = _read(path, plan) if path.is_file() else ({}, [])
+    return read_results_file(plan, path) if path.is_file() else ([], [])
+
+
+def read_results_file(plan: TrialPlan, path: Path) -> tuple[list[Record], list[Event]]:
+    """Read a file of results.
+
+    Args:
+        plan: Its plan.
+        path: The file.
+
+    Returns:
+        The results, in the plan's order, and what else happened.
+
+    Raises:
+        UserError: The file cannot be read or holds no results (`user.no_results`), or another plan's
+            (`user.other_plan`).
+    """
+    done, events = _read(path, plan)
     return [done[trial] for trial in plan.jobs() if trial in done], events
 
 
@@ -175,9 +192,14 @@ def _begin(path: Path, plan: TrialPlan) -> None:
 
 
 def _read(path: Path, plan: TrialPlan) -> tuple[dict[Trial, Record], list[Event]]:
-    lines = path.read_text().splitlines(keepends=True)
-    head, *rest = [json.loads(line) for line in lines if line.endswith("\n")]
-    if head["hash"] != plan.hash:
+    try:
+        lines = path.read_text().splitlines(keepends=True)
+        head, *rest = [json.loads(line) for line in lines if line.endswith("\n")]
+        other = head["hash"] != plan.hash
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        why = words_of(error) if isinstance(error, OSError) else "it does not begin with a plan, or a line is damaged"
+        raise UserError(f"{path} holds no results of trials: {why}", code="user.no_results") from error
+    if other:
         raise UserError(
             f"{path} holds the trials of another plan, {head['plan']['name']!r} ({head['hash'][:12]}): this one is "
             f"{plan.hash[:12]}. A plan is not changed once its trials have begun: give another --out",

@@ -147,7 +147,7 @@ def of_arm(records: Sequence[Record], arm: Arm) -> list[Record]:
 
 
 def by_conditions(records: Sequence[Record]) -> dict[str, list[Record]]:
-    """Sort results by tool, nail and wood.
+    """Sort results by tool, nail, wood and sensor.
 
     Args:
         records: The results.
@@ -157,6 +157,6 @@ def by_conditions(records: Sequence[Record]) -> dict[str, list[Record]]:
     """
     sorted_: dict[str, list[Record]] = {}
     for record in records:
-        if record.trial.put_there:
-            sorted_.setdefault(replace(record.trial, error=None).conditions, []).append(record)
+        if words := replace(record.trial, error=None).conditions:
+            sorted_.setdefault(words, []).append(record)
     return sorted_

@@ -59,10 +59,23 @@ def task_of(plan: TrialPlan, trial: Trial, folder: Path) -> Task:
     command = (
         *(() if plan.on_robot else ("--seed", str(trial.seed))),
         *trial.arm.options, *_paper_weights(plan, trial),
-        *_errors(plan, trial, folder), *_setup(plan, trial, folder), *plan.options,
+        *_errors(plan, trial, folder), *_setup(plan, trial, folder),
+        *(() if trial.sensor is None else ("--sensor", trial.sensor)), *plan.options,
     )  # fmt: skip
-    # Jobs of one seed that begin in the same second need folders of their own.
-    return Task(trial, command, folder / RUNS / trial.arm / trial.variation)
+    return Task(trial, command, out_of(trial, folder))
+
+
+def out_of(trial: Trial, folder: Path) -> Path:
+    """Where the folder of a trial's job lies: jobs of one seed that begin in the same second need folders of their own.
+
+    Args:
+        trial: The trial.
+        folder: The trials' folder.
+
+    Returns:
+        The parent of the job's folder.
+    """
+    return folder / RUNS / trial.arm / trial.variation
 
 
 def run_task(job: Job, task: Task) -> Record:

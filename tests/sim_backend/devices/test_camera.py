@@ -13,6 +13,7 @@ from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import inverse, transform
 from toolee_robot.hal import RgbdCamera
 from toolee_robot.render.mesh import box
+from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 
@@ -77,6 +78,20 @@ def test_the_seed_decides_the_frames() -> None:
 
     assert frame(1) == frame(1)
     assert frame(1) != frame(2)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_of_depth_camera_sees_the_boxes_with_noise_of_its_own(kind: SensorKind) -> None:
+    camera, plain = (SimCamera(Boxes(), Clock(), CONFIG, 1, sensor) for sensor in (kind, None))
+    first, second, usual = camera.read().depth, camera.read().depth, plain.read().depth
+    assert first.shape == usual.shape
+    assert first.dtype == usual.dtype
+    assert not np.array_equal(first, second), "fresh noise"
+    both = (first > 0) & (usual > 0)
+    assert both.mean() > 0.3 * (usual > 0).mean()
+    assert np.median(abs(first[both] - usual[both])) < 0.03
+    again = SimCamera(Boxes(), Clock(), CONFIG, 1, kind).read().depth
+    np.testing.assert_array_equal(again, first)
 
 
 def test_a_frozen_or_closed_camera_raises() -> None:

@@ -18,6 +18,7 @@ from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor, is_loopback
 from toolee_robot.runtime.gc_pause import gc_spared
 from toolee_robot.runtime.yaml_files import read_record
+from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel
 
@@ -68,6 +69,10 @@ class Hammer:
     """Sizes of the errors of what a simulated job is told, others nominal: docs/concepts/cell_errors.md."""
     exact: Flag = False
     """Tell the job exactly where camera and nail are and what the tool is like, instead of what a person measures."""
+    sensor: Annotated[
+        SensorKind | None, tyro.conf.arg(metavar="|".join(KINDS), help_behavior_hint="(default: one without those)")
+    ] = None
+    """Kind of the simulated depth camera, which --seed draws, with a lab's errors: docs/dataset.md."""
     station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """Your own station, with all that a lab must measure: docs/how-to/run_a_job.md."""
     rehearse: Flag = False
@@ -224,12 +229,14 @@ class Hammer:
 
         stand_in = None if address is None else StandIn(*address, self.controller_profile or "ideal")
         hand_driver = None if self.hand is None else HandDriver(self.hand_port)
+        if self.sensor is not None and stand_in is not None:
+            raise UserError("--sensor with --arm ur-rtde: cannot be tried together yet", code="user.option")
         if self.exact and self.errors is not None:
             raise UserError("--exact with --errors: leave one out", code="user.option")
         errors = EXACT if self.exact else NOMINAL
         if self.errors is not None:
             errors = read_record(self.errors, CellErrors, "list of errors")
-        return SimulatedSource(config, self.seed, self.gui, stand_in, hand_driver, errors)
+        return SimulatedSource(config, self.seed, self.gui, stand_in, hand_driver, errors, self.sensor)
 
     def _own(self, path: Path) -> Source:
         """A lab's own station, or its rehearsal; refuses options that are for the simulated one."""
@@ -244,6 +251,7 @@ class Hammer:
             "--gui": self.gui,
             "--exact": self.exact,
             "--errors": self.errors is not None,
+            "--sensor": self.sensor is not None,
         }
         if not self.rehearse:
             given |= {

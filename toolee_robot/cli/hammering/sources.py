@@ -13,6 +13,7 @@ import numpy as np
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Station
+from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.sim_backend.options import SimOptions
@@ -94,6 +95,7 @@ class SimulatedSource:
         hand_driver: The hand's own driver, on an emulated hand; None for the simulated hand itself.
         errors: Sizes of the errors of what the job is told. Where the station file names a calibration's record, the
             job is told that of the camera, with its own error.
+        sensor: Kind of depth camera; None for the nominal time-of-flight camera.
     """
 
     config: StationConfig
@@ -102,6 +104,7 @@ class SimulatedSource:
     stand_in: StandIn | None = None
     hand_driver: HandDriver | None = None
     errors: CellErrors = NOMINAL
+    sensor: SensorKind | None = None
 
     @property
     def _drawn(self) -> DrawnErrors:
@@ -121,6 +124,8 @@ class SimulatedSource:
         words = [f"seed {self.seed}"]
         if self.errors == EXACT:
             words.append("what the job is told is exact" if self.config.camera.pose is None else "exact but the camera")
+        if self.sensor is not None:
+            words.append(f"{self.sensor} depth camera")
         if self.stand_in is not None:
             words.append(f"{self.config.arm.model} over ur_rtde at {self.stand_in.host}")
             words.append(f"{self.stand_in.profile} controller")
@@ -139,6 +144,7 @@ class SimulatedSource:
             "arm": "sim" if self.stand_in is None else "ur-rtde",
             "controller_profile": profile,
             "hand_driver": self.hand_driver is not None,
+            "sensor": self.sensor,
             "errors": self._drawn.facts,
         }
 
@@ -146,7 +152,7 @@ class SimulatedSource:
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:  # noqa: ARG002  (a simulation needs neither)
         """See `Source`."""
         drawn = self._drawn
-        cell, options = drawn.made_of(self.config), drawn.options(SimOptions(gui=self.gui))
+        cell, options = drawn.made_of(self.config), drawn.options(SimOptions(gui=self.gui, sensor=self.sensor))
         with open_station(cell, self.seed, options, self.stand_in, self.hand_driver) as sim:
             config = self.config if self.errors == EXACT else drawn.weighed(drawn.displaced(self.config))
             grasp = measured_grasp(drawn.measured(sim.tool, sim.tool.name), config)

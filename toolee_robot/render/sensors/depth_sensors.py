@@ -7,6 +7,7 @@ import numpy as np
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.renderer import Image
+from toolee_robot.render.scene import Rendering
 from toolee_robot.render.sensors.depth_camera import measure_depth
 from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors
 from toolee_robot.render.sensors.registration import Registration
@@ -28,7 +29,12 @@ _BASELINES: dict[SensorKind, float] = {
 
 
 def random_reading(
-    kind: SensorKind, image: Image, K: CameraIntrinsics, rng: np.random.Generator, device: str = "cpu"
+    kind: SensorKind,
+    image: Image | Rendering,
+    K: CameraIntrinsics,
+    rng: np.random.Generator,
+    device: str = "cpu",
+    noise: np.random.Generator | None = None,
 ) -> FloatArray:
     """Read depth with a randomly drawn sensor of a kind.
 
@@ -36,24 +42,26 @@ def random_reading(
         kind: The kind of sensor.
         image: The rendered image.
         K: Intrinsics of the camera.
-        rng: Random generator.
+        rng: Random generator; with `noise` that of the sensor alone, which is the same one where it is.
         device: "cpu" or "cuda".
+        noise: Random generator of what differs between readings of one sensor; None for `rng`.
 
     Returns:
         Depth in the colour camera's pixels, (H, W) float32 [m]; 0 where there is none.
     """
+    noise = rng if noise is None else noise
     if kind == "mixed":
         kind = _SINGLE[int(rng.choice(len(_SINGLE), p=_SHARES))]
     if kind == "time-of-flight":
         surface = (image.depth, image.cos_incidence, image.shininess)
-        return measure_depth(*surface, K, DepthNoise.random(rng), rng, device)
+        return measure_depth(*surface, K, DepthNoise.random(rng), noise, device)
     seen = Surface.of(image)
     if kind == "time-of-flight-lab":
-        depth = SystematicErrors.random(rng).seen(seen, K.fx, rng)
+        depth = SystematicErrors.random(rng).seen(seen, K.fx, noise)
         surface = (depth, seen.cos_incidence, seen.shininess)
-        reading = measure_depth(*surface, K, DepthNoise.random(rng), rng, device)
+        reading = measure_depth(*surface, K, DepthNoise.random(rng), noise, device)
     elif kind == "structured-light":
-        reading = TriangulatingCamera.structured_light(rng).measure(seen, K, rng)
+        reading = TriangulatingCamera.structured_light(rng).measure(seen, K, noise)
     else:
-        reading = TriangulatingCamera.active_stereo(rng, filled=kind == "filled-stereo").measure(seen, K, rng)
+        reading = TriangulatingCamera.active_stereo(rng, filled=kind == "filled-stereo").measure(seen, K, noise)
     return Registration.random(_BASELINES[kind], rng).apply(reading, seen.depth, K)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.renderer import Image
+from toolee_robot.render.scene import Rendering
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,14 +30,19 @@ class Surface:
     brightness: FloatArray
 
     @staticmethod
-    def of(image: Image) -> Surface:
+    def of(image: Image | Rendering) -> Surface:
         """The surfaces of a rendered image.
 
         Args:
-            image: The image, on any device.
+            image: The image, on any device or in memory.
 
         Returns:
             The surfaces, in memory.
         """
-        brightness = (image.rgb.numpy().mean(axis=2, dtype=np.float32) / np.float32(255.0)) ** np.float32(2.2)
-        return Surface(image.depth.numpy(), image.cos_incidence.numpy(), image.shininess.numpy(), brightness)
+        brightness = (_in_memory(image.rgb).mean(axis=2, dtype=np.float32) / np.float32(255.0)) ** np.float32(2.2)
+        depth, cos_incidence, shininess = map(_in_memory, (image.depth, image.cos_incidence, image.shininess))
+        return Surface(depth, cos_incidence, shininess, brightness)
+
+
+def _in_memory(part: Any) -> Any:
+    return part if isinstance(part, np.ndarray) else part.numpy()

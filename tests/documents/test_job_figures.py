@@ -1,0 +1,193 @@
+"""The figures of the hammering job in README and results are those of the records that are kept beside them."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.documents.blocks import ROOT
+from toolee_robot.trials import Arm, Record, TrialPlan, load_plan
+from toolee_robot.trials.results import read_results_file
+from toolee_robot.trials.statistics import compare, of_arm, share
+from toolee_robot.trials.sweeps import ENOUGH, UNITS, Sweep, sweeps
+
+pytestmark = pytest.mark.sim(seconds=10)
+
+KEPT = ROOT / "docs" / "benchmark"
+README, PAGE = (ROOT / "README.md").read_text(), (ROOT / "docs" / "results" / "job.md").read_text()
+ARMS = {
+    "whole system": Arm.FULL,
+    "true poses of the tool instead of the estimates": Arm.PERFECT_PERCEPTION,
+    "one view of the tool instead of six": Arm.ONE_VIEW,
+    "ICP on the tool's exact shape instead of the pose network": Arm.ICP,
+    "the mask's centroid, and the nominal direction": Arm.MASK_CENTROID,
+    "estimated place, nominal direction": Arm.POSITION_ONLY,
+    "estimated direction, nominal place": Arm.NORMAL_ONLY,
+    "not corrected": Arm.NO_CORRECTION,
+}
+"""How the table of arms calls each."""
+SWEPT = {
+    "camera's place": "camera_position",
+    "camera's orientation": "camera_rotation",
+    "each length and angle of the arm": "kinematics",
+    "nail beside its place": "nail_beside",
+    "height of the wood": "nail_height",
+    "lean of the nail": "nail_lean",
+    "mass of the hand": "payload",
+    "specific gravity of the wood": "wood",
+    "noise, offset and drift of the force": "wrench",
+    "direction of the face on the tool": "face_angle",
+}
+"""How the table of swept errors calls each, at the beginning of its row."""
+
+
+@cache
+def _kept(name: str) -> tuple[TrialPlan, list[Record]]:
+    plan = load_plan(KEPT / f"{name}.yaml")
+    records, _ = read_results_file(plan, KEPT / f"{name}.jsonl")
+    assert len(records) == len(list(plan.jobs())), "the whole plan"
+    return plan, records
+
+
+@cache
+def _sweeps() -> dict[str, Sweep]:
+    return {sweep.error: sweep for sweep in sweeps(*_kept("sweep"))}
+
+
+def _rounded(value: float, like: str) -> float:
+    """The value with as many decimals as a figure has."""
+    return round(value, len(like.partition(".")[2]))
+
+
+def _rows(heading: str) -> dict[str, list[str]]:
+    """Cells of the rows of the tables under a heading of the page, without emphasis, by their first one."""
+    section = PAGE.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
+    return {first.strip(): [cell.replace("*", "").strip() for cell in cells] for first, *cells in lines}
+
+
+def _flush(records: Sequence[Record]) -> str:
+    return str(share([record.success for record in records]))
+
+
+def test_two_hundred_hammers_are_counted_as_the_page_says() -> None:
+    plan, records = _kept("whole_system")
+    of = share([record.success for record in records])
+    tools = {record.figures["tool"] for record in records}
+    assert f"seeds {plan.first_seed} to {plan.first_seed + plan.trials - 1}, {len(tools)} distinct tools" in PAGE
+    assert f"**{of.hits} of {of.of} are flush: {of.hits / of.of:.2f} ({of.low:.2f} to {of.high:.2f})**" in PAGE
+    assert f"| told what a person measures | {of.hits} of {of.of} |" in README
+    failed = {record.trial.seed for record in records if not record.success}
+    (told,) = re.findall(r"^Both failures .*$", PAGE, re.MULTILINE)
+    assert {int(seed) for seed in re.findall(r"\b9\d{3}\b", told)} == failed
+
+
+FIGURES: dict[str, tuple[tuple[str, ...], str]] = {
+    "face's centre, six frames": (("pose_error_mm",), "{:.1f} mm"),
+    "face's normal": (("pose_error_deg",), "{:.1f}°"),
+    "strikes from the nail's axis (a job's median)": (("strike_offset_mm",), "{:.1f} mm"),
+    "their tilt": (("strike_tilt_deg",), "{:.1f}°"),
+    "strikes": (("strikes",), "{:.0f}"),
+    "robot's time, of it for the nail": (("robot_seconds", "nail_seconds"), "{:.0f} s"),
+    "flush nails over the wood": (("protrusion_mm",), "{:.1f} mm"),
+    "a joint's torque, share of its largest": (("largest_torque_share",), "{:.2f}"),
+}
+"""Rows of the table of two hundred hammers: figures of a job, and how a cell tells one."""
+
+
+@pytest.mark.parametrize("row", FIGURES)
+def test_the_table_of_two_hundred_hammers_is_of_their_records(row: str) -> None:
+    _, records = _kept("whole_system")
+    names, form = FIGURES[row]
+    if row == "flush nails over the wood":
+        records = [record for record in records if record.success]
+    values = [[f for record in records if (f := record.figures[name]) is not None] for name in names]
+    kinds: list[Callable[[Any], Any]] = [np.median, lambda x: np.quantile(x, 0.95), np.max]
+    assert _rows("Two hundred hammers")[row] == [", ".join(form.format(kind(v)) for v in values) for kind in kinds]
+
+
+@pytest.mark.parametrize("row", ARMS)
+def test_the_table_of_arms_is_of_their_records(row: str) -> None:
+    _, records = _kept("paired_trials")
+    mine, first = of_arm(records, ARMS[row]), of_arm(records, Arm.FULL)
+    flush, against, *_ = _rows("What each part is worth")[row]
+    assert flush == _flush(mine)
+    if mine != first:
+        found = compare(mine, first)
+        assert against.split(" (p")[0] == f"{found.better} better, {found.worse} worse"
+        told = re.search(r"\(p ([=<]) ([\d.]+)\)", against)
+        if told is None:
+            assert found.p < 1e-4, "rows without a figure are of no doubt"
+        else:
+            assert found.p < float(told[2]) if told[1] == "<" else float(f"{found.p:.1g}") == float(told[2])
+
+
+@pytest.mark.parametrize("row", SWEPT)
+def test_the_table_of_swept_errors_is_of_their_records(row: str) -> None:
+    """The shares at the sizes of the plan, and where they fall under 90 %."""
+    plan, _ = _kept("sweep")
+    sweep, factor = _sweeps()[SWEPT[row]], UNITS[SWEPT[row]][1]
+    ((flush, falls, *_),) = [cells for name, cells in _rows("How large each error may be").items() if row in name]
+    hits = {factor * size: of.hits for size, of in zip(sweep.sizes, sweep.shares, strict=True)}
+    swept = {factor * size for size in plan.sweep[SWEPT[row]]}
+    for size, count in re.findall(r"([\d.]+)[^\d:,]*: (\d+)", flush):
+        (found,) = [tried for tried in swept if _rounded(tried, size) == float(size)]
+        assert int(count) == hits[found]
+        swept.remove(found)
+    assert not any(hits[tried] for tried in swept), "what is not told is none"
+    limit, numbers = sweep.limit, re.findall(r"[\d.]+", falls)
+    assert limit is not None
+    if "not up to" in falls:
+        assert limit.size == sweep.sizes[-1]
+    elif "do not tell" in falls:
+        assert (limit.low <= sweep.sizes[0], limit.high >= sweep.sizes[-1]) == (True, True)
+    elif "between" in falls:
+        assert hits[float(numbers[1])] >= ENOUGH * plan.trials > hits[float(numbers[2])]
+    else:
+        for number, value in zip(numbers, (limit.size, limit.low, limit.high), strict=True):
+            assert float(number) == _rounded(factor * value, number)
+        assert ("or more" in falls) == (limit.high >= sweep.sizes[-1])
+
+
+def test_errors_that_do_not_matter_did_not_at_any_size() -> None:
+    ((told, *_),) = [cells for name, cells in _rows("How large each error may be").items() if "its mass" in name]
+    errors = ("ruler", "scales", "balance", "friction", "compliance")
+    assert told == "20 each"
+    assert {_sweeps()[error].shares[-1].hits for error in errors} == {20}
+
+
+def test_what_was_told_exactly_is_counted_as_the_page_says() -> None:
+    direct = json.loads((KEPT / "hammer_100.json").read_text())
+    driver = json.loads((KEPT / "hammer_ur_rtde.json").read_text())
+    groups = (direct["correction"], direct["no correction"], driver["correction"])
+    shares = [share([figures["success"] for figures in group]) for group in groups]
+    corrected, uncorrected, through = (f"{of.hits} of {of.of}" for of in shares)
+    assert f"| told exactly: corrected, not, `ur-rtde` | {corrected}, {uncorrected}, {through} |" in README
+    rows = {line.split("|")[1].strip(): line for line in PAGE.splitlines() if line.startswith("|")}
+    for row, of in zip(
+        ("with correction, seeds 7401 to 7500", "`--no-correction`, 7401 to 7420",
+         "through `ur-rtde` and the controller stand-in, 100 to 109"), shares, strict=True,
+    ):  # fmt: skip
+        assert f"| {of} |" in rows[row]
+
+
+@pytest.mark.parametrize("row", ["mount, 7402 to 7409", "Shadow Hand over rosbridge, 7402 to 7409"])
+def test_the_table_of_rehearsals_is_of_their_records(row: str) -> None:
+    kept = [json.loads(line) for line in (KEPT / "rehearsals.jsonl").read_text().splitlines()]
+    name, seeds = row.split()[0].strip(",").lower(), range(7402, 7410)
+    jobs = [one["figures"] for one in kept if one["job"] == name and one["seed"] in seeds]
+    flush, strikes, seconds, face, beside, torque = _rows("Rehearsals")[row]
+    assert flush == str(share([job["success"] for job in jobs]))
+    counts, times = ([job[figure] for job in jobs] for figure in ("strikes", "robot_seconds"))
+    assert strikes == f"{min(counts)} to {max(counts)}"
+    assert seconds == f"{min(times):.0f} to {max(times):.0f} s, median {np.median(times):.0f} s"
+    errors = ("pose_error_mm", "pose_error_deg", "strike_offset_mm")
+    place, direction, offset = (np.median([job[error] for job in jobs]) for error in errors)
+    assert (face, beside) == (f"{place:.1f} mm, {direction:.1f}°", f"{offset:.1f} mm")
+    assert torque == f"{max(job['largest_torque_share'] for job in jobs):.2f}"
