@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.control.inverse_kinematics import InverseKinematics
 from toolee_robot.control.kinematics import ArmKinematics
 from toolee_robot.errors import AssetError, UserError
@@ -23,6 +23,7 @@ class RobotModel:
 
     Args:
         description: Names, URDF and meshes of arm and hand.
+        up: Direction straight up in `base`, as `ArmLimits.up`.
 
     Attributes:
         description: Names, URDF and meshes of arm and hand.
@@ -34,12 +35,13 @@ class RobotModel:
         AssetError: Pinocchio cannot read the URDF, or it is no UR arm (`asset.kinematics`).
     """
 
-    def __init__(self, description: RobotDescription) -> None:
+    def __init__(self, description: RobotDescription, up: tuple[float, float, float] = ArmLimits.up) -> None:
         self.description = description
         try:
             self.model = pin.buildModelFromUrdf(str(description.urdf_path))
         except ValueError as error:
             raise AssetError(f"Pinocchio cannot read {description.urdf_path}: {error}", code="asset.urdf") from error
+        self.model.gravity.linear = ArmLimits(up=up).gravity
         self._data = self.model.createData()
         self._flange = self.model.getFrameId(description.flange_frame)
         self._hand = self.model.getFrameId(description.hand_frame)
@@ -55,6 +57,7 @@ class RobotModel:
         model: ArmModel = ArmModel.UR10,
         calibration: DhCalibration | None = None,
         hand: str | HandChoice = SHADOW_HAND.name,
+        up: tuple[float, float, float] = ArmLimits.up,
     ) -> RobotModel:
         """Load the model of an arm with a hand; the result is cached.
 
@@ -62,6 +65,7 @@ class RobotModel:
             model: Model of the arm.
             calibration: Factory calibration of the arm; None for the nominal kinematics.
             hand: Name of the hand, one of `robots.HANDS`; or what a station file says of it.
+            up: Direction straight up in `base`, as `ArmLimits.up`.
 
         Returns:
             The model.
@@ -70,12 +74,12 @@ class RobotModel:
             ConfigError: The hand is unknown.
             AssetError: A file is missing or unreadable.
         """
-        return _load(load_robot(model, calibration, hand))
+        return _load(load_robot(model, calibration, hand), up)
 
     @staticmethod
     def of_station(config: StationConfig) -> RobotModel:
         """Load the model of a station's arm and hand; errors as `load`."""
-        return RobotModel.load(config.arm.model, config.arm.calibration, config.hand)
+        return RobotModel.load(config.arm.model, config.arm.calibration, config.hand, config.arm.up)
 
     def configuration(self, q_arm: Array, q_hand: Array) -> Array:
         """Assemble Pinocchio's configuration vector.
@@ -156,5 +160,5 @@ class RobotModel:
 
 
 @lru_cache(maxsize=4)
-def _load(description: RobotDescription) -> RobotModel:
-    return RobotModel(description)
+def _load(description: RobotDescription, up: tuple[float, float, float]) -> RobotModel:
+    return RobotModel(description, up)

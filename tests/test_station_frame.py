@@ -15,18 +15,27 @@ from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import CameraConfig, Obstacle, SceneConfig, StationConfig, WorkConfig, load_station
+from toolee_robot.config import (
+    ArmLimits,
+    CameraConfig,
+    Obstacle,
+    SceneConfig,
+    StationConfig,
+    WorkConfig,
+    load_station,
+)
 from toolee_robot.config.field_docs import field_docs
 from toolee_robot.config.station_frame import BOX, OBSTACLES, POINTS, POSE
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import HALF_TURN, transform
 from toolee_robot.runtime.yaml_files import name_in_file
 
-SECTIONS = {"camera": CameraConfig, "work": WorkConfig, "scene": SceneConfig}
+SECTIONS = {"arm": ArmLimits, "camera": CameraConfig, "work": WorkConfig, "scene": SceneConfig}
 _coordinate = st.floats(-1.5, 1.5)
 _files = st.fixed_dictionaries(
     {},
     optional={
+        "arm": st.fixed_dictionaries({}, optional={"up": st.tuples(*[_coordinate] * 2, st.floats(0.1, 1.0))}),
         "camera": st.fixed_dictionaries({}, optional={"position": st.tuples(*[_coordinate] * 2, st.floats(2.0, 3.0))}),
         "work": st.fixed_dictionaries({}, optional={"nail_xy": st.tuples(_coordinate, _coordinate)}),
         "scene": st.fixed_dictionaries(

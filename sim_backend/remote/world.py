@@ -6,7 +6,7 @@ import socket
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import StationConfig, check_upright
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.channel import Channel
@@ -29,6 +29,9 @@ class RemoteWorld:
         clock: Clock of the world.
         profile: How the controller follows, measures and stops; its noise has the run's seed.
 
+    Raises:
+        ConfigError: The arm's base is tilted (`config.mounting_tilted`).
+
     Attributes:
         controller: The controller's process, for faults and timing statistics.
     """
@@ -42,6 +45,7 @@ class RemoteWorld:
         clock: HostClock,
         profile: ProfileName = "ideal",
     ) -> None:
+        check_upright(config.arm, "the simulated world")
         self._clock = clock
         ours, theirs = socket.socketpair()
         self._theirs = theirs

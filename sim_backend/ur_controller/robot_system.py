@@ -248,6 +248,15 @@ class Reading:
         return np.concatenate([R.T @ wrench[:3] + weight, torque])
 
     @cached_property
+    def tool_acceleration(self) -> Array:
+        """Reading of the tool's accelerometer, (3,) [m/s^2], axes of the flange: an axis that points up reads positive.
+
+        Of an arm at rest: the tool's own acceleration is left out. Axes and sign: URScript manual,
+        get_tool_accelerometer_reading.
+        """
+        return self._chain.X_base_flange[:3, :3].T @ self._robot.machine.felt_gravity
+
+    @cached_property
     def momentum(self) -> float:
         """Momentum of arm and payload [kg m/s]; of the payload alone where the profile needs no dynamics."""
         machine = self._robot.machine

@@ -30,7 +30,7 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.35"
-LAB = "# a busy machine\nsupervisor: {data_cycles: 50, overruns: 50}\n"
+LAB = "# a busy machine\nversion: 2\nsupervisor: {data_cycles: 50, overruns: 50}\n"
 
 
 @pytest.fixture(scope="module")

@@ -26,6 +26,7 @@ from toolee_robot.types import ArmModel
 _TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
 _HOST, _SERIAL = "127.0.0.48", "20185500001"
 _LAB = f"""
+version: 2
 arm: {{host: {_HOST}}}
 calibration:
   measured_on: "2026-11-10"
@@ -86,6 +87,7 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     assert levels["measured"] == "warn", "the file gives next to nothing, which a stand-in bears"
     assert levels["person"] == "warn", "no inputs in the file"
     assert (levels["TCP place"], levels["force"], levels["jogged point"]) == ("ok", "ok", "warn")
+    assert (levels["base"], levels["mounting"]) == ("ok", "ok")
     after = robot.state()
     assert (after["q"], after["uploads"]) == (before["q"], before["uploads"])
 
@@ -97,7 +99,7 @@ def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
 ) -> None:
     """LAB.md, defect 4: no lab has the simulation's calibration; and the arm is brought up before the camera."""
     path = tmp_path / "lab.yaml"
-    path.write_text(f"arm: {{host: {_HOST}}}{_WIRED}")
+    path.write_text(f"version: 2\narm: {{host: {_HOST}}}{_WIRED}")
     code, record, said = _doctor(capsys, "--config", str(path))
     assert code == 0, said
     found = {f["name"]: f for f in record["findings"]}
@@ -213,6 +215,41 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
 
 
 @pytest.mark.sim
+def test_a_base_that_does_not_stand_as_the_file_says_is_felt(
+    robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It hangs on a wall, and neither the file nor the installation says so."""
+    robot.fault("mounting", up=[9.82, 0.0, 0.0])
+    try:
+        code, record, said = _doctor(capsys, "--config", lab)
+    finally:
+        robot.fault("mounting", up=[0.0, 0.0, 9.82])
+    found = {f["name"]: f for f in record["findings"]}["mounting"]
+    assert (code, found["level"]) == (1, "fail"), said
+    assert "(-1.00, 0.00, 0.00) in base_link, (1.00, 0.00, 0.00) in pendant_base" in found["message"]
+    assert "arm.up is 90.0° off" in found["message"]
+    assert "correct arm.up" in found["remedy"]
+
+
+@pytest.mark.sim
+def test_a_tilted_base_is_looked_at_without_what_needs_an_upright_one(
+    robot: ControllerProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(f"version: 2\nframe: pendant_base\narm: {{host: {_HOST}, up: [0, 9.82, 0]}}\n")
+    robot.fault("mounting", up=[0.0, 9.82, 0.0])
+    try:
+        code, record, said = _doctor(capsys, "--config", str(path))
+    finally:
+        robot.fault("mounting", up=[0.0, 0.0, 9.82])
+    found = {f["name"]: f for f in record["findings"]}
+    assert code == 0, said
+    assert (found["base"]["level"], found["mounting"]["level"]) == ("warn", "ok")
+    assert "tilted by 90.0°: no job" in found["base"]["message"]
+    assert not {"handover", "views", "strike"} & set(found)
+
+
+@pytest.mark.sim
 def test_a_rehearsal_sees_every_device_behind_the_stand_in(capsys: pytest.CaptureFixture[str]) -> None:
     code, record, said = _doctor(capsys, "--robot-host", "127.0.0.49", "--world", "pybullet")
     assert code == 0, said
@@ -255,7 +292,7 @@ def test_door_and_switch_are_seen_changing_and_nothing_moves(
     model: ArmModel, stuck: int | None, door: str, switch: str, tmp_path: Path
 ) -> None:
     path, host = tmp_path / "lab.yaml", "127.0.0.50"
-    path.write_text(f"arm: {{host: {host}, model: {model}}}{_WIRED}")
+    path.write_text(f"version: 2\narm: {{host: {host}, model: {model}}}{_WIRED}")
     payload = expected_robot(load_station(path)).payload
     assert payload is not None
     with stand_in(model, host, profile="harsh") as robot:

@@ -57,7 +57,9 @@ def test_an_interview_that_breaks_off_loses_nothing_and_goes_on_later(tmp_path: 
     open_ones = first.stdout[first.stdout.index("Still open") :].splitlines()
     assert "  camera: position, target  (tape measure)" in open_ones
     assert not any(line.lstrip().startswith(("arm: host", "hand")) for line in open_ones), "these were answered"
-    assert yaml.safe_load(path.read_text())["arm"] == {"model": "UR10", "host": "192.168.1.10"}
+    assert yaml.safe_load(path.read_text())["arm"] == {
+        "model": "UR10", "up": [0, 0, 1], "host": "192.168.1.10",
+    }  # fmt: skip
     second = _new(path, lines[millimetres:])
     assert second.returncode == 0, second.stdout
     assert "no RealSense with serial number 832112070123 is connected" in " ".join(second.stdout.split())
@@ -164,7 +166,7 @@ def test_a_realsense_tells_its_intrinsics_in_the_mode_that_is_asked_for_before(
 
 def test_a_layout_that_is_not_edited_loses_no_answer(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
-    path.write_text("frame: base_link\narm: &arm {model: UR10}\nother: *arm\n")
+    path.write_text("version: 2\nframe: base_link\narm: &arm {model: UR10, up: [0, 0, 1]}\nother: *arm\n")
     told = _new(path, ["192.168.1.10"])
     assert told.returncode == 2
     assert 'arm:\n  host: "192.168.1.10"' in told.stderr

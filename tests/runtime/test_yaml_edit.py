@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from toolee_robot.errors import ConfigError
-from toolee_robot.runtime.yaml_edit import set_fields
+from toolee_robot.runtime.yaml_edit import add_first, set_fields
 
 VALUES = {"gain": 800.0, "lookahead": 0.06, "lag": 0.071}
 
@@ -150,3 +150,41 @@ def test_a_field_that_was_taken_out_of_an_example_is_set_again(
     after = path.read_text().splitlines(keepends=True)
     assert yaml.safe_load(path.read_text()) == said
     assert any([*after[:i], *after[i + 1 :]] == rest for i in range(len(after))), "one line more, no other one changed"
+
+
+@pytest.mark.parametrize(
+    ("text", "after"),
+    [
+        ("", "version: 2\n"),
+        ("# a lab\n", "# a lab\nversion: 2\n"),
+        ("# a lab\n\narm: {model: UR10e}  # new\n", "# a lab\n\nversion: 2\narm: {model: UR10e}  # new\n"),
+        ("---\narm: {}", "---\nversion: 2\narm: {}"),
+        ("{arm: {model: UR10e}}", "{version: 2, arm: {model: UR10e}}"),
+        ("{}\n", "{version: 2}\n"),
+        ("  arm: 1\n  # two\n  hand: 2\n", "  version: 2\n  arm: 1\n  # two\n  hand: 2\n"),
+    ],
+)
+def test_a_field_is_added_before_all_others(tmp_path: Path, text: str, after: str) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(text)
+    add_first(path, "version", 2)
+    assert path.read_text() == after
+    with raises(ConfigError, code="config.not_editable"):
+        add_first(path, "version", 2)
+    assert path.read_text() == after
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("- servo\n", "config.not_editable"),
+        ("fast\n", "config.not_editable"),
+        ("arm: 1\n...\n# the end\n---\n", "config.unreadable"),
+    ],
+)
+def test_a_layout_that_has_no_first_field_is_left_alone(tmp_path: Path, text: str, code: str) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(text)
+    with raises(ConfigError, code):
+        add_first(path, "version", 2)
+    assert path.read_text() == text

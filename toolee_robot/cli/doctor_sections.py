@@ -9,11 +9,12 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import UPRIGHT_WITHIN, StationConfig
 from toolee_robot.doctor.camera import check_range
 from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_measured
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time
+from toolee_robot.doctor.mounting import check_base
 from toolee_robot.doctor.reach import check_reach
 from toolee_robot.doctor.robot import examine_robot
 from toolee_robot.doctor.weights import check_weights
@@ -71,7 +72,9 @@ class DoctorReport:
         """Run the checks and yield the findings, section by section: the file first, which needs no device."""
         config = self.config
         with self.doing("planning"):
-            findings = [*check_limits(config), *check_contacts(config), *check_reach(config)]
+            findings = [check_base(config), *check_limits(config), *check_contacts(config)]
+            if config.arm.tilt <= UPRIGHT_WITHIN:  # what is planned takes z of `base` for straight up
+                findings += check_reach(config)
             if config.camera.device is not None:
                 findings.append(check_range(config))
             if self.host is not None and not self.with_world:

@@ -14,6 +14,7 @@ from toolee_robot.config.camera_device import CameraDevice
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.measured import MEASURED, given_by_nails, given_by_pose, load_lab_station, unmeasured
+from toolee_robot.config.mounting import UPRIGHT_WITHIN, check_upright
 from toolee_robot.config.obstacle import Obstacle
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
@@ -21,6 +22,7 @@ from toolee_robot.config.servo import ServoConfig, servo_lag
 from toolee_robot.config.setup import JobSetup, with_setup
 from toolee_robot.config.station import StationConfig, load_station, read_station
 from toolee_robot.config.tool import ToolData
+from toolee_robot.config.version import VERSION, check_current, is_current
 from toolee_robot.config.work import ONLY_NAIL, NailConfig, WorkConfig
 
 __all__ = [
@@ -28,6 +30,8 @@ __all__ = [
     "ONLY_NAIL",
     "SIMULATED",
     "SIMULATED_CALIBRATION",
+    "UPRIGHT_WITHIN",
+    "VERSION",
     "ArmLimits",
     "CalibrationConfig",
     "CameraConfig",
@@ -46,8 +50,11 @@ __all__ = [
     "ToolData",
     "ToolEnvelope",
     "WorkConfig",
+    "check_current",
+    "check_upright",
     "given_by_nails",
     "given_by_pose",
+    "is_current",
     "load_lab_station",
     "load_station",
     "read_station",

@@ -9,13 +9,14 @@ from typing import Any
 
 from toolee_robot.config.camera_pose import FIELD, LOOK_AT, SECTION
 from toolee_robot.config.station import StationConfig, read_station, to_station
+from toolee_robot.config.version import check_current
 from toolee_robot.config.work import SIZES
 from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.yaml_lines import YamlLines
 from toolee_robot.types import MOUNT
 
 MEASURED: Mapping[str, tuple[str, ...]] = {
-    "arm": ("model",),
+    "arm": ("model", "up"),
     "hand": ("model", "weighed"),
     "scene": (
         "home",
@@ -65,17 +66,19 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
     """Load the station file of a real robot.
 
     Args:
-        path: The file, as for `load_station`, with every field of `MEASURED`.
+        path: The file, as for `load_station`, with `version: 2` and every field of `MEASURED`.
         complete: Whether a file that leaves out some of them is refused.
 
     Returns:
         The validated configuration, its positions in `base`; its calibration is None where the file gives none.
 
     Raises:
-        ConfigError: As `load_station`, or the file leaves out what must be measured (`config.unmeasured`), or gives a
-            size in another unit (`config.unit`); the message names it and its line, or that of its section.
+        ConfigError: As `load_station`, or the file is of version 1 (`config.version_old`), or leaves out what must be
+            measured (`config.unmeasured`), or gives a size in another unit (`config.unit`); the message names it and
+            its line, or that of its section.
     """
     data = read_station(path)
+    check_current(data, path)
     config = to_station(data, path)
     if complete and (missing := _missing(data)):
         raise ConfigError(

@@ -5,10 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from toolee_robot.config.values import STRICT, Positive
+from toolee_robot.frames import Array
 from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandEfforts, HandMounting, HandWeight, ToolMount
+
+GRAVITY = 9.81
+"""Standard acceleration of free fall [m/s^2], as Pinocchio and the simulation have it."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,10 @@ class ArmLimits:
     __pydantic_config__ = STRICT
     model: ArmModel = ArmModel.UR10
     """Model of the arm."""
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """How the base is mounted: the direction straight up, against gravity, in `base`; any length. (0, 0, 1) on a table,
+    (0, 0, -1) under a ceiling. The script of a program that the teach pendant saves has it as `set_gravity`, in the
+    pendant's Base."""
     host: str | None = None
     """Address of the arm's controller; null for the simulated arm. `toolee hammer --station` connects to it."""
     calibration: DhCalibration | None = None
@@ -43,6 +52,21 @@ class ArmLimits:
     """Share of `velocity` used for transfers through free space: 60 deg/s of the large joints, PolyScope's default."""
     transfer_acceleration: Positive = 3.0
     """Largest acceleration of every joint in a transfer [rad/s^2]."""
+
+    def __post_init__(self) -> None:
+        if np.linalg.norm(self.up) < 1e-6:
+            raise ValueError("up is no direction: give the one straight up in the base, (0, 0, 1) on a table")
+
+    @property
+    def gravity(self) -> Array:
+        """Acceleration of free fall in `base`, (3,) [m/s^2]."""
+        return -GRAVITY * np.array(self.up) / np.linalg.norm(self.up)
+
+    @property
+    def tilt(self) -> float:
+        """Angle between z of `base` and straight up [rad]; 0 for an upright base, pi under a ceiling."""
+        x, y, z = self.up
+        return float(np.arctan2(np.hypot(x, y), z))
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from toolee_robot.config.station_frame import take_frame, to_base
 from toolee_robot.config.tool import ToolData
 from toolee_robot.config.units import check_units
 from toolee_robot.config.values import STRICT
+from toolee_robot.config.version import FIELD, is_current
 from toolee_robot.config.work import WorkConfig
 from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.yaml_files import read_yaml, to_record
@@ -105,15 +106,16 @@ def load_station(path: Path) -> StationConfig:
 
     Args:
         path: YAML file with any subset of the fields of `StationConfig`, and `frame`, the `BaseFrame` of its positions,
-            which a file that gives any must name; omitted fields keep their defaults.
+            which a file that gives any must name; omitted fields keep their defaults. It needs no `version`; one that
+            it gives must be this program's.
 
     Returns:
         The validated configuration, its positions in `base`.
 
     Raises:
-        ConfigError: The file cannot be read, or a field is invalid (the message lists every one), or positions are
-            given and no frame is named, or the camera's pose is given twice or cannot be one, or a size is in another
-            unit, or the calibration is of another place.
+        ConfigError: The file cannot be read, or is of an unknown version, or a field is invalid (the message lists
+            every one), or positions are given and no frame is named, or the camera's pose is given twice or cannot be
+            one, or a size is in another unit, or the calibration is of another place.
     """
     return to_station(read_station(path), path)
 
@@ -134,7 +136,8 @@ def to_station(data: Any, path: Path) -> StationConfig:
     what = "station"
     if not isinstance(data, dict):
         return to_record(data, path, StationConfig, what)
-    data, record = take_record(_first_nail(dict(data)), path)
+    is_current(data, path)  # refuses an unknown one
+    data, record = take_record(_first_nail({name: value for name, value in data.items() if name != FIELD}), path)
     frame = take_frame(data)
     data = take_camera_pose(data, frame, path)
     config = to_record(data, path, StationConfig, what)

@@ -14,10 +14,13 @@ from toolee_robot.frames import HALF_TURN, BaseFrame
 FIELD = "frame"
 """The station file's key that names the frame."""
 POINTS = (
+    ("arm", "up"),
     ("camera", "position"),
     ("camera", "target"),
     ("work", "nail_xy"),
     ("work", "block_xy"),
+    ("work", "wood_rise"),
+    ("work", "nail_lean"),
     ("scene", "person_center"),
     ("scene", "handover_position"),
     ("scene", "handover_facing"),
@@ -30,7 +33,7 @@ BOX = ("scene", "workspace_lower", "workspace_upper")
 OBSTACLES = ("scene", "obstacles")
 """Section and field of the list of boxes, each with a centre and a rotation."""
 NAILS = ("work", "nails")
-"""Section and field of the list of nails, each with a place."""
+"""Section and field of the list of nails, each with a place, and perhaps a lean."""
 
 
 def take_frame(data: dict[str, Any]) -> BaseFrame:
@@ -99,7 +102,7 @@ def to_base(data: dict[str, Any], frame: BaseFrame) -> dict[str, Any]:
         obstacle["rotation"] = turned.as_rotvec().tolist()
     section, name = NAILS
     for nail in (data.get(section) or {}).get(name) or ():
-        nail["xy"] = _turned(nail["xy"])
+        nail |= {name: _turned(nail[name]) for name in ("xy", "lean") if nail.get(name) is not None}
     return data
 
 

@@ -11,6 +11,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.doctor.force import check_force, measure_force
 from toolee_robot.doctor.frames import JOGGED_POINT, check_frames
+from toolee_robot.doctor.mounting import check_mounting
 from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding
 from toolee_robot.frames import Array
@@ -70,6 +71,7 @@ def examine_robot(host: str, config: StationConfig, jogged_point: Array | None =
     findings = check(report, expected_robot(config))
     if report.state is not None and report.quality is not None:
         findings += check_frames(report.state, config, jogged_point)
+        findings.append(check_mounting(report.state, config))
         try:
             findings.append(check_force(measure_force(host, rate), config))
         except DeviceError as error:

@@ -55,9 +55,48 @@ def set_fields(
     except (yaml.YAMLError, AttributeError, KeyError, StopIteration, TypeError, ValueError):
         done = False
     if not done:
-        message = f"{path} has a layout that is not edited here: enter it by hand:\n{_by_hand(section, values, item)}"
-        raise ConfigError(message, code="config.not_editable")
+        raise _not_editable(path, _by_hand(section, values, item))
     write_atomic(path, edited.encode())
+
+
+def add_first(path: Path, name: str, value: Value) -> None:
+    """Add a field to a YAML file, before all others of its top level.
+
+    Args:
+        path: The file; its top level is a mapping without this field, or empty.
+        name: Name of the field.
+        value: Its value.
+
+    Raises:
+        ConfigError: The file cannot be read, or has a layout that cannot be edited safely; nothing was written.
+        UserError: The file cannot be written.
+    """
+    before = read_yaml(path, "file")
+    try:
+        edited = _preceded(path.read_bytes().decode(), {name: value})
+        done = name not in (before or {}) and bool(yaml.safe_load(edited) == {name: value, **(before or {})})
+    except (yaml.YAMLError, TypeError, ValueError):
+        done = False
+    if not done:
+        raise _not_editable(path, _block({name: value}, ""))
+    write_atomic(path, edited.encode())
+
+
+def _not_editable(path: Path, lines: str) -> ConfigError:
+    message = f"{path} has a layout that is not edited here: enter it by hand:\n{lines}"
+    return ConfigError(message, code="config.not_editable")
+
+
+def _preceded(text: str, new: dict[str, Any]) -> str:
+    root = yaml.compose(text, yaml.SafeLoader)
+    if root is None:  # an empty file
+        return _inserted(text, len(text), _block(new, ""))
+    if not isinstance(root, yaml.MappingNode):
+        raise TypeError(text)
+    begin = root.start_mark.index
+    if root.flow_style:
+        return f"{text[: begin + 1]}{_text(new)[1:-1]}{', ' if root.value else ''}{text[begin + 1 :]}"
+    return f"{text[:begin]}{_block(new, '')}\n{' ' * root.start_mark.column}{text[begin:]}"
 
 
 def _by_hand(section: tuple[str, ...], values: Mapping[str, Value], item: tuple[str, str] | None) -> str:

@@ -175,7 +175,7 @@ def contradiction(data: dict[str, Any], section: str) -> str:
     Returns:
         What is wrong, of the records of which every field is there; empty for nothing.
     """
-    probe = {name: value for name, value in data.items() if name not in ("frame", "calibration")}
+    probe = {name: value for name, value in data.items() if name not in ("version", "frame", "calibration")}
     if isinstance(camera := probe.get("camera"), dict):  # the loader takes the pose, as it does those two
         probe["camera"] = {name: value for name, value in camera.items() if name != "X_base_camera"}
     try:
@@ -214,7 +214,7 @@ def _all(data: dict[str, Any]) -> Iterator[Question]:
     yield Question(("frame",), str, f"{text}as ROS does; half a turn about z apart.", frames)
     models = tuple(str(model) for model in ArmModel)
     yield Question(("arm", "model"), str, field_docs(ArmLimits)["model"], models)
-    yield from _of(ArmLimits, ("arm",), ("host",))
+    yield from _of(ArmLimits, ("arm",), ("up", "host"))
     yield from _of_hand(data.get("hand") or {})
     device = ("camera", "device")
     yield Question((*device, "driver"), str, field_docs(CameraDevice)["driver"], tuple(camera_drivers()))

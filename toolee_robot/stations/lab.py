@@ -12,7 +12,7 @@ from datetime import date
 from enum import StrEnum
 from typing import Any, Self
 
-from toolee_robot.config import StationConfig, ToolData
+from toolee_robot.config import StationConfig, ToolData, check_upright
 from toolee_robot.errors import ConfigError
 from toolee_robot.hal import Station
 from toolee_robot.hardware.cameras import CameraStream
@@ -111,7 +111,8 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
     Raises:
         ConfigError: A field is missing (`config.station_lacks`), and the message names every one, such as `arm.host`;
             or the camera is a recording (`config.recorded_camera`); or, for a job, the calibration is too old or of
-            another camera than the file's (`config.calibration`).
+            another camera than the file's (`config.calibration`); or the arm's base is tilted
+            (`config.mounting_tilted`).
     """
     wanted: dict[str, object] = {
         "arm.host": config.arm.host,
@@ -130,6 +131,7 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
             f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/run_a_job.md",
             code="config.station_lacks",
         )
+    check_upright(config.arm, str(purpose))
     device, calibration = config.camera.device, config.calibration
     assert device is not None, "checked above"
     if device.driver == RECORDED:

@@ -14,6 +14,7 @@ from toolee_robot.stations.interview import INTRINSICS, questions
 _SOURCES = {
     "frame": "the teach pendant, or ROS",
     "arm": "its name plate, the network",
+    "arm.up": "spirit level on the base; or set_gravity in the script of a program that the pendant has saved",
     "hand": "its name plate, scales, spring balance",
     "camera.device": "its label and data sheet",
     "camera": "tape measure",
@@ -24,7 +25,7 @@ _SOURCES = {
     "tool_envelope": "calliper",
     "strike": "docs/how-to/bring_up_a_ur.md",
 }
-"""Where the numbers of a section come from that a person types in."""
+"""Where the numbers of a section, or of a field, come from that a person types in."""
 STANDS_IN = "until then the default holds"
 """Note of fields that a job does not refuse to be without."""
 
@@ -63,7 +64,7 @@ def open_fields(data: dict[str, Any], path: Path) -> list[OpenFields]:
     Returns:
         What is open, in the order in which a lab does it: first everything that is typed in, then the commands.
     """
-    by_section: dict[tuple[str, str], list[str]] = {}
+    by_source: dict[tuple[str, str, str], list[str]] = {}
     intrinsics = []
     for question in questions(data):
         *sections, name = question.path
@@ -71,10 +72,10 @@ def open_fields(data: dict[str, Any], path: Path) -> list[OpenFields]:
             intrinsics.append(name)
         else:
             note = STANDS_IN if question.offered else ""
-            by_section.setdefault((".".join(sections), note), []).append(name)
+            by_source.setdefault((".".join(sections), _source(question.name), note), []).append(name)
     typed = [
-        OpenFields(section, tuple(names), _source(section or names[0]), typed=True, note=note)
-        for (section, note), names in by_section.items()
+        OpenFields(section, tuple(names), source, typed=True, note=note)
+        for (section, source, note), names in by_source.items()
     ]
     return [*typed, *_measured(data, tuple(intrinsics), shlex.quote(str(path)))]
 
@@ -109,10 +110,10 @@ def _marked(entry: OpenFields) -> str:
     return f"{entry.fields} ({entry.note})" if entry.note else entry.fields
 
 
-def _source(section: str) -> str:
-    while section not in _SOURCES:
-        section = section.rpartition(".")[0]
-    return _SOURCES[section]
+def _source(field: str) -> str:
+    while field not in _SOURCES:
+        field = field.rpartition(".")[0]
+    return _SOURCES[field]
 
 
 def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> Iterator[OpenFields]:

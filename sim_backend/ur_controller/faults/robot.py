@@ -10,6 +10,7 @@ from pydantic import Field
 
 from toolee_robot.sim_backend.ur_controller.faults.hooks import Count, HookGroup, Seconds, Six, Three, hook
 from toolee_robot.sim_backend.ur_controller.faults.network import NetworkFaults
+from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.safety.system import UNLOCK_DELAY, RobotMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Identity
@@ -56,6 +57,7 @@ class RobotFaults(HookGroup):
         robot.identity = Identity.of(nominal, robot.machine.profile)
         robot.calibrate(nominal)
         robot.machine.speed_fraction, robot.machine.speed_scaling = options.speed_slider, 1.0
+        robot.machine.felt_gravity = UPRIGHT.copy()
         own = robot.machine.profile.safeguard_resumes
         robot.safety.safeguard_resumes = own if options.safeguard_resumes is None else options.safeguard_resumes
         robot.safety.remote = options.remote
@@ -161,6 +163,15 @@ class RobotFaults(HookGroup):
     def tcp(self, pose: Six) -> None:
         """Set another TCP as at the pendant: position [m], rotation vector [rad]."""
         self._robot.machine.tcp = np.array(pose)
+
+    @hook
+    def mounting(self, up: Three) -> None:
+        """Let the base stand otherwise than the installation says, which the tool's accelerometer feels.
+
+        Args:
+            up: Straight up, in the controller's base, (3,) [m/s^2]: 9.82 long on earth.
+        """
+        self._robot.machine.felt_gravity = np.array(up)
 
     @hook
     def speed_slider(self, fraction: Annotated[float, Field(ge=0.0, le=1.0)]) -> None:

@@ -57,7 +57,9 @@ class Machine:
         payload: Mass of the payload [kg].
         payload_cog: Centre of gravity of the payload in the flange frame, (3,) [m].
         payload_inertia: Inertia of the payload, (6,) [kg m^2].
-        gravity: Acceleration of the base that is equivalent to gravity, (3,) [m/s^2]; points upwards.
+        gravity: Acceleration of the base that is equivalent to gravity, (3,) [m/s^2]; points upwards. What the program
+            or the installation says.
+        felt_gravity: The same as the base really stands, which the tool's accelerometer feels.
         speed_fraction: Position of the speed slider, 0 to 1.
         speed_scaling: Factor by which the controller itself slows motions down, 0 to 1.
         paused: Whether motions slow down to a halt and wait.
@@ -90,7 +92,7 @@ class Machine:
         self.watchdogs = Watchdogs()
         self.q_target, self.qd_target, self.qdd_target = plant.q.copy(), np.zeros(6), np.zeros(6)
         self.payload, self.payload_cog, self.payload_inertia = 0.0, np.zeros(3), np.zeros(6)
-        self.gravity = UPRIGHT.copy()
+        self.gravity, self.felt_gravity = UPRIGHT.copy(), UPRIGHT.copy()
         self.speed_fraction, self.speed_scaling = 1.0, 1.0
         self.paused = False
         self.compliance: Compliance | None = None

@@ -68,7 +68,7 @@ OUTPUTS: dict[str, Output] = {
     "joint_mode": Output("VECTOR6INT32", lambda r: [_JOINT_RUNNING if r.safety.powered else _JOINT_OFF] * 6),
     "safety_mode": Output("INT32", lambda r: r.safety.mode),
     "safety_status": Output("INT32", lambda r: r.safety.mode, (3, 10), (5, 4)),
-    "actual_tool_accelerometer": Output("VECTOR3D", lambda r: r.machine.gravity),
+    "actual_tool_accelerometer": Output("VECTOR3D", lambda r: r.reading.tool_acceleration),
     "speed_scaling": Output("DOUBLE", lambda r: r.machine.speed_scaling),
     "target_speed_fraction": Output("DOUBLE", lambda r: r.machine.speed_fraction),
     "actual_momentum": Output("DOUBLE", lambda r: r.reading.momentum),

@@ -17,6 +17,7 @@ from toolee_robot.hardware.ur.checks import UrExpected, check
 from toolee_robot.hardware.ur.kinematics import calibration_of
 from toolee_robot.hardware.ur.probe import probe
 from toolee_robot.hardware.ur.report import UrReport
+from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Payload
 
@@ -58,6 +59,18 @@ def _found(robot: ControllerProcess, **changes: Any) -> dict[str, Finding]:
     assert all(f.message for f in findings)
     assert all(bool(f.remedy) == (f.level is not Level.OK) for f in findings), "what is not well says what to do"
     return by_name
+
+
+def test_the_accelerometer_feels_gravity_in_the_tools_axes(robot: ControllerProcess) -> None:
+    report = probe(robot.host, listen=_LISTEN)
+    assert report.state is not None
+    assert report.state.accelerometer is not None
+    R = DhParameters.of(_model(robot)).fk(report.state.q)[:3, :3]
+    np.testing.assert_allclose(R @ report.state.accelerometer, [0.0, 0.0, 9.82], atol=1e-9)
+    robot.fault("missing", variables=["actual_tool_accelerometer"])
+    report = probe(robot.host, listen=_LISTEN)
+    assert report.state is not None
+    assert report.state.accelerometer is None
 
 
 def test_a_robot_as_it_should_be(robot: ControllerProcess) -> None:

@@ -11,7 +11,7 @@ from rich.markup import escape
 
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import load_lab_station, load_station, read_station
+from toolee_robot.config import check_current, load_lab_station, load_station, read_station
 from toolee_robot.errors import ConfigError
 
 
@@ -35,7 +35,9 @@ class Check:
         from toolee_robot.stations.open_fields import open_fields, told
 
         console = Console(stderr=self.json, highlight=False)
-        fields = open_fields(read_station(self.file), self.file)
+        data = read_station(self.file)
+        check_current(data, self.file)
+        fields = open_fields(data, self.file)
         if any(not entry.note for entry in fields):
             raise ConfigError(_wrong(self.file) + told(fields, self.file), code="config.unmeasured")
         config = load_lab_station(self.file)

@@ -12,10 +12,11 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from toolee_robot.config import VERSION, check_current
 from toolee_robot.config.station import read_station, to_station
 from toolee_robot.errors import ConfigError, TooleeError, UserError
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.yaml_edit import set_fields
+from toolee_robot.runtime.yaml_edit import add_first, set_fields
 
 if TYPE_CHECKING:
     from toolee_robot.stations.interview import Question
@@ -51,6 +52,10 @@ class New:
         data = read_station(self.file)
         if not isinstance(data, dict):
             raise UserError(f"{self.file} is no station file: give another name", code="user.not_a_station")
+        if not data:
+            add_first(self.file, "version", VERSION)
+            data = read_station(self.file)
+        check_current(data, self.file)
         before = copy.deepcopy(data)
         console.print(
             'Enter gives the answer that is offered, or leaves the field open; "<" takes the answer before back. '

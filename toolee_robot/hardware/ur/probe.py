@@ -11,6 +11,7 @@ unknown values are None, and `problems` tells why.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,7 +47,8 @@ _ALWAYS = (
     "speed_scaling",
     "target_speed_fraction",
 )
-_OPTIONAL = ("tcp_offset", "payload", "payload_cog")  # payload since 3.11 and 5.5.1
+_ACCELEROMETER = "actual_tool_accelerometer"
+_OPTIONAL = ("tcp_offset", "payload", "payload_cog", _ACCELEROMETER)  # payload since 3.11 and 5.5.1
 
 
 def nominal_rate(version: tuple[int, int, int, int]) -> float:
@@ -89,7 +91,7 @@ def probe(host: str, timeout: float = 3.0, listen: float = 1.0, clock: HostClock
     state, quality = None, None
     if samples:
         try:
-            state = _state(samples[-1].values)
+            state = replace(_state(samples[-1].values), accelerometer=_accelerometer(samples))
         except (TypeError, ValueError, OverflowError) as error:
             problems.append(f"RTDE: a variable has another type than documented ({error})")
         else:
@@ -171,6 +173,13 @@ def _state(values: dict[str, Value]) -> UrState:
         speed_slider=_number(values["target_speed_fraction"]),
         speed_scaling=_number(values["speed_scaling"]),
     )
+
+
+def _accelerometer(samples: list[RtdeSample]) -> Array | None:
+    """Mean over the samples, (3,) [m/s^2]: one reading is noisy."""
+    if _ACCELEROMETER not in samples[-1].values:
+        return None
+    return np.asarray(np.mean([_vector(sample.values[_ACCELEROMETER], 3) for sample in samples], axis=0))
 
 
 def _number(value: Value) -> float:

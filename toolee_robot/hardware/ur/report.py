@@ -39,6 +39,8 @@ class UrState:
         safety_status_bits: RTDE's safety_status_bits.
         speed_slider: Position of the speed slider, 0 to 1.
         speed_scaling: Actual speed scaling, 0 to 1.
+        accelerometer: Mean of the tool's accelerometer, (3,) [m/s^2], axes of the tool, upwards at rest; None if the
+            controller does not report it.
     """
 
     q: Array
@@ -53,6 +55,7 @@ class UrState:
     safety_status_bits: int
     speed_slider: float
     speed_scaling: float
+    accelerometer: Array | None = None
 
 
 @dataclass(frozen=True)

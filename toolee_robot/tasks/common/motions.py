@@ -7,7 +7,7 @@ from contextlib import contextmanager, nullcontext, suppress
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import StationConfig, check_upright
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.collision_shapes import Body
 from toolee_robot.control.contact import ContactVerdict
@@ -28,7 +28,7 @@ from toolee_robot.tasks.common.person_proof import PersonProof
 from toolee_robot.types import Payload, Trajectory
 
 UP = (0.0, 0.0, 1.0)
-"""Unit vector in `base`."""
+"""Straight up in `base`, which stands upright."""
 STRAIGHT_SPEED = 0.25
 """Largest speed of a straight motion [m/s]."""
 STILL_STEP, STILL_PATIENCE = 0.02, 1.0
@@ -53,6 +53,9 @@ class Motions:
         observer: Receives the motions.
         X_hand_ee: Initial estimate of the end effector's pose in the hand, (4, 4).
 
+    Raises:
+        ConfigError: The arm's base is tilted (`config.mounting_tilted`).
+
     Attributes:
         arm: The supervisor around the station's arm.
         person: The person at the station, whose inputs must be seen to change before the arm moves fast.
@@ -74,6 +77,7 @@ class Motions:
         observer: TaskObserver,
         X_hand_ee: Array,
     ) -> None:
+        check_upright(config.arm, "a task")
         self.X_hand_ee = X_hand_ee
         self.held = False
         self.in_the_way: tuple[Body, ...] = ()

@@ -84,6 +84,21 @@ def test_an_unknown_payload_weighs_on_the_force() -> None:
     assert not controller.robot.reading.tcp_force.any()
 
 
+def test_the_accelerometer_feels_how_the_base_stands_whatever_the_program_says() -> None:
+    """URScript manual: its axes are the tool's, and one that points up reads positive. The tool looks down."""
+    controller, fault = faulty("UR10e", "ideal")
+    robot = controller.robot
+    robot.machine.gravity = np.array([0.0, 9.82, 0.0])
+    robot.step()
+    np.testing.assert_allclose(robot.reading.tool_acceleration, [0.0, 0.0, -9.82], atol=1e-3)
+    assert fault("mounting", up=[0.0, 0.0, -9.82])["ok"]
+    robot.step()
+    np.testing.assert_allclose(robot.reading.tool_acceleration, [0.0, 0.0, 9.82], atol=1e-3)
+    fault("reset")
+    robot.step()
+    np.testing.assert_allclose(robot.reading.tool_acceleration, [0.0, 0.0, -9.82], atol=1e-3)
+
+
 def test_a_door_opens_the_safeguard_also_where_its_input_is_stuck() -> None:
     controller, fault = faulty("UR10e", "ideal")
     machine, safety = controller.robot.machine, controller.robot.safety
