@@ -149,11 +149,10 @@ def station_bodies(config: StationConfig) -> list[Body]:
     """Build the boxes of table, stand, block, camera, person and the station's obstacles in `base`."""
     work, scene = config.work, config.scene
     x, y = work.block_center
-    block, top = work.block_size, work.wood_height
     return [
         box_body("table", (0.4, 0.0, -0.05), (*scene.table_size, 0.1)),
         box_body("stand", (x, y, work.stand_height / 2), (*work.stand_size, work.stand_height)),
-        box_body("block", (x, y, top - block[2] / 2), block),
+        rotated_box_body("block", work.X_base_block, work.block_size),
         box_body("camera", config.camera.center, scene.camera_size),
         box_body("person", scene.person_center, scene.person_size),
         *(rotated_box_body(o.name, o.X_base_box, o.size) for o in scene.obstacles),
@@ -173,9 +172,9 @@ def nail_bodies(work: WorkConfig, names: Collection[str]) -> tuple[Body, ...]:
     found = []
     for name in names:
         nail = work.only(name)
-        center = (*nail.nail_xy, nail.wood_height + nail.nail_protrusion / 2)
         size = (nail.nail_head_diameter, nail.nail_head_diameter, nail.nail_protrusion)
-        found.append(replace(box_body(f"nail {name}", center, size), group="nail"))
+        middle = nail.X_base_nail(nail.nail_protrusion / 2)
+        found.append(replace(rotated_box_body(f"nail {name}", middle, size), group="nail"))
     return tuple(found)
 
 

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from toolee_robot.config import SIMULATED, StationConfig
+from toolee_robot.config import SIMULATED, StationConfig, check_upright
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
@@ -82,7 +82,11 @@ def build_world(config: StationConfig, tool: Tool, options: SimOptions) -> SimWo
 
     Returns:
         The world.
+
+    Raises:
+        ConfigError: The arm's base is tilted (`config.mounting_tilted`).
     """
+    check_upright(config.arm, "the simulated world")
     x, y, _ = config.scene.person_center
     return SimWorld(config, tool, transform(p=[x, y + 0.35, 1.0]), options)
 
@@ -152,7 +156,7 @@ class SimStation:
             person = SimPerson(world, offset, options.hands_over)
             clock = SimClock(world)
             visuals = SceneVisuals(config, tool, seed, lambda: scene_state(world, person), options.boards)
-            camera = SimCamera(visuals, clock, config.camera.uncalibrated, seed)
+            camera = SimCamera(visuals, clock, config.camera.uncalibrated, seed, options.sensor)
             hand = simulated_hand(world, options)
             station = Station(
                 SimArm(world, options.wrench_errors, [seed, 13]), hand, camera, person, clock, SIMULATED, SIMULATED

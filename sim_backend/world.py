@@ -100,7 +100,7 @@ class SimWorld:
         self.nails = {
             name: Nail(
                 self.client, work.X_base_nail(), NailSpec.from_config(work), self.furniture.block,
-                config.task.flush_protrusion, lean,
+                config.task.flush_protrusion, lean, -work.wood_normal,
             )
             for (name, work), lean in zip(config.work.each(), leans, strict=False)
         }  # fmt: skip

@@ -54,6 +54,7 @@ class View:
         wood: Which of its pixels count, (h, w); None for all.
         colours: How much brighter than what is around them shank and head were before, (2, n). None where that is not
             known: then the foot's place is fitted, too.
+        slope: How the nail is believed to lean, x and y of `base` per z, from which a lean is weighed.
     """
 
     look: Appearance
@@ -61,6 +62,7 @@ class View:
     image: NDArray[np.float64]
     wood: NDArray[np.bool_] | None = None
     colours: Array | None = None
+    slope: tuple[float, float] = (0.0, 0.0)
 
     def compare(self, pose: NailPose) -> Comparison:
         """How the part compares with a nail."""
@@ -78,7 +80,8 @@ class View:
             The fit.
         """
         n = 4 if self.colours is None else 2
-        usual = LEAN * (start.head - start.foot)[2]
+        height = (start.head - start.foot)[2]
+        usual, believed = LEAN * height, height * np.asarray(self.slope)
 
         def pose(x: Array) -> NailPose:
             moved = np.zeros(4)
@@ -88,7 +91,9 @@ class View:
         def residuals(x: Array) -> Array:
             at = pose(x)
             seen = self.compare(at).residuals
-            return seen if noise is None else np.concatenate([seen, noise / usual * (at.head - at.foot)[:2]])
+            return (
+                seen if noise is None else np.concatenate([seen, noise / usual * ((at.head - at.foot)[:2] - believed)])
+            )
 
         def slopes(x: Array) -> Array:
             steps = DIFFERENCE * np.eye(n)

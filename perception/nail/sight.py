@@ -102,15 +102,19 @@ class NailSight:
 
     Args:
         X_base_camera: Pose of the camera in `base`, (4, 4).
-        foot: Where the nail's axis is believed to enter the wood, `base`, (3,) [m]; it stands upright.
+        foot: Where the nail's axis is believed to enter the wood, `base`, (3,) [m].
         diameter: Diameter of its shank [m].
         head_diameter: Diameter of its head [m].
+        axis: Its axis out of the wood, `base`, (3,); None for z.
     """
 
-    def __init__(self, X_base_camera: Array, foot: Array, diameter: float, head_diameter: float) -> None:
+    def __init__(
+        self, X_base_camera: Array, foot: Array, diameter: float, head_diameter: float, axis: Array | None = None
+    ) -> None:
         self._X_camera_base = inverse(X_base_camera)
         self._camera = X_base_camera[:3, 3]
         self._believed, self._radii = foot, (0.5 * diameter, 0.5 * head_diameter)
+        self._axis = np.array([0.0, 0.0, 1.0]) if axis is None else axis / axis[2]
         self._blur = BLURS[0]
         self._set: NailPose | None = None  # as it was set: as seen, and as nails are set
         self._covariance = np.zeros((4, 4))  # of its foot and head, x and y
@@ -125,9 +129,10 @@ class NailSight:
             height: Height of its head over the wood [m].
 
         Returns:
-            How its head stands beside its foot; None where it is hidden, outside of the image or not found.
+            How far its head is from its axis as believed, through its foot; None where it is hidden, outside of the
+            image or not found.
         """
-        seen = self._in_sight(frames, self._upright(self._believed, height))
+        seen = self._in_sight(frames, self._standing(self._believed, height))
         if not seen:
             return None
         image, wood = _mean(seen), self._wood(seen)
@@ -136,7 +141,8 @@ class NailSight:
         if found is None or window is None:
             return None
         part, counted = window.cut(image), window.cut(wood)
-        views = {blur: View(self._look(frames[0], blur), window, part, counted) for blur in BLURS}
+        slope = float(self._axis[0]), float(self._axis[1])
+        views = {blur: View(self._look(frames[0], blur), window, part, counted, slope=slope) for blur in BLURS}
         fits = {blur: view.fit(found) for blur, view in views.items()}
         self._blur = min(fits, key=lambda blur: fits[blur].misfit)
         view = views[self._blur]
@@ -145,7 +151,8 @@ class NailSight:
             return None
         self._set, self._covariance, self._colours = fit.pose, fit.covariance, fit.comparison.colours
         self._behind = view.look.without(image, fit.pose, self._colours)
-        return HeadOffset((fit.pose.head - fit.pose.foot)[:2], ACROSS @ fit.covariance @ ACROSS.T)
+        off = fit.pose.head - fit.pose.foot - height * self._axis
+        return HeadOffset(off[:2], ACROSS @ fit.covariance @ ACROSS.T)
 
     def again(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> HeadOffset | None:
         """See where the head is after strikes.
@@ -183,8 +190,8 @@ class NailSight:
         total = fit.covariance[2:, 2:] + axis @ self._covariance @ axis.T + sigma**2 * np.outer(along, along)
         return HeadOffset((fit.pose.head - expected.head)[:2], total)
 
-    def _upright(self, foot: Array, height: float) -> NailPose:
-        return NailPose(foot, foot + np.array([0.0, 0.0, height]))
+    def _standing(self, foot: Array, height: float) -> NailPose:
+        return NailPose(foot, foot + height * self._axis)
 
     def _look(self, frame: RgbdFrame, blur: float) -> Appearance:
         return Appearance(frame.intrinsics, self._X_camera_base, *self._radii, blur)
@@ -218,12 +225,12 @@ class NailSight:
     def _find(
         self, frame: RgbdFrame, image: NDArray[np.float64], wood: NDArray[np.bool_], height: float
     ) -> NailPose | None:
-        """Look for an upright nail around the place where it is believed."""
+        """Look for a nail that stands as believed around the place where it is believed."""
         look, best = self._look(frame, BLURS[len(BLURS) // 2]), None
         steps = np.arange(-SEARCH, SEARCH + 0.5 * STEP, STEP)
         for x in steps:
             for y in steps[np.hypot(x, steps) <= SEARCH]:
-                pose = self._upright(self._believed + np.array([x, y, 0.0]), height)
+                pose = self._standing(self._believed + np.array([x, y, 0.0]), height)
                 window = look.window(pose, MARGIN)
                 if window is None or np.mean(window.cut(wood)) < SEEN_PART:
                     continue

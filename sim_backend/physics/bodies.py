@@ -107,8 +107,8 @@ class Furniture:
         stand = fixed_box(
             client, (*work.stand_size, work.stand_height), np.array([x, y, work.stand_height / 2]), (0.35, 0.36, 0.4)
         )
-        center = np.array([x, y, work.stand_height + work.block_size[2] / 2])
-        block = fixed_box(client, work.block_size, center, (0.76, 0.6, 0.4))
+        X = work.X_base_block
+        block = fixed_box(client, work.block_size, X[:3, 3], (0.76, 0.6, 0.4), Rotation.from_matrix(X[:3, :3]))
         obstacles = [
             fixed_box(client, o.size, np.array(o.center), OBSTACLE_COLOR, Rotation.from_rotvec(o.rotation))
             for o in config.scene.obstacles

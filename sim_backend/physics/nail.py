@@ -58,13 +58,14 @@ class Nail:
 
     Args:
         client: pybullet's physics client.
-        X_world_nail: Pose of the head's top before the first strike, if the nail is upright, 4x4, z into the wood.
+        X_world_nail: Pose of the head's top before the first strike, if the nail does not lean, 4x4, z into the wood.
         spec: Nail and wood; the defaults if None.
         wood: pybullet's id of the body into which the nail is driven, which does not collide with it; None if there is
             none.
         flush_protrusion: Largest protrusion at which the nail counts as flush [m].
         lean: Rotation vector's x and y with which nail and hole lean about the point where it enters the wood, axes of
-            the upright nail [rad].
+            the nail that does not [rad].
+        into_wood: Direction square to the wood's surface, into it, (3,); None for that of `X_world_nail`.
 
     Attributes:
         spec: Nail and wood.
@@ -81,13 +82,14 @@ class Nail:
         wood: int | None = None,
         flush_protrusion: float = 0.001,
         lean: tuple[float, float] = (0.0, 0.0),
+        into_wood: Array | None = None,
     ) -> None:
         self.spec = spec = spec or NailSpec()
         self.flush_protrusion = flush_protrusion
         self._client = client
         upright = X_world_nail @ transform(p=[0.0, 0.0, spec.protrusion])
         self.X_world_surface = upright @ transform(Rotation.from_rotvec([*lean, 0.0]))
-        self._into_wood = self.X_world_surface[:3, :3].T @ upright[:3, 2]
+        self._into_wood = self.X_world_surface[:3, :3].T @ (upright[:3, 2] if into_wood is None else into_wood)
         self._largest_shift = self._largest_lean = 0.0
         self.body = self._create()
         if wood is not None:

@@ -165,8 +165,10 @@ class SceneVisuals:
         x, y = work.block_center
         height = work.stand_height
         self._static = [
-            _static("stand", box((*work.stand_size, height)), (x, y, height / 2), "steel_painted", STAND_COLOR),
-            _static("block", box(work.block_size), (x, y, height + work.block_size[2] / 2), "wood_block", PINE_COLOR),
+            _static(
+                "stand", box((*work.stand_size, height)), transform(p=(x, y, height / 2)), "steel_painted", STAND_COLOR
+            ),
+            _static("block", box(work.block_size), work.X_base_block, "wood_block", PINE_COLOR),
         ]
         self._static += [
             VisualBody(o.name, box(o.size), o.X_base_box, "steel_painted", OBSTACLE_COLOR, 0.6, body_id=BodyId.WORK)
@@ -219,8 +221,8 @@ class SceneVisuals:
         return parts
 
 
-def _static(name: str, mesh: Mesh, center: tuple[float, float, float], finish: str, color: Color) -> VisualBody:
-    return VisualBody(name, mesh, transform(p=center), finish, color, 0.6, body_id=BodyId.WORK)
+def _static(name: str, mesh: Mesh, X: Array, finish: str, color: Color) -> VisualBody:
+    return VisualBody(name, mesh, X, finish, color, 0.6, body_id=BodyId.WORK)
 
 
 def _along(a: Array, b: Array) -> Array:

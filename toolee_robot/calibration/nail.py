@@ -20,7 +20,7 @@ MIN_TOUCHES = 3
 LARGEST_SPREAD = 2e-3
 """Distance of a touch from the median of all above which it was on something else [m]."""
 LARGEST_TILT = float(np.deg2rad(5.0))
-"""Tilt of the wood off the horizontal beyond which a board does not lie on it: a job's nails stand upright [rad]."""
+"""Tilt of a board beyond which it does not lie on the wood [rad]: a block on its stand is straighter."""
 LARGEST_SCALING = 0.03
 """Deviation of the board's distance in the depth image from that by its size beyond which its size is wrong."""
 FEWEST_DEPTHS = 30
@@ -187,7 +187,55 @@ def _check_size(X_camera_board: Array, board: Board, camera: KnownCamera, depth:
         )
 
 
-def combine(seen: SeenNail, touched: LocatedNail, protrusion: float, protrusion_error: float = 5e-4) -> SeenNail:
+def foot_of(head: Array, up: Array, protrusion: float, lean: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Follow a nail from its head to the wood.
+
+    Args:
+        head: Middle of its head's top, (3,) [m], `base`.
+        up: Normal of the wood, out of it, (3,), `base`.
+        protrusion: Height of the head over the wood along the nail [m].
+        lean: How it leans from the normal, as `work.nail_lean`.
+
+    Returns:
+        Where its axis meets the wood, (3,) [m], `base`.
+    """
+    axis = up / up[2] + np.array([*lean, 0.0])
+    return np.asarray(head - protrusion * axis / np.linalg.norm(axis))
+
+
+def check_height(
+    head: Array, foot: Array, wood_height: float, protrusion: float, sigma: float, protrusion_error: float = 5e-4
+) -> None:
+    """Compare touches of a nail's head with touches of the wood, by the same tip.
+
+    Args:
+        head: Middle of the head's top, (3,) [m], `base`.
+        foot: Where the nail meets the wood by it and by the nail's height, (3,) [m].
+        wood_height: Height of the wood there by its touches [m].
+        protrusion: That height of the nail [m].
+        sigma: Standard deviation of the two heights' difference, by the touches [m].
+        protrusion_error: Standard deviation of the nail's height [m].
+
+    Raises:
+        UserError: The two disagree (`user.nail_disagrees`).
+    """
+    off = wood_height - foot[2]
+    if off**2 > (sigma**2 + protrusion_error**2) * chi2.ppf(AGREES, 1):
+        raise UserError(
+            f"by the touches of its head and of the wood the nail stands {(head[2] - wood_height) * 1e3:.1f} mm over "
+            f"the wood, and work.nail_protrusion says {protrusion * 1e3:.1f}: measure it again, and touch again what "
+            "was not the middle of the head or not the wood",
+            code="user.nail_disagrees",
+        )
+
+
+def combine(
+    seen: SeenNail,
+    touched: LocatedNail,
+    protrusion: float,
+    protrusion_error: float = 5e-4,
+    lean: tuple[float, float] = (0.0, 0.0),
+) -> SeenNail:
     """Combine sight and touches of a nail, weighted by their covariances.
 
     Args:
@@ -195,6 +243,7 @@ def combine(seen: SeenNail, touched: LocatedNail, protrusion: float, protrusion_
         touched: Its head by touches.
         protrusion: Height of the head over the wood [m].
         protrusion_error: Standard deviation of it [m].
+        lean: How the nail leans from the wood's normal, as `work.nail_lean`.
 
     Returns:
         The nail.
@@ -202,7 +251,7 @@ def combine(seen: SeenNail, touched: LocatedNail, protrusion: float, protrusion_
     Raises:
         UserError: The two disagree by more than their covariances explain (`user.nail_disagrees`).
     """
-    entry = touched.head - protrusion * seen.up
+    entry = foot_of(touched.head, seen.up, protrusion, lean)
     covariance = touched.covariance + protrusion_error**2 * np.outer(seen.up, seen.up)
     off, both = entry - seen.entry, covariance + seen.covariance
     if off @ np.linalg.solve(both, off) > chi2.ppf(AGREES, 3):

@@ -1,4 +1,4 @@
-"""A point of what hangs on the flange, from touching one fixed point with it in several orientations."""
+"""A point of what hangs on the flange, by touches of one fixed point in several orientations; lists of touches."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from toolee_robot.calibration.hand_eye.motion_spread import MIN_ROTATION, motion
 from toolee_robot.calibration.record import Row
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_record
 
 MIN_TOUCHES = 5
@@ -22,7 +23,7 @@ LARGEST_RESIDUAL = 2e-3
 
 @dataclass(frozen=True)
 class Touches:
-    """Joint positions at which the tip was on the fixed point.
+    """Joint positions at which a tip was on what it touched.
 
     Attributes:
         touches: Joint positions as the robot reports them, (6,) [rad] each.
@@ -56,7 +57,7 @@ class Tip:
 
 
 def read_touches(path: Path) -> Touches:
-    """Read the touches of a tip.
+    """Read a list of touches.
 
     Args:
         path: A YAML or JSON file.
@@ -68,6 +69,27 @@ def read_touches(path: Path) -> Touches:
         ConfigError: It cannot be read, or is no list of six joint positions each.
     """
     return read_record(path, Touches, "list of touches")
+
+
+def add_touch(path: Path, q: Array) -> int:
+    """Add a touch to a list of touches, which is begun where there is none.
+
+    Args:
+        path: The YAML file; comments in it are not kept.
+        q: Joint positions at the touch, (6,) [rad].
+
+    Returns:
+        Number of touches in the list now.
+
+    Raises:
+        ConfigError: There is a file, and it is no list of touches.
+        UserError: The file cannot be written.
+    """
+    touches = [list(row) for row in read_touches(path).touches] if path.exists() else []
+    touches.append([round(float(v), 6) for v in q])
+    rows = "".join(f"  - [{', '.join(str(v) for v in row)}]\n" for row in touches)
+    write_atomic(path, f"touches:\n{rows}".encode())
+    return len(touches)
 
 
 def locate_tip(Xs_base_flange: Sequence[Array]) -> Tip:

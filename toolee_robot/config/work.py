@@ -11,12 +11,14 @@ import numpy as np
 from pydantic import Field
 
 from toolee_robot.config.values import STRICT, NotNegative, Positive
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array, angle_between, frame_from_axes
 
 ONLY_NAIL = "nail"
 """Name of the nail of a station whose file gives one without a name."""
-SIZES = ("diameter", "length", "head_diameter", "protrusion")
+SIZES = ("diameter", "length", "head_diameter", "protrusion", "lean")
 """Fields of a nail of `work.nails` that `work.nail_...` give for all."""
+LARGEST_TILT = float(np.deg2rad(10.0))
+"""Largest angle of the wood's normal, and of a nail's axis, to the vertical [rad]; more is refused."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +40,16 @@ class NailConfig:
     """Height of the top of its head over the wood before the first strike [m]; null for `work.nail_protrusion`."""
     pilot_hole_diameter: NotNegative | None = None
     """Diameter of its predrilled hole, 0 for none [m]; null for `work.pilot_hole_diameter`."""
+    lean: tuple[float, float] | None = None
+    """How it leans, as `work.nail_lean`; null for that."""
 
 
 @dataclass(frozen=True)
 class WorkConfig:
-    """The wooden block on its stand, and the nail or nails, which stand upright: the z axis of `nail` points down.
+    """The wooden block on its stand, and the nail or nails. Strikes and touches go along the nail's axis.
 
-    Heights are relative to the base plane, which is the top of the table. With the default values 3.7 J drive the nail;
+    Heights are relative to the base plane, which is the top of the table. The wood is level and the nail upright unless
+    `wood_rise` and `nail_lean` say otherwise, up to 10 degrees. With the default values 3.7 J drive the nail;
     a held claw hammer of 0.9 kg at 1.5 m/s, which hits far from its centre of mass, delivers about 0.45 J per strike.
 
     The fields `nail_...` and `pilot_hole_diameter` are about one nail; where `nails` lists several, about the first of
@@ -76,6 +81,12 @@ class WorkConfig:
     """Several nails, in the order in which they are driven; empty for the one of `nail_xy`."""
     block_xy: tuple[float, float] | None = None
     """Middle of block and stand in `base`, x and y [m]; null for the middle between the outermost nails."""
+    wood_rise: tuple[float, float] = (0.0, 0.0)
+    """How the wood's top rises along x and y of `base`, metres per metre: (0, 0) where a spirit level says so, 0.0175
+    for 1 degree. `stand_height` is then the height below the middle of the block."""
+    nail_lean: tuple[float, float] = (0.0, 0.0)
+    """How the nail leans: how far its head stands off, along x and y of `base`, from where it would be if the nail were
+    square to the wood, metres per metre of its height; a set square on the wood shows it."""
 
     def __post_init__(self) -> None:
         if self.nails:
@@ -85,6 +96,11 @@ class WorkConfig:
                 raise ValueError(f"nails {', '.join(names)}: give each a name of its own")
             if all(nail.xy != self.nail_xy for nail in self.nails):
                 raise ValueError(f"nail_xy {self.nail_xy} is that of no nail of `nails`: leave it out")
+        if (tilt := angle_between(self.wood_normal, np.array([0.0, 0.0, 1.0]))) > LARGEST_TILT:
+            raise ValueError(
+                f"wood_rise {self.wood_rise} is {np.rad2deg(tilt):.1f} degrees, {np.rad2deg(LARGEST_TILT):.0f} are "
+                "allowed: it is metres per metre, 0.0175 for 1 degree"
+            )
         for nail in self.all_nails:
             self._check(nail)
         for a, b in combinations(self.all_nails, 2):
@@ -108,6 +124,11 @@ class WorkConfig:
             raise ValueError(
                 f"{whose}pilot_hole_diameter {nail.pilot_hole_diameter} leaves nail_diameter {nail.diameter} no hold"
             )
+        if (tilt := angle_between(self._axis(nail.lean or (0.0, 0.0)), np.array([0.0, 0.0, 1.0]))) > LARGEST_TILT:
+            raise ValueError(
+                f"{whose}wood_rise {self.wood_rise} and nail_lean {nail.lean} tilt it by {np.rad2deg(tilt):.1f} "
+                f"degrees, {np.rad2deg(LARGEST_TILT):.0f} are allowed: they are metres per metre, 0.0175 for 1 degree"
+            )
         off = np.abs(np.subtract(nail.xy, self.block_center))
         if np.any(off > np.array(self.block_size[:2]) / 2):
             x, y = self.block_center
@@ -118,8 +139,38 @@ class WorkConfig:
 
     @property
     def wood_height(self) -> float:
-        """Height of the top of the block over the base plane [m]."""
+        """Height of the middle of the block's top over the base plane [m]."""
         return self.stand_height + self.block_size[2]
+
+    @property
+    def wood_normal(self) -> Array:
+        """Normal of the block's top, out of the wood, `base`, (3,)."""
+        return self._axis((0.0, 0.0))
+
+    @property
+    def X_base_block(self) -> Array:
+        """Pose of the block's centre in `base`, (4, 4): z is the wood's normal."""
+        n, half = self.wood_normal, self.block_size[2] / 2
+        x, y = self.block_center
+        # The middle of its top stays where it is, whatever the tilt.
+        p = [x - n[0] * half, y - n[1] * half, self.stand_height + half + (1.0 - n[2]) * half]
+        return frame_from_axes(z=n, x=np.array([1.0, 0.0, 0.0]), p=p)
+
+    @property
+    def nail_axis(self) -> Array:
+        """Axis of the nail, out of the wood, `base`, (3,)."""
+        return self._axis(self.nail_lean)
+
+    @property
+    def p_base_entry(self) -> Array:
+        """Where the nail's axis meets the wood's surface, `base`, (3,) [m]."""
+        away = np.subtract(self.nail_xy, self.block_center)
+        return np.array([*self.nail_xy, self.wood_height + float(np.dot(self.wood_rise, away))])
+
+    def _axis(self, lean: tuple[float, float]) -> Array:
+        """Unit vector out of the wood of a nail with that lean, (3,)."""
+        v = np.array([*np.subtract(lean, self.wood_rise), 1.0])
+        return np.asarray(v / np.linalg.norm(v))
 
     @property
     def block_center(self) -> tuple[float, float]:
@@ -205,10 +256,12 @@ class WorkConfig:
         """Pose of the nail in `base`.
 
         Args:
-            protrusion: Height of the top of the nail's head over the wood [m]; None for `nail_protrusion`.
+            protrusion: Height of the top of the nail's head over the wood, along its axis [m]; None for
+                `nail_protrusion`.
 
         Returns:
-            X_base_nail, (4, 4); the origin is the centre of the head's top, z points into the wood.
+            X_base_nail, (4, 4); the origin is the centre of the head's top, z points along the nail into the wood.
         """
-        z = self.wood_height + (self.nail_protrusion if protrusion is None else protrusion)
-        return transform(np.diag([1.0, -1.0, -1.0]), [*self.nail_xy, z])
+        height = self.nail_protrusion if protrusion is None else protrusion
+        head = self.p_base_entry + height * self.nail_axis
+        return frame_from_axes(z=-self.nail_axis, x=np.array([1.0, 0.0, 0.0]), p=head) + 0.0  # no -0

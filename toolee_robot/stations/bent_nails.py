@@ -81,7 +81,7 @@ def look_at_nails(seed: int) -> Iterator[Seen]:
 def _looks(seed: int, off: Array, lean: Array, kind: str, rng: np.random.Generator) -> Iterator[Seen]:
     config = StationConfig()
     work = config.work
-    foot = np.array([*work.nail_xy, work.wood_height])
+    foot = work.p_base_entry
     X_base_camera = config.camera.X_base_camera @ off
     sight = NailSight(X_base_camera, foot, work.nail_diameter, work.nail_head_diameter)
     options = SimOptions(hands_over=False, nail_leans=((float(lean[0]), float(lean[1])),))

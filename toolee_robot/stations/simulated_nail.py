@@ -93,14 +93,15 @@ def place_board(config: StationConfig, board: Board, height: float, turn: float,
         board: The board as it is.
         height: Height of the printed plane over the wood [m].
         turn: Rotation about the vertical [rad].
-        tilt: Tilt of the wood about x and y of `base`, (2,) [rad].
+        tilt: Tilt of the wood about x and y of `base`, beyond the configured one, (2,) [rad].
 
     Returns:
         The board.
     """
-    R = Rotation.from_rotvec([*tilt, 0.0]).as_matrix() @ Rotation.from_euler("z", turn).as_matrix()
+    R = Rotation.from_rotvec([*tilt, 0.0]).as_matrix() @ config.work.X_base_block[:3, :3]
+    R = R @ Rotation.from_euler("z", turn).as_matrix()
     R = R @ np.diag([1.0, -1.0, -1.0])  # the board's z points away from who looks at it
-    entry = np.array([*config.work.nail_xy, config.work.wood_height])
+    entry = config.work.p_base_entry
     return PlacedBoard(board, transform(R, entry - R[:, 2] * height - R @ board.mark), on_flange=False)
 
 
@@ -125,7 +126,7 @@ def print_on_wood(true: StationConfig, sheet: Sheet, rng: np.random.Generator, t
     placed = replace(placed, X_frame_board=transform(p=off) @ placed.X_frame_board)
     board = sheet.board.measured(x, y)
     on_wood = OnWood((float(board.mark[0]), float(board.mark[1])), height + float(rng.normal(0.0, CALLIPER)), PLACING)
-    entry = np.array([*true.work.nail_xy, true.work.wood_height])
+    entry = true.work.p_base_entry
     return PrintOnWood(board, on_wood, placed, entry, -placed.X_frame_board[:3, 2])
 
 
@@ -146,7 +147,7 @@ def simulated_nail_board(config: StationConfig, sheet: Sheet, seed: int, tilt: f
     dx, dy = rng.uniform(-MOVED, MOVED, 2).tolist()
     true = replace(config, work=config.work.moved(dx, dy, float(rng.uniform(-RAISED, RAISED))))
     laid = print_on_wood(true, sheet, rng, tilt)
-    head = laid.entry + true.work.nail_protrusion * np.array([0.0, 0.0, 1.0])
+    head = laid.entry + true.work.nail_protrusion * true.work.nail_axis
     touched = LocatedNail(head + rng.normal(0.0, TOUCH, 3), 0.0, np.eye(3) * TOUCH**2)
     return SimulatedNailBoard(
         laid.board, laid.on_wood, laid.placed, laid.entry, laid.up, true, _calibrated(config, sheet, rng), touched, seed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -24,8 +25,11 @@ class Touch(MotionOptions):
 
     Example: toolee arm touch --robot-host 192.168.1.10 --config lab.yaml --along 0 0 -0.1 --frame pendant_base
 
+    Example: toolee arm touch --config lab.yaml --along 0 0 -0.03 --frame base_link --touches wood.yaml
+
     What is touched must be soft, such as a block of foam, and nothing of the station file: the hand may never touch
-    that. Any key stops the arm on its path, and so does Ctrl-C. Exit code 1: nothing was felt.
+    that. A tip on the flange, of which the station file says nothing, may touch the wood, and --touches notes where for
+    `toolee calibrate nail`. Any key stops the arm on its path, and so does Ctrl-C. Exit code 1: nothing was felt.
     """
 
     along: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
@@ -36,12 +40,17 @@ class Touch(MotionOptions):
     """Force that ends the approach (default: strike.touch_force); a noisy force raises it by half at most."""
     speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 0.01
     """Speed of the approach; a noisy force lowers it."""
+    touches: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """Add the joint positions of the contact to this list."""
 
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
+        from toolee_robot.calibration.tip import add_touch, read_touches
         from toolee_robot.cli.arm.session import place_figures, place_text, session
         from toolee_robot.tasks.bring_up.touch import approach, measured_settings
 
+        if self.touches is not None and self.touches.exists():
+            read_touches(self.touches)  # refuses what is no such list before anything moves
         with session(self, console) as robot:
             strike = robot.slow.config.strike
             force = strike.touch_force if self.force is None else self.force
@@ -64,7 +73,10 @@ class Touch(MotionOptions):
                 soft_wrap=True,
             )
             figures = {"contact": True, "travelled": touch.travelled, "force": touch.force}
-            figures |= place_figures(touch.X_base_flange)
+            figures |= place_figures(touch.X_base_flange) | {"q": touch.q.tolist()}
+            if self.touches is not None:
+                count = add_touch(self.touches, touch.q)
+                console.print(f"{self.touches} has {count} touch{'es' if count > 1 else ''}.", markup=False)
         if self.json:
             print(json_line(figures), flush=True)
         return int(touch is None)

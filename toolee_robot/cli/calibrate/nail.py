@@ -1,4 +1,4 @@
-"""`toolee calibrate nail`: where a nail is, by the camera, by touches of its head, or by both."""
+"""`toolee calibrate nail`: where a nail is, by the camera, by touches of its head and of the wood, or by both."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ import tyro
 from rich.console import Console
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import StationConfig, load_lab_station, load_station
+from toolee_robot.config import StationConfig, check_upright, load_lab_station, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor
 
 
 @dataclass(frozen=True, kw_only=True)
 class Nail:
-    """Locate a nail: by the camera, which sees a printed board on the wood, and by touches of its head's middle.
+    """Locate a nail and the wood: by the camera, which sees a printed board on the wood, or by touches of both.
 
     Example: toolee calibrate nail --camera
 
     Example: toolee calibrate nail --camera --station lab.yaml --bars-mm 361.3 258.1 --thickness-mm 0.2 --write
 
-    Example: toolee calibrate nail --touches nail.yaml --tip-mm 0.3 -0.2 151.4 --config lab.yaml
+    Example: toolee calibrate nail --wood wood.yaml --touches nail.yaml --tip-mm 0.3 -0.2 151.4 --config lab.yaml
 
     The board, from `toolee calibrate board`, lies flat on the wood, glued or on a stiff plate, and the nail goes
     through its white cross. Only the camera looks; nothing moves. With --touches, too, both are combined, weighted by
     their uncertainties. Touch the middle of the head three times or more, from different sides; the file lists the
-    joint positions, as for `toolee calibrate mount`, which also locates the tip. With --camera alone a simulated lab is
-    looked at.
+    joint positions, as for `toolee calibrate mount`, which also locates the tip. Three touches of the wood around the
+    nail, 30 mm apart or more, tell its height and how it rises; a fourth shows that none was wrong. `toolee arm touch
+    --touches` makes such a file. With --camera alone a simulated lab is looked at.
 
     Exit code 0: the nail is located; 1: a device failed; 2: images or touches are refused, for the reason given.
     """
@@ -58,9 +59,13 @@ class Nail:
     touches: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """The joint positions of touches."""
     tip_mm: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")] = None
-    """With --touches: the tip in the flange."""
+    """With --touches and --wood: the tip in the flange."""
     touch_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.5
-    """With --touches: standard deviation of their mean about each axis: tip, kinematics and eye."""
+    """With --touches and --wood: standard deviation of their mean about each axis: tip, kinematics and eye."""
+    wood: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The joint positions of touches of the wood around the nail."""
+    repeat_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.2
+    """With --wood: standard deviation of one touch from the next: force, kinematics over the block, grain."""
     seed: int = 0
     """Simulated: seed of the cell, the print, how it lies, the room and the noise."""
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
@@ -81,6 +86,7 @@ class Nail:
 
         from toolee_robot.cli.calibrate.nail_job import NailJob, Print
 
+        check_upright(config.arm, "the place of a nail")
         names = config.work.names
         name = names[0] if self.nail is None else self.nail
         if name not in names:
@@ -92,6 +98,9 @@ class Nail:
         if self.touches is not None:
             assert self.tip_mm is not None
             job.touch(self.touches, self.tip_mm, self.touch_mm / 1e3)
+        if self.wood is not None:
+            assert self.tip_mm is not None
+            job.touch_wood(self.wood, self.tip_mm, self.repeat_mm / 1e3, self.touch_mm / 1e3)
         if self.camera and self.station is None:
             job.simulate(self.seed)
         elif self.camera and self.rehearse:
@@ -107,13 +116,20 @@ class Nail:
         return 0
 
     def _check(self) -> None:
-        if not self.camera and self.touches is None:
+        touches = [name for name in ("touches", "wood") if getattr(self, name) is not None]
+        if not self.camera and not touches:
             raise UserError(
-                "nothing tells where the nail is: give --camera, --touches, or both", code="user.nail_no_source"
+                "nothing tells where the nail is: give --camera, --touches or --wood", code="user.nail_no_source"
             )
-        if self.touches is not None and (self.tip_mm is None or (self.station or self.config) is None):
+        if touches and (self.tip_mm is None or (self.station or self.config) is None):
             raise UserError(
-                "--touches needs --tip-mm, from `toolee calibrate mount`, and the station file (--config or --station)",
+                f"--{touches[0]} needs --tip-mm, from `toolee calibrate mount`, and the station file (--config or "
+                "--station)",
+                code="user.option",
+            )
+        if self.wood is not None and self.camera:
+            raise UserError(
+                "--wood with --camera: the board tells how the wood lies, too; leave one of them out",
                 code="user.option",
             )
         if self.touches is not None and self.camera and (self.station is None or self.rehearse):
@@ -151,6 +167,9 @@ class Nail:
             )
         if self.thickness_mm is not None and not 0.0 <= self.thickness_mm <= 50.0:
             raise UserError(f"--thickness-mm {self.thickness_mm}: give 0 to 50", code="user.option")
-        if not (0.01 <= self.placing_mm <= 10.0 and 0.01 <= self.touch_mm <= 10.0) or self.seed < 0:
-            raise UserError("give --placing-mm and --touch-mm 0.01 to 10, and --seed 0 or more", code="user.option")
+        deviations = self.placing_mm, self.touch_mm, self.repeat_mm
+        if not all(0.01 <= value <= 10.0 for value in deviations) or self.seed < 0:
+            raise UserError(
+                "give --placing-mm, --touch-mm and --repeat-mm 0.01 to 10, and --seed 0 or more", code="user.option"
+            )
         check_real_time_factor(self.real_time_factor, "127.0.0.1")

@@ -14,14 +14,26 @@ from rich.panel import Panel
 
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.board_sight import KnownCamera
-from toolee_robot.calibration.nail import LocatedNail, OnWood, SeenNail, combine, locate_nail, see_nail
+from toolee_robot.calibration.nail import (
+    LocatedNail,
+    OnWood,
+    SeenNail,
+    check_height,
+    combine,
+    foot_of,
+    locate_nail,
+    see_nail,
+)
 from toolee_robot.calibration.record import read_record
 from toolee_robot.calibration.tip import read_touches
+from toolee_robot.calibration.wood import WoodPlane, fit_wood
+from toolee_robot.cli.calibrate.nail_fields import nail_fields
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig, read_station
+from toolee_robot.config import StationConfig
+from toolee_robot.config.work import LARGEST_TILT
 from toolee_robot.control import RobotModel
-from toolee_robot.errors import ConfigError, NotReadyError
-from toolee_robot.frames import Array, BaseFrame, angle_between, inverse
+from toolee_robot.errors import ConfigError, NotReadyError, UserError
+from toolee_robot.frames import Array, angle_between, transform_points
 from toolee_robot.hal import Station
 from toolee_robot.runtime.yaml_edit import set_fields
 from toolee_robot.stations.lab import LabStation, Purpose
@@ -80,6 +92,7 @@ class NailJob:
     printed: Print
     figures: dict[str, Any] = field(default_factory=dict)
     _touched: LocatedNail | None = None
+    _wood: WoodPlane | None = None
     _seen: SeenNail | None = None
 
     def touch(self, touches: Path, tip_mm: tuple[float, float, float], error: float) -> None:
@@ -102,6 +115,40 @@ class NailJob:
             f"{self._touched.spread * 1e3:.2f} mm apart",
             soft_wrap=True,
         )
+
+    def touch_wood(self, touches: Path, tip_mm: tuple[float, float, float], repeat: float, common: float) -> None:
+        """Locate the wood by touches of it; those of the nail's head come before.
+
+        Args:
+            touches: File of the joint positions.
+            tip_mm: The tip in the flange [mm].
+            repeat: Standard deviation of one touch from the next about each axis [m].
+            common: Standard deviation of what is the same in all of them [m].
+
+        Raises:
+            UserError: The touches are refused (`user.wood_...`), or do not fit those of the head
+                (`user.nail_disagrees`).
+            ConfigError: The file is no list of touches.
+        """
+        arm, work = RobotModel.of_station(self.config).arm, self.config.work
+        flange = np.asarray([arm.fk(np.array(q)) for q in read_touches(touches).touches]).reshape(-1, 4, 4)
+        p = transform_points(flange, np.array([tip_mm]) / 1e3)[:, 0]
+        at = np.array(work.nail_xy) if self._touched is None else self._touched.head[:2]
+        wood = fit_wood(p, at, repeat=repeat, common=common)
+        if wood.tilt > LARGEST_TILT:
+            raise UserError(
+                f"by the touches the wood is {np.rad2deg(wood.tilt):.1f}° off the level, "
+                f"{np.rad2deg(LARGEST_TILT):.0f} are allowed: lay it flatter, or touch again what was not the wood",
+                code="user.wood_tilted",
+            )
+        if self._touched is not None:
+            foot = foot_of(self._touched.head, wood.normal, work.nail_protrusion, work.nail_lean)
+            wood = fit_wood(p, foot[:2], repeat=repeat, common=common)
+            touched, height = self._touched.covariance[2, 2], wood.covariance[0, 0]
+            # What is off in all touches is off in head and wood alike.
+            sigma = float(np.sqrt(max(touched + height - 2.0 * common**2, 0.0)))
+            check_height(self._touched.head, foot, float(wood.point[2]), work.nail_protrusion, sigma)
+        self._wood = wood
 
     def simulate(self, seed: int) -> None:
         """Look at a simulated lab's nail.
@@ -166,7 +213,8 @@ class NailJob:
     def _see(self, camera: KnownCamera, board: Board, on_wood: OnWood, rgb: Any, depth: Any) -> None:
         seen = see_nail(camera, board, on_wood, rgb, depth)
         if self._touched is not None:
-            seen = combine(seen, self._touched, self.config.work.nail_protrusion)
+            work = self.config.work
+            seen = combine(seen, self._touched, work.nail_protrusion, lean=work.nail_lean)
         self._seen = seen
 
     def _true_error(self, entry: Array, up: Array) -> None:
@@ -189,10 +237,12 @@ class NailJob:
         Raises:
             ConfigError: The file has a layout that is not edited.
         """
-        work, seen, touched = self.config.work, self._seen, self._touched
+        work, seen, touched, wood = self.config.work, self._seen, self._touched, self._wood
+        rise: Array | None = None
         rows: list[tuple[str, str]] = []
         if seen is not None:
             entry, sigma = seen.entry, np.sqrt(np.diag(seen.covariance))
+            rise = -seen.up[:2] / seen.up[2]
             rows += [
                 ("nail at the wood", f"({_mm(entry)}) ± ({_mm(2 * sigma)}) mm in base_link (95 %)"),
                 ("wood off the level", f"{np.rad2deg(seen.tilt):.2f} ± {np.rad2deg(2 * seen.tilt_sigma):.2f}°"),
@@ -202,12 +252,27 @@ class NailJob:
                 "entry": entry.tolist(), "covariance": seen.covariance.tolist(), "up": seen.up.tolist(),
                 "tilt_deg": round(float(np.rad2deg(seen.tilt)), 3), "corners": seen.corners,
             }  # fmt: skip
+        elif wood is not None:
+            entry, rise = wood.point, wood.rise
+            sigma = np.sqrt(np.diag(wood.covariance))
+            apart = np.max(np.abs(wood.residuals)) * 1e3
+            rows += [
+                ("wood at the nail", f"{entry[2] * 1e3:.2f} ± {2e3 * sigma[0]:.2f} mm over the base (95 %)"),
+                ("wood off the level", f"{np.rad2deg(wood.tilt):.2f} ± {np.rad2deg(2 * wood.tilt_sigma):.2f}°"),
+                ("touches of the wood", f"{len(wood.residuals)}, up to {apart:.2f} mm off the plane" if
+                 len(wood.residuals) > 3 else "3: a fourth would tell whether one is wrong"),
+            ]  # fmt: skip
+            self.figures |= {
+                "entry": entry.tolist(), "rise": wood.rise.tolist(), "wood_covariance": wood.covariance.tolist(),
+                "up": wood.normal.tolist(), "tilt_deg": round(float(np.rad2deg(wood.tilt)), 3),
+                "residuals": wood.residuals.tolist(),
+            }  # fmt: skip
         else:
             assert touched is not None
-            entry = touched.head - [0.0, 0.0, work.nail_protrusion]
+            entry = foot_of(touched.head, work.wood_normal, work.nail_protrusion, work.nail_lean)
         if touched is not None:
             self.figures |= {"head": touched.head.tolist(), "spread": touched.spread}
-        off = entry - [*work.nail_xy, work.wood_height]
+        off = entry - work.p_base_entry
         self.figures["height_off"] = float(off[2])
         rows.append(("from the station file", f"({_mm(off, sign=True)}) mm"))
         if "true_lateral_mm" in self.figures:
@@ -217,16 +282,10 @@ class NailJob:
                  f"tilt {f['true_tilt_deg']}°")
             )  # fmt: skip
         lines = [f"{name:<24}{value}" for name, value in rows]
-        height = float(entry[2]) - work.block_size[2]
-        xy = self._in_file(entry, path)
-        named = self.name if work.nails else None
-        places: list[tuple[tuple[str, str] | None, dict[str, Any]]] = [
-            (None, {"stand_height": round(height, 5)} | ({} if named else {"nail_xy": xy}))
-        ]
-        if named:
-            places.append((("nails", named), {"xy": xy}))
-        told = [f"  {name}: {value}" for name, value in places[0][1].items()]
-        told += [f"  nails, {item[1]}: xy: {values['xy']}" for item, values in places[1:] if item]
+        located = seen is not None or touched is not None  # and not the wood alone
+        places = nail_fields(work, self.name, entry, rise, path, with_nail=located)
+        told = [f"  {name}: {value}" for item, values in places if not item for name, value in values.items()]
+        told += [f"  nails, {item[1]}: xy: {values['xy']}" for item, values in places if item]
         lines += ["", f"Entered in {escape(str(path))}:" if write else "In the station file:", "work:", *told]
         if write:
             assert path is not None
@@ -234,17 +293,10 @@ class NailJob:
                 set_fields(path, ("work",), values, item)
         if "true_lateral_mm" in self.figures:
             lines += ["", "[dim]* measured by the simulation; whoever looks cannot see it[/dim]"]
-        title = "[bold]the nail is located[/bold]"
+        title = f"[bold]the {'nail' if located else 'wood'} is located[/bold]"
         self.console.print(Panel("\n".join(lines), title=title, border_style="green", expand=False, padding=(1, 2)))
         if as_json:
             print(json_line(self.figures), flush=True)
-
-    def _in_file(self, entry: Array, path: Path | None) -> list[float]:
-        """The nail's place in the frame of the station file."""
-        data = {} if path is None else read_station(path)
-        X = inverse(BaseFrame(data.get("frame", BaseFrame.BASE_LINK)).X_base_this)
-        x, y, _ = (X[:3, :3] @ entry).tolist()
-        return [round(x, 5), round(y, 5)]
 
     def _tell(self, text: str) -> None:
         self.console.print(f"  [bold yellow]> {escape(text)}[/bold yellow]", soft_wrap=True)

@@ -10,7 +10,7 @@ from toolee_robot.config import StrikeConfig
 from toolee_robot.control import Supervisor
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array
-from toolee_robot.hal import Arm, ContactGuard
+from toolee_robot.hal import Arm, Clock, ContactGuard
 from toolee_robot.motion.touch_force import (
     CONFIRM_SHARE,
     MAX_PHANTOMS,
@@ -39,23 +39,26 @@ class Touch:
     """Where a guarded approach met something.
 
     Attributes:
+        q: Measured joint positions at the contact, (6,) [rad].
         travelled: Way of the flange to the contact [m].
         X_base_flange: Measured pose of the flange at the contact, (4, 4).
         force: Force that presses at rest after it [N].
     """
 
+    q: Array
     travelled: float
     X_base_flange: Array
     force: float
 
 
-def measured_settings(arm: Arm, strike: StrikeConfig, force: float) -> TouchSettings:
+def measured_settings(arm: Arm, strike: StrikeConfig, force: float, clock: Clock | None = None) -> TouchSettings:
     """Measure the noise of the force at rest, and choose how to touch with it, as a job does.
 
     Args:
         arm: The arm, at rest.
         strike: The station's speed of a touch.
         force: Force at the flange that ends the approach if the noise lets it [N].
+        clock: The station's clock; None for the host's.
 
     Returns:
         Threshold, averaging window and largest speed.
@@ -66,10 +69,13 @@ def measured_settings(arm: Arm, strike: StrikeConfig, force: float) -> TouchSett
     """
     if not force > 0:
         raise UserError(f"a force of {force} N: give a positive number", code="user.force")
-    return touch_settings(forces_at_rest(arm, HostClock(), NOISE_TIME), arm.rate, replace(strike, touch_force=force))
+    forces = forces_at_rest(arm, clock or HostClock(), NOISE_TIME)
+    return touch_settings(forces, arm.rate, replace(strike, touch_force=force))
 
 
-def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, settings: TouchSettings) -> Touch | None:
+def approach(
+    arm: Supervisor, slow: SlowStation, trajectory: Trajectory, settings: TouchSettings, clock: Clock | None = None
+) -> Touch | None:
     """Zero the force, move until the arm feels one, then back to where the approach began.
 
     Where nothing presses at rest after a contact it was none, a peak of the noise, and the approach goes on.
@@ -79,6 +85,7 @@ def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, setting
         slow: The station under its caps.
         trajectory: The approach, from `plan_line`.
         settings: Threshold and window, from `measured_settings`.
+        clock: The station's clock; None for the host's.
 
     Returns:
         The contact; None where the way ended without one.
@@ -87,7 +94,7 @@ def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, setting
         DeviceError: The arm feels a force already at rest, or contacts that are none again and again.
         TooleeError: What `Supervisor.execute` raises.
     """
-    clock = HostClock()
+    clock = clock or HostClock()
     quiet = max(QUIET_TIME if settings.release is None else NOISE_TIME, settings.window)
     for _ in range(MAX_PHANTOMS):  # zero and reading both have the noise
         arm.zero_wrench()
@@ -109,7 +116,7 @@ def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, setting
         if pressing >= CONFIRM_SHARE * settings.force:
             X_base_flange = fk(report.contact.q)
             travelled = float(np.linalg.norm(X_base_flange[:3, 3] - begin))
-            touch = Touch(travelled, X_base_flange, pressing)
+            touch = Touch(report.contact.q, travelled, X_base_flange, pressing)
             break
         phantoms += 1
         q = report.q_commanded[-1]

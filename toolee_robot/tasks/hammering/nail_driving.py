@@ -226,7 +226,7 @@ class NailDriving:
     def _first_touch(self, known: float) -> float:
         """Touch a nail that protrudes by `known` [m], but for an interruption; returns what it protrudes by [m]."""
         with self._stages(Stage.PLAN):
-            plan = self._striking.plan(known)
+            plan = self._striking.plan_touch(known)
         with self._stages(Stage.TOUCH), self._check_blind():
             if self._measured:
                 return self._gauge.resume(plan, known)
@@ -289,7 +289,9 @@ class NailDriving:
             self._observer.message(self._forecast.surprise)
         try:
             with self._stages(Stage.TOUCH):
-                if self._config.strike.deepest is not None:  # after a swing the face is no longer square to the nail
+                if self._striking.leans:
+                    self._gauge.go_over(self._striking.plan_touch(before))
+                elif self._config.strike.deepest is not None:  # after a swing the face is no longer square to the nail
                     self._gauge.go_over(plan)
                 # With a corrected face pose, a head that is no longer there after a strike means a bent nail.
                 missed = Outcome.BENT if met and self._correction else Outcome.NAIL_MISSED

@@ -11,7 +11,7 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import protrusion
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import ContactGuard
-from toolee_robot.tasks.common.motions import UP, Motions
+from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
 from toolee_robot.tasks.hammering.touch import Contact, SidewaysContactError, Touch
@@ -76,6 +76,8 @@ class NailGauge:
         self._motions, self._config, self._robot = motions, config, robot
         self._touch = Touch(motions, config, robot, observer)
         self.latest: Touches | None = None
+        x, y, z = config.work.wood_normal.tolist()
+        self._out = (x, y, z)
         self._known = 0.0  # height of the nail at the first measurement [m]
         self._first: Touches | None = None  # its touches: nail and wood
         self._corrected: Array | None = None  # the face's place in the hand as the last measurement has left it
@@ -154,9 +156,10 @@ class NailGauge:
         nail = head.felt
         self._rise_to(nail + LIFT)
         # Towards the handle, so that the hand moves away from the block.
-        aside = motions.X_base_ee[:3, 0] * [1.0, 1.0, 0.0]
+        normal, aside = np.asarray(self._out), motions.X_base_ee[:3, 0]
+        aside = aside - (aside @ normal) * normal
         aside /= np.linalg.norm(aside)
-        motions.straight("aside", (float(aside[0]), float(aside[1]), 0.0), ASIDE)
+        motions.straight("aside", (float(aside[0]), float(aside[1]), float(aside[2])), ASIDE)
         # The nail may have sunk, never risen: the tool has slipped by at least this.
         slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
         lowest = min(slipped, 0.0) - TOLERANCE
@@ -208,7 +211,7 @@ class NailGauge:
         return protrusion(self._motions.X_base_ee, self._config.work.X_base_nail(0.0))
 
     def _rise_to(self, height: float) -> None:
-        self._motions.straight("up", UP, max(height - self._height(), 0.0))
+        self._motions.straight("up", self._out, max(height - self._height(), 0.0))
 
     def _lower(self, what: str, above: float | None, lowest: float, missed: Outcome) -> Contact:
         """Touch something.
@@ -227,25 +230,25 @@ class NailGauge:
         """
         motions = self._motions
         if not self._touch.prepare():
-            motions.straight("up", UP, CLEAR)
+            motions.straight("up", self._out, CLEAR)
             message = f"before the {what} was touched the arm felt a force: the tool leans against something"
             raise JobEnded(missed, message)
         begin = self._height()
         if above is not None and above < begin:
             guard = ContactGuard(self._config.strike.contact_force)
-            if motions.straight("down", UP, above - begin, guard):
+            if motions.straight("down", self._out, above - begin, guard):
                 # The thing stands higher than expected, or the arm's own motion was felt: slowly from the start.
                 self._rise_to(begin)
         reach = self._height() - lowest
         try:
             contact = self._touch.lower(what, reach)
         except SidewaysContactError as error:
-            motions.straight("up", UP, CLEAR)
+            motions.straight("up", self._out, CLEAR)
             message = f"while the {what} was approached something pressed on the tool's side with {error.force:.0f} N"
             raise JobEnded(
                 Outcome.NAIL_MISSED, f"{message}: the face is not where it is believed to be; {CHECK}"
             ) from error
         if contact is None:
-            motions.straight("up", UP, reach)
+            motions.straight("up", self._out, reach)
             raise JobEnded(missed, f"the face was lowered to where the {what} should be and met nothing; {CHECK}")
         return contact

@@ -35,8 +35,9 @@ class NailWatch:
 
     def __init__(self, config: StationConfig, observer: TaskObserver) -> None:
         work = config.work
-        foot = np.array([*work.nail_xy, work.wood_height])
-        self._sight = NailSight(config.camera.X_base_camera, foot, work.nail_diameter, work.nail_head_diameter)
+        self._sight = NailSight(
+            config.camera.X_base_camera, work.p_base_entry, work.nail_diameter, work.nail_head_diameter, work.nail_axis
+        )
         self._watched, self._observer = config.task.watch_nail, observer
         self._begun = self._told = False
         self._aside: HeadOffset | None = None  # where the head was seen at the last look if the nail looked bent

@@ -11,9 +11,9 @@ from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.swing import SwingLimits, plan_swing
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.frames import inverse
+from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse
 from toolee_robot.hal import Clock, MotionReport
-from toolee_robot.tasks.common.motions import UP, Motions
+from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Strike
 from toolee_robot.types import Payload
@@ -21,6 +21,13 @@ from toolee_robot.types import Payload
 RETRACT_SPEED, RETRACT_SHARE = 0.8, 0.5
 """Largest speed of the way up after a strike, with nobody in reach [m/s], and share of a strike's velocities and
 accelerations."""
+
+
+FACE, DRIVEN = 0.025, 0.002
+"""Largest radius of a face, and depth that a strike drives a nail as a rule [m]: where the rim of a face square to a
+nail that leans would meet the wood within that depth, the face is square to the wood instead."""
+LEANS = 1e-4
+"""Angle of a nail's axis to the wood's normal from which it leans [rad]."""
 
 
 class Striking:
@@ -52,7 +59,7 @@ class Striking:
         self._clock, self._observer, self._tool = clock, observer, tool
 
     def plan(self, height: float) -> StrikePlan:
-        """Plan a strike.
+        """Plan a strike: along the nail's axis; square to the wood where the face's rim would else meet it.
 
         Args:
             height: Protrusion of the nail [m].
@@ -63,8 +70,38 @@ class Striking:
         Raises:
             PlanningError: There is none.
         """
-        motions, deepest = self._motions, self._config.strike.deepest
+        work, X_base_nail = self._config.work, self._config.work.X_base_nail(height)
+        rim = FACE * float(np.tan(angle_between(work.nail_axis, work.wood_normal)))
+        return self._plan(X_base_nail if height > rim + DRIVEN or not self.leans else self._square(height))
+
+    def plan_touch(self, height: float) -> StrikePlan:
+        """Plan a strike whose line a touch is made on: square to the wood.
+
+        The face's rim then meets the wood no sooner than its middle.
+
+        Args:
+            height: Protrusion of the nail [m].
+
+        Returns:
+            The plan, from where the arm stands.
+
+        Raises:
+            PlanningError: There is none.
+        """
+        return self._plan(self._square(height) if self.leans else self._config.work.X_base_nail(height))
+
+    @property
+    def leans(self) -> bool:
+        """Whether the nail leans by what the station file says."""
+        work = self._config.work
+        return angle_between(work.nail_axis, work.wood_normal) > LEANS
+
+    def _square(self, height: float) -> Array:
         X_base_nail = self._config.work.X_base_nail(height)
+        return frame_from_axes(z=-self._config.work.wood_normal, x=X_base_nail[:3, 0], p=X_base_nail[:3, 3])
+
+    def _plan(self, X_base_nail: Array) -> StrikePlan:
+        motions, deepest = self._motions, self._config.strike.deepest
         state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee
         if deepest is None:
             plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=self._tool)
@@ -92,7 +129,7 @@ class Striking:
         return motions.swing("strike", plan)
 
     def retract(self, plan: StrikePlan, above: float) -> None:
-        """Move straight up from where a strike ended.
+        """Move straight out along the nail's axis from where a strike ended.
 
         The strike may have been stopped above the nail by an obstacle: never down.
 
@@ -105,8 +142,10 @@ class Striking:
         """
         fk = self._robot.arm.fk
         X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
-        below = float(plan.X_base_ee_contact[2, 3] - X_base_ee[2, 3])
-        self._motions.straight("up", UP, above + max(below, 0.0), speed=RETRACT_SPEED, share=RETRACT_SHARE)
+        out = self._config.work.nail_axis
+        below = float((plan.X_base_ee_contact - X_base_ee)[:3, 3] @ out)
+        x, y, z = out.tolist()
+        self._motions.straight("up", (x, y, z), above + max(below, 0.0), speed=RETRACT_SPEED, share=RETRACT_SHARE)
 
     def load(self, report: MotionReport) -> StrikeLoad:
         """Compute what a strike asked of the arm.

@@ -31,7 +31,7 @@ from toolee_robot.motion.touch_force import (
     TouchSettings,
     touch_settings,
 )
-from toolee_robot.tasks.common.motions import UP, Motions
+from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 
 NOISE_TIME, NOISE_TIMES = 1.0, 3
@@ -125,6 +125,8 @@ class Touch:
         self._motions, self._config, self._robot, self._observer = motions, config, robot, observer
         self._settings: TouchSettings | None = None
         self._releases = Releases()
+        x, y, z = config.work.wood_normal.tolist()
+        self._out = (x, y, z)
 
     @property
     def noisy(self) -> bool:
@@ -164,7 +166,7 @@ class Touch:
         self._releases = Releases()
 
     def lower(self, what: str, reach: float) -> Contact | None:
-        """Lower the face until it touches something; `prepare` was called just before.
+        """Lower the face square to the wood until it touches something; `prepare` was called just before.
 
         Args:
             what: What is touched, for the recording.
@@ -188,7 +190,9 @@ class Touch:
         for force in settings.forces:
             guard = ContactGuard(force, averaging_window=settings.window)
             left = max(self._height(X_flange_ee) - end, 0.001)
-            down = plan_straight(self._robot, self._config, motions.world(), motions.q, -left, UP, settings.speed)
+            down = plan_straight(
+                self._robot, self._config, motions.world(), motions.q, -left, self._out, settings.speed
+            )
             report = motions.execute(f"touch the {what}", down, guard, at_work=True)
             if report.contact is None:
                 return best
@@ -250,14 +254,14 @@ class Touch:
     @property
     def _up(self) -> Array:
         """Direction out of the wood in `base`, (3,)."""
-        return -self._config.work.X_base_nail(0.0)[:3, 2]
+        return np.asarray(self._out)
 
     def _height(self, X_flange_ee: Array) -> float:
         X_base_ee = self._robot.arm.fk(self._motions.q) @ X_flange_ee
         return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
 
     def _release(self, what: str, down: Rise, force: float, X_flange_ee: Array) -> Contact | None:
-        """Lift the face slowly from what it presses on with a force [N], upwards, which it met as the way down tells.
+        """Lift the face slowly from what it presses on with a force [N], which it met as the way down tells.
 
         Returns:
             What was touched; None if no force goes with the way up, so that nothing was.
@@ -268,7 +272,7 @@ class Touch:
         known = releases.stiffness
         pressed = force / known if known else max(force / down.stiffness, down.height - self._height(X_flange_ee))
         pressed, speed = min(pressed, SLOPE_RANGE - FREE), settings.release_speed(known or down.stiffness)
-        up = plan_straight(self._robot, self._config, motions.world(), motions.q, pressed + FREE, UP, speed)
+        up = plan_straight(self._robot, self._config, motions.world(), motions.q, pressed + FREE, self._out, speed)
         report = motions.execute(f"release the {what}", up, at_work=True)
         course = self._course(report, np.inf, X_flange_ee)
         rise = onset(course)

@@ -1,0 +1,175 @@
+"""The plane of the wood from touches: found to the touches' accuracy, refused where they tell nothing or disagree."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from tests.errors import raises
+from tests.examples import examples
+from toolee_robot.calibration.tip import add_touch, read_touches
+from toolee_robot.calibration.wood import MIN_WIDTH, fit_wood
+from toolee_robot.cli.app import run
+from toolee_robot.config import StationConfig, WorkConfig, load_station
+from toolee_robot.control import RobotModel
+from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.frames import Array, angle_between, transform
+
+AT = np.array([0.75, 0.1])
+TRIANGLE = np.array([[0.032, 0.0], [-0.016, 0.028], [-0.016, -0.028]])
+TIP = np.array([0.004, -0.002, 0.15])
+DOWN = Rotation.from_euler("x", 180, degrees=True)
+_slope = st.floats(-0.15, 0.15)
+ACROSS = np.stack([np.cos(np.linspace(0.0, np.pi, 1000)), np.sin(np.linspace(0.0, np.pi, 1000))])
+"""Directions in which the width of touched places is measured, (2, 1000)."""
+
+
+def _on_plane(off: Array, height: float, rise: Sequence[float]) -> Array:
+    return np.column_stack([AT + off, height + off @ np.array(rise)])
+
+
+@examples(50)
+@given(
+    st.lists(st.tuples(st.floats(-0.04, 0.04), st.floats(-0.04, 0.04)), min_size=3, max_size=6),
+    st.floats(0.05, 0.5),
+    _slope,
+    _slope,
+)
+def test_touches_without_noise_are_the_plane_or_refused_as_degenerate(
+    off: list[tuple[float, float]], height: float, x: float, y: float
+) -> None:
+    places = np.array(off)
+    p = _on_plane(places, height, (x, y))
+    if np.min(np.ptp(places @ ACROSS, axis=0)) < MIN_WIDTH:
+        with raises(UserError, code="user.wood_degenerate"):
+            fit_wood(p, AT, repeat=2e-4, common=5e-4)
+        return
+    assume(np.min(np.ptp(places @ ACROSS, axis=0)) > 1.001 * MIN_WIDTH)  # by directions, not edges
+    wood = fit_wood(p, AT, repeat=2e-4, common=5e-4)
+    np.testing.assert_allclose(wood.point, [*AT, height], atol=1e-9)
+    np.testing.assert_allclose(wood.rise, [x, y], atol=1e-9)
+    assert angle_between(wood.normal, np.array([-x, -y, 1.0])) < 1e-9
+    assert wood.tilt == pytest.approx(np.arctan(np.hypot(x, y)), abs=1e-9)
+    assert wood.residual < 1e-9
+    assert np.all(np.linalg.eigvalsh(wood.covariance) > 0.0)
+
+
+@pytest.mark.parametrize("places", [TRIANGLE, np.vstack([TRIANGLE, [[0.03, 0.03], [-0.03, 0.0]]])])
+def test_the_covariance_has_the_truth_as_often_as_it_says(places: Array) -> None:
+    rng, inside, tilts = np.random.default_rng(0), 0, []
+    repeat, common, truth = 2e-4, 5e-4, (0.26, 0.03, -0.05)
+    for _ in range(200):
+        p = _on_plane(places, truth[0], truth[1:]) + rng.normal(0.0, repeat, (len(places), 3))
+        p[:, 2] += rng.normal(0.0, common)
+        wood = fit_wood(p, AT, repeat=repeat, common=common)
+        off = np.array([wood.point[2], *wood.rise]) - truth
+        inside += bool(off @ np.linalg.solve(wood.covariance, off) <= chi2.ppf(0.95, 3))
+        tilts.append(angle_between(wood.normal, np.array([-0.03, 0.05, 1.0])))
+    assert 0.90 <= inside / 200 <= 0.99
+    assert np.median(tilts) < np.deg2rad(0.5)
+
+
+def test_touches_that_tell_no_plane_are_refused() -> None:
+    good = _on_plane(TRIANGLE, 0.26, (0.0, 0.0))
+    given_sigmas = {"repeat": 2e-4, "common": 5e-4}
+    with raises(UserError, code="user.wood_few_touches"):
+        fit_wood(good[:2], AT, **given_sigmas)
+    with raises(UserError, code="user.wood_degenerate") as thin:
+        fit_wood(_on_plane(np.array([[-0.03, 0.0], [0.03, 0.0], [0.0, 0.01]]), 0.26, (0, 0)), AT, **given_sigmas)
+    assert "up to 60 mm apart, but only 10 mm wide" in str(thin.value)
+    assert "20 mm further out" in str(thin.value)
+    with raises(UserError, code="user.wood_degenerate"):
+        fit_wood(_on_plane(0.3 * TRIANGLE, 0.26, (0, 0)), AT, **given_sigmas)
+    fourth = np.array([[*(AT + 0.02), 0.2615]])
+    with raises(UserError, code="user.wood_not_flat"):
+        fit_wood(np.vstack([good, fourth]), AT, **given_sigmas)
+    six = np.vstack([_on_plane(np.vstack([TRIANGLE, -TRIANGLE[:2]]), 0.26, (0, 0)), fourth])
+    with raises(UserError, code="user.wood_not_flat") as wrong:
+        fit_wood(six, AT, **given_sigmas)
+    assert "touch 6 of the wood is 1.5 mm above" in str(wrong.value)
+
+
+def test_a_list_of_touches_grows_and_another_file_is_not_added_to(tmp_path: Path) -> None:
+    file = tmp_path / "wood.yaml"
+    q = np.array([0.1, -1.2, 1.3, -1.4, 1.5, 0.0])
+    assert [add_touch(file, q), add_touch(file, 2 * q)] == [1, 2]
+    np.testing.assert_allclose(read_touches(file).touches, [q, 2 * q])
+    (tmp_path / "lab.yaml").write_text("work: {}\n")
+    with raises(ConfigError, code="config.invalid"):
+        add_touch(tmp_path / "lab.yaml", q)
+
+
+def _joints(points: Sequence[Array], rng: np.random.Generator) -> list[list[float]]:
+    """Joint positions with the tip at each of the points, from different sides."""
+    robot, home = RobotModel.of_station(StationConfig()), np.array(StationConfig().scene.home)
+    found = []
+    for p in points:
+        R = (Rotation.from_rotvec(rng.uniform(-0.3, 0.3, 3)) * DOWN).as_matrix()
+        found.append(robot.ik.solve(transform(R, p - R @ TIP), home)[0].tolist())
+    return found
+
+
+def _touched(folder: Path, true: WorkConfig, head: Array) -> list[str]:
+    """The options that give touches of the wood and of a nail's head."""
+    rng, entry = np.random.default_rng(3), true.p_base_entry
+    off = [*TRIANGLE, np.array([0.02, 0.02])]
+    wood = [entry + np.array([x, y, np.dot(true.wood_rise, (x, y))]) for x, y in off]
+    for name, points in (("wood", wood), ("head", [head] * 3)):
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump({"touches": _joints(points, rng)}))
+    tip = [f"{1e3 * v:.4f}" for v in TIP]
+    return ["--wood", str(folder / "wood.yaml"), "--touches", str(folder / "head.yaml"), "--tip-mm", *tip]
+
+
+@pytest.mark.parametrize("frame", ["base_link", "pendant_base"])
+def test_touches_of_wood_and_head_are_entered_in_the_station_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: str
+) -> None:
+    true = WorkConfig(nail_xy=(0.752, 0.099), stand_height=0.203, wood_rise=(0.02, -0.03), nail_lean=(0.01, 0.02))
+    options, sign = _touched(tmp_path, true, true.X_base_nail()[:3, 3]), 1 if frame == "base_link" else -1
+    lab = tmp_path / "lab.yaml"
+    lean = f"[{sign * 0.01}, {sign * 0.02}]  # a set square"
+    lab.write_text(f"frame: {frame}\nwork:\n  nail_xy: [{sign * 0.75}, {sign * 0.1}]\n  nail_lean: {lean}\n")
+    assert run(["calibrate", "nail", *options, "--config", str(lab), "--write", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["tilt_deg"] == pytest.approx(np.rad2deg(np.arctan(np.hypot(0.02, 0.03))), abs=1e-3)
+    assert np.sqrt(told["wood_covariance"][0][0]) == pytest.approx(5.1e-4, abs=2e-5), "0.5 mm of the tip"
+    work = load_station(lab).work
+    np.testing.assert_allclose(work.X_base_nail(), true.X_base_nail(), atol=3e-5)
+    np.testing.assert_allclose(work.wood_rise, true.wood_rise, atol=2e-5)
+    assert "# a set square" in lab.read_text()
+
+
+def test_the_wood_alone_leaves_the_nail_where_it_is_and_counts_from_the_middle_of_the_block(tmp_path: Path) -> None:
+    true = WorkConfig(nail_xy=(0.75, 0.1), block_xy=(0.76, 0.11), stand_height=0.203, wood_rise=(0.05, 0.0))
+    options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])
+    lab = tmp_path / "lab.yaml"
+    lab.write_text("frame: base_link\nwork:\n  nail_xy: [0.75, 0.1]\n  block_xy: [0.76, 0.11]\n")
+    wood_only = [*options[:2], *options[4:]]
+    assert run(["calibrate", "nail", *wood_only, "--config", str(lab), "--write"]) == 0
+    work = load_station(lab).work
+    assert work.nail_xy == (0.75, 0.1)
+    assert work.stand_height == pytest.approx(0.203, abs=2e-5)
+    np.testing.assert_allclose(work.p_base_entry, true.p_base_entry, atol=2e-5)
+
+
+def test_wood_that_is_too_steep_and_a_head_at_another_height_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "lab.yaml").write_text("{}\n")
+    level = WorkConfig()
+    options = _touched(tmp_path, level, level.X_base_nail(0.016)[:3, 3])
+    assert run(["calibrate", "nail", *options, "--config", str(tmp_path / "lab.yaml")]) == 2
+    assert "the nail stands 16.0 mm over the wood" in " ".join(capsys.readouterr().err.split())
+    steep = [level.p_base_entry + np.array([x, y, 0.2 * x]) for x, y in TRIANGLE]
+    (tmp_path / "wood.yaml").write_text(yaml.safe_dump({"touches": _joints(steep, np.random.default_rng(0))}))
+    assert run(["calibrate", "nail", *options[:2], *options[4:], "--config", str(tmp_path / "lab.yaml")]) == 2
+    assert "11.3° off the level" in " ".join(capsys.readouterr().err.split())

@@ -1,0 +1,104 @@
+"""Wood that is not level and nails that lean: where the station file puts them, and a job that strikes along them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.errors import raises
+from tests.examples import examples
+from toolee_robot.config import NailConfig, StationConfig, WorkConfig, load_station
+from toolee_robot.control.collision_shapes import station_bodies
+from toolee_robot.errors import ConfigError
+from toolee_robot.frames import angle_between, inverse, is_rigid
+from toolee_robot.sim_backend import SimStation
+from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.tasks.common.outcome import Outcome
+from toolee_robot.tasks.hammering.grasp import nominal_grasp
+from toolee_robot.tasks.hammering.task import HammeringTask
+
+Z = np.array([0.0, 0.0, 1.0])
+_slope = st.floats(-0.06, 0.06)
+_slopes = st.tuples(_slope, _slope)
+
+
+@examples(50)
+@given(_slopes, _slopes, st.floats(0.0, 0.03))
+def test_the_nail_is_on_the_wood_and_along_its_axis(
+    rise: tuple[float, float], lean: tuple[float, float], height: float
+) -> None:
+    work = WorkConfig(nail_xy=(0.76, 0.09), block_xy=(0.75, 0.1), wood_rise=rise, nail_lean=lean)
+    X, entry = work.X_base_nail(height), work.p_base_entry
+    assert is_rigid(X)
+    np.testing.assert_allclose(X[:3, 3] - entry, -height * X[:3, 2], atol=1e-12)
+    top = work.X_base_block[:3, 3] + work.block_size[2] / 2 * work.wood_normal
+    np.testing.assert_allclose(top, [0.75, 0.1, work.wood_height], atol=1e-12)
+    assert abs(work.wood_normal @ (entry - top)) < 1e-12, "it meets the wood in its plane"
+    np.testing.assert_allclose(X[:2, 2] / X[2, 2], np.subtract(lean, rise), atol=1e-12)
+    if lean == (0.0, 0.0):
+        assert angle_between(-X[:3, 2], work.wood_normal) < 1e-9
+    upright = WorkConfig(nail_xy=(0.76, 0.09), block_xy=(0.75, 0.1)).X_base_nail(height)
+    np.testing.assert_array_equal(upright[:3, :3], np.diag([1.0, -1.0, -1.0]))
+
+
+def test_several_nails_lean_each_for_itself_and_stand_at_the_height_of_the_wood_there() -> None:
+    work = WorkConfig(block_size=(0.08, 0.14, 0.06), wood_rise=(0.0, 0.05), nail_lean=(0.02, 0.0)).with_nails(
+        NailConfig("left", (0.75, 0.14)), NailConfig("right", (0.75, 0.06), lean=(0.0, 0.0))
+    )
+    left, right = (work.only(name) for name in ("left", "right"))
+    assert left.p_base_entry[2] - right.p_base_entry[2] == pytest.approx(0.05 * 0.08)
+    np.testing.assert_allclose(left.nail_axis[:2] / left.nail_axis[2], [0.02, -0.05])
+    np.testing.assert_allclose(right.nail_axis, right.wood_normal)
+
+
+@pytest.mark.parametrize(
+    "fields", ["wood_rise: [0.2, 0.0]", "nail_lean: [0.0, 1.5]", "wood_rise: [0.1, 0]\n  nail_lean: [-0.1, 0]"]
+)
+def test_more_than_ten_degrees_are_refused(tmp_path: Path, fields: str) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(f"frame: base_link\nwork:\n  {fields}\n")
+    with raises(ConfigError, code="config.invalid") as refused:
+        load_station(path)
+    assert "10 are allowed" in str(refused.value)
+
+
+def test_a_list_of_nails_that_lean_is_the_same_in_either_frame(tmp_path: Path) -> None:
+    path, texts = tmp_path / "lab.yaml", []
+    for frame, sign in (("base_link", 1), ("pendant_base", -1)):
+        nail = f"{{name: a, xy: [{sign * 0.75}, {sign * 0.1}], lean: [{sign * 0.02}, {sign * -0.03}]}}"
+        path.write_text(f"frame: {frame}\nwork:\n  wood_rise: [{sign * 0.01}, 0.0]\n  nails: [{nail}]\n")
+        texts.append(load_station(path).work)
+    assert texts[0] == texts[1]
+
+
+def test_the_block_is_tilted_where_collisions_are_looked_for() -> None:
+    config = StationConfig(work=WorkConfig(wood_rise=(0.15, 0.0)))
+    block = next(body for body in station_bodies(config) if body.name == "block")
+    top = inverse(block.X_joint_shape) @ [*config.work.block_center, config.work.wood_height, 1.0]
+    np.testing.assert_allclose(top[:3], [0.0, 0.0, config.work.block_size[2] / 2], atol=1e-9)
+    assert angle_between(block.X_joint_shape[:3, 2], Z) == pytest.approx(np.arctan(0.15))
+
+
+@pytest.mark.sim(seconds=60)
+def test_a_job_strikes_along_a_nail_that_leans_in_wood_that_is_not_level() -> None:
+    work = WorkConfig(nail_protrusion=0.006, wood_rise=(0.04, -0.03), nail_lean=(-0.05, 0.04))
+    config = StationConfig(work=work)
+    with SimStation.build(config, 100, SimOptions()) as simulation:
+        task = HammeringTask(
+            simulation.station, PerfectPerception(simulation.judge), config, nominal_grasp(simulation.tool, config)
+        )
+        result = task.run()
+        assert result.outcome is Outcome.FLUSH, result.reason
+        verdict = simulation.judge.verdict(result.estimates)
+        nail = verdict.worst()
+        assert nail.outcome == "flush"
+        assert nail.lean_deg == pytest.approx(np.rad2deg(angle_between(work.nail_axis, work.wood_normal)), abs=1.5)
+        tilts = [strike.tilt_deg for strike in simulation.judge.strikes]
+    assert angle_between(work.nail_axis, Z) > np.deg2rad(6.5)
+    assert max(tilts[:2]) < 0.5, "along the nail"
+    assert max(tilts) < 6.0, "square to the wood in the end"
