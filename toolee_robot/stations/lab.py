@@ -17,7 +17,7 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.hal import Station
 from toolee_robot.hardware.cameras import CameraStream
 from toolee_robot.hardware.operator.digital_inputs import open_person
-from toolee_robot.robots import MOUNT
+from toolee_robot.robots import MOUNT, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.stations.camera import RECORDED, open_camera
 from toolee_robot.stations.hand import WIRED_HANDS, open_hand
@@ -111,8 +111,8 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
     Raises:
         ConfigError: A field is missing (`config.station_lacks`), and the message names every one, such as `arm.host`;
             or the camera is a recording (`config.recorded_camera`); or, for a job, the calibration is too old or of
-            another camera than the file's (`config.calibration`); or the arm's base is tilted
-            (`config.mounting_tilted`).
+            another camera than the file's (`config.calibration`), or strikes would push what does not yield into the
+            wood (`config.rigid_strike`); or the arm's base is tilted (`config.mounting_tilted`).
     """
     wanted: dict[str, object] = {
         "arm.host": config.arm.host,
@@ -130,6 +130,12 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         raise ConfigError(
             f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/run_a_job.md",
             code="config.station_lacks",
+        )
+    if purpose is Purpose.JOB and config.strike.deepest is None and (hand := hand_model(config.hand)).yielding is None:
+        raise ConfigError(
+            f"strike.deepest is not given, and the {hand.label} has no wrist that yields while the arm goes on behind the "
+            "contact: give 0.01 m, and every strike turns back there",
+            code="config.rigid_strike",
         )
     check_upright(config.arm, str(purpose))
     device, calibration = config.camera.device, config.calibration
