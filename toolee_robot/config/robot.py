@@ -21,9 +21,9 @@ class ArmLimits:
     """The arm's model, its calibration, and the joint limits that the planner may use.
 
     Velocities are those of the UR10's data sheet: base and shoulder 120 deg/s, the other joints 180 deg/s.
-    Accelerations are not published; 8 rad/s^2 is a common choice. The default of 15 rad/s^2 for strikes keeps the
-    elbow, which carries most of a strike's load, under 90 % of its 150 Nm (inverse dynamics of arm, hand and a 0.9 kg
-    hammer during braking; 53 % in the run-up).
+    Accelerations are not published; 8 rad/s^2 is a common choice. With the default of 15 rad/s^2 for strikes the
+    elbow, which carries most of a strike's load, takes up to 90 % of its 150 Nm while the arm brakes (inverse dynamics
+    of arm, hand and a 0.9 kg hammer), and no strike is planned with more.
     """
 
     __pydantic_config__ = STRICT

@@ -37,7 +37,7 @@ NO_HEAD = 0.002
 CHECK = "look where the face stands, and check work.nail_xy, the height of the wood and the camera's calibration"
 """What a person is to do about a nail that is not met."""
 ASIDE = 0.032
-"""Distance from the nail to the touch point on the wood [m]: a face of up to 25 mm radius clears the nail's head."""
+"""Distance from an upright nail to the touch point on the wood [m]: a face of up to 25 mm radius clears its head."""
 
 Touches = tuple[Contact, Contact]
 """Contacts of a measurement with the nail's head and with the wood."""
@@ -159,7 +159,9 @@ class NailGauge:
         normal, aside = np.asarray(self._out), motions.X_base_ee[:3, 0]
         aside = aside - (aside @ normal) * normal
         aside /= np.linalg.norm(aside)
-        motions.straight("aside", (float(aside[0]), float(aside[1]), float(aside[2])), ASIDE)
+        # A nail that leans has its foot nearer to there, or farther from it, than its head.
+        foot = max(0.0, -expected * float(aside @ self._config.work.nail_axis))
+        motions.straight("aside", (float(aside[0]), float(aside[1]), float(aside[2])), ASIDE + foot)
         # The nail may have sunk, never risen: the tool has slipped by at least this.
         slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
         lowest = min(slipped, 0.0) - TOLERANCE
