@@ -120,6 +120,26 @@ def test_what_is_wrong_or_not_editable_is_not_rewritten(
     assert not (tmp_path / "lab.yaml.v1").exists()
 
 
+@pytest.mark.parametrize("extra", ["", "version: 1\n"])
+def test_links_permissions_and_line_ends_stay(extra: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "kept").mkdir()
+    path, link = tmp_path / "kept" / "station.yaml", tmp_path / "lab.yaml"
+    before = f"{SHORT}{extra}".replace("\n", "\r\n").encode()
+    path.write_bytes(before)
+    path.chmod(0o600)
+    link.symlink_to("kept/station.yaml")
+    code, told = _upgrade(link, capsys)
+    assert code == 1
+    assert link.is_symlink()
+    text = f"{SHORT}version: 2\n" if extra else SHORT.replace("frame:", "version: 2\nframe:")
+    assert path.read_bytes() == text.replace("\n", "\r\n").encode()
+    copy = path.with_name("station.yaml.v1")
+    assert str(copy) in told
+    assert copy.read_bytes() == before
+    assert [stat.S_IMODE(file.stat().st_mode) for file in (path, copy)] == [0o600, 0o600]
+    assert sorted(file.name for file in tmp_path.rglob("*")) == ["kept", "lab.yaml", "station.yaml", "station.yaml.v1"]
+
+
 def test_a_copy_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, kept = tmp_path / "lab.yaml", tmp_path / "lab.yaml.v1"
     path.write_text(SHORT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 
 import pytest
@@ -188,3 +189,37 @@ def test_a_layout_that_has_no_first_field_is_left_alone(tmp_path: Path, text: st
     with raises(ConfigError, code):
         add_first(path, "version", 2)
     assert path.read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("text", "first", "gain"),
+    [
+        ("a: 1\r\n", "version: 2\r\na: 1\r\n", "a: 1\r\nservo:\r\n  gain: 3\r\n"),
+        (
+            "# x\r\nservo:\r\n  lag: 1\r\na: 1",
+            "# x\r\nversion: 2\r\nservo:\r\n  lag: 1\r\na: 1",
+            "# x\r\nservo:\r\n  lag: 1\r\n  gain: 3\r\na: 1",
+        ),
+        ("a: 1\r\nb: 2\n", "version: 2\na: 1\r\nb: 2\n", "a: 1\r\nb: 2\nservo:\n  gain: 3\n"),
+    ],
+)
+def test_lines_end_as_the_files_do(tmp_path: Path, text: str, first: str, gain: str) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_bytes(text.encode())
+    add_first(path, "version", 2)
+    assert path.read_bytes() == first.encode()
+    path.write_bytes(text.encode())
+    set_fields(path, ("servo",), {"gain": 3})
+    assert path.read_bytes() == gain.encode()
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664])
+def test_a_link_and_the_files_permissions_stay(tmp_path: Path, mode: int) -> None:
+    path, link = tmp_path / "station.yaml", tmp_path / "lab.yaml"
+    path.write_text("a: 1\n")
+    path.chmod(mode)
+    link.symlink_to(path.name)
+    set_fields(link, (), {"a": 2})
+    assert link.is_symlink()
+    assert path.read_text() == "a: 2\n"
+    assert stat.S_IMODE(path.stat().st_mode) == mode

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import shutil
 import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -227,6 +230,52 @@ def test_the_site_s_own_results_have_their_report_by_one_command(
     assert not (tmp_path / "out" / RESULTS).exists(), "they are no trials of this folder"
 
 
+def test_the_report_of_a_file_of_results_takes_a_folder_that_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The default folder may have the report of its own trials; one that is named may have another plan's trials."""
+    kept = EXAMPLES.parent / "docs" / "benchmark"
+    monkeypatch.chdir(tmp_path)
+    own = tmp_path / "trials"
+    run_trials(PLAN, own, 1, quietly, job)
+    write_report(PLAN, own)
+    before = {file.name: file.read_bytes() for file in own.iterdir() if file.is_file()}
+    command = ["trials", str(kept / "whole_system.yaml"), "--results", str(kept / "whole_system.jsonl")]
+    assert run(command) == 2
+    assert "--results without --out: give the folder" in " ".join(capsys.readouterr().err.split())
+    assert {file.name: file.read_bytes() for file in own.iterdir() if file.is_file()} == before
+    assert run([*command, "--out", "trials"]) == 0
+    assert (own / RESULTS).read_bytes() == before[RESULTS]
+    assert "<b>195</b><span>distinct tools</span>" in (own / "report.html").read_text()
+
+
+@pytest.mark.parametrize("run_folder", ["runs/..", "..", ".", "/", "runs/full/../..", ""])
+def test_a_run_s_folder_lies_in_that_of_its_trials(tmp_path: Path, run_folder: str) -> None:
+    """A file of results may say anything: the report leads to no file outside."""
+
+    def elsewhere(options: Sequence[str]) -> dict[str, Any]:
+        return {**job(options), "run_folder": run_folder}
+
+    run_trials(PLAN, tmp_path, 1, quietly, elsewhere)
+    for folder in (tmp_path, tmp_path / "runs", tmp_path / "runs" / "full"):
+        folder.mkdir(exist_ok=True)
+        for name in ("picture.png", "recording.mcap"):
+            (folder / name).touch()
+    page = write_report(PLAN, tmp_path).read_text()
+    assert "picture.png" not in page
+    assert "recording.mcap" not in page
+
+
+def test_a_command_in_the_report_is_one_of_a_shell(tmp_path: Path) -> None:
+    plan = replace(PLAN, options=("--config", "my lab's; x.yaml"))
+    failed = next(record for record in run_trials(plan, tmp_path, 1, quietly, job) if not record.success)
+    page = write_report(plan, tmp_path).read_text()
+    commands = re.findall(r">toolee hammer ([^<]*)<", page)
+    assert list(failed.command) in [shlex.split(unescape(command)) for command in commands]
+    (first,) = re.findall(r"the first one by: toolee hammer ([^<]*)<", page)
+    assert "my lab's; x.yaml" in shlex.split(unescape(first))
+
+
 @pytest.mark.parametrize("name", ["sweep.jsonl", "rehearsals.jsonl", "accuracy.png", "nothing.jsonl"])
 def test_a_file_without_a_plan_s_results_is_refused(tmp_path: Path, name: str) -> None:
     kept = EXAMPLES.parent / "docs" / "benchmark"
@@ -380,6 +429,8 @@ def _work(setup: Path) -> dict[str, float]:
         ("arms: [paper]", "paper_weights"),
         ("instructions: look", "instructions"),
         ("sensors: [mixed]\noptions: [--station, lab.yaml, --rehearse]", "sensors"),
+        ("sensors: [mixed]\noptions: [--arm, ur-rtde, --world, pybullet]", "sensors: they cannot be tried with"),
+        ("sensors: [mixed]\noptions: [--arm=ur-rtde, --robot-host, 127.0.0.2]", "sensors: they cannot be tried with"),
     ],
 )
 def test_what_is_no_plan_is_refused_by_the_field(tmp_path: Path, change: str, what: str) -> None:

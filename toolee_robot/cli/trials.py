@@ -39,8 +39,9 @@ class Trials:
 
     plan: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="YAML")]
     """The plan: docs/how-to/run_trials.md."""
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("trials")
-    """Folder of the results: trials.jsonl, report.html, report.json, and runs/ with each job's folder."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: trials)")] = None
+    """Folder of the results: trials.jsonl, report.html, report.json, trials.parquet, and runs/ with each job's
+    folder."""
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
     """Jobs side by side."""
     cluster: Literal["local", "ray"] = "local"
@@ -49,7 +50,8 @@ class Trials:
     report_only: Flag = False
     """Run nothing: write the report of the results that there are."""
     results: Annotated[Path | None, tyro.conf.arg(metavar="JSONL", help_behavior_hint="")] = None
-    """Run nothing: write the report of the results in this file, such as those of the site's tables."""
+    """Run nothing: write the report of the results in this file, such as those of the site's tables, to --out, which
+    must be given. A report there is replaced; trials there stay, whatever their plan."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -59,18 +61,25 @@ class Trials:
         from toolee_robot.trials.report import FIGURES
         from toolee_robot.trials.results import read_results
 
+        if self.results is not None and self.out is None:
+            raise UserError(
+                "--results without --out: give the folder that the report goes to, such as `--out report`; the usual "
+                "one may hold the report of trials of its own",
+                code="user.option",
+            )
+        out = Path("trials") if self.out is None else self.out
         plan = load_plan(self.plan)
         pairs = "repetitions" if plan.led else "seeds"
         console.print(f"[bold]{escape(plan.name)}[/bold]  [dim]plan {plan.hash[:12]}, {plan.trials} {pairs}[/dim]")
         try:
             if not self.report_only and self.results is None:
-                self._do(plan, console)
+                self._do(plan, out, console)
         except BaseException:  # Ctrl-C, too: what is done is reported
-            if read_results(plan, self.out)[0]:
-                write_report(plan, self.out)
+            if read_results(plan, out)[0]:
+                write_report(plan, out)
             raise
-        page = write_report(plan, self.out, self.results)
-        made = json.loads((self.out / FIGURES).read_text())
+        page = write_report(plan, out, self.results)
+        made = json.loads((out / FIGURES).read_text())
         for arm, of in made["arms"].items():
             flush = of["flush"]
             console.print(
@@ -92,7 +101,7 @@ class Trials:
 
         return on_ray
 
-    def _do(self, plan: TrialPlan, console: Console) -> None:
+    def _do(self, plan: TrialPlan, out: Path, console: Console) -> None:
         from toolee_robot.trials import lead_trials, run_trials
 
         def tell(text: str) -> None:
@@ -100,7 +109,7 @@ class Trials:
 
         if not plan.led:
             jobs = None if self.jobs is None else max(1, self.jobs)
-            run_trials(plan, self.out, jobs, tell, workers=self._workers())
+            run_trials(plan, out, jobs, tell, workers=self._workers())
             return
         if self.jobs not in (None, 1) or self.cluster != "local":
             raise UserError(
@@ -112,4 +121,4 @@ class Trials:
                 "a person is led through this plan at the terminal, and there is none: start it from one",
                 code="user.no_terminal",
             )
-        lead_trials(plan, self.out, lambda question: console.input(question, markup=False), tell)
+        lead_trials(plan, out, lambda question: console.input(question, markup=False), tell)

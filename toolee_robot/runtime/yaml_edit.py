@@ -1,5 +1,7 @@
 """Fields of a YAML file, set in its text: everything else stays as it was written, to the byte.
 
+So do the file's permissions, and a symbolic link to it: the file that the link leads to is written.
+
 A library that reads a file with its comments and writes it anew would do less: ruamel.yaml 0.19 puts a field that is
 added to a section under the heading comment of the next one, drops comments inside flow mappings of several lines,
 indents the file in its own way, and writes the text `on` and the number 1e-05 so that YAML 1.1 reads something else.
@@ -9,6 +11,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +19,7 @@ from typing import Any
 import yaml
 
 from toolee_robot.errors import ConfigError
-from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.files import written_whole
 from toolee_robot.runtime.yaml_files import read_yaml
 
 Value = float | str | None | Sequence[float]
@@ -50,13 +53,14 @@ def set_fields(
             part[item[0]] = [{**record} for record in part[item[0]]]
             part = next(record for record in part[item[0]] if record["name"] == item[1])
         part.update(values)
-        edited = _edited(path.read_bytes().decode(), section, values, item)
+        text, newline = _text_of(path)
+        edited = _edited(text, section, values, item)
         done = bool(yaml.safe_load(edited) == wanted)
     except (yaml.YAMLError, AttributeError, KeyError, StopIteration, TypeError, ValueError):
         done = False
     if not done:
         raise _not_editable(path, _by_hand(section, values, item))
-    write_atomic(path, edited.encode())
+    _write(path, edited, newline)
 
 
 def add_first(path: Path, name: str, value: Value) -> None:
@@ -73,13 +77,30 @@ def add_first(path: Path, name: str, value: Value) -> None:
     """
     before = read_yaml(path, "file")
     try:
-        edited = _preceded(path.read_bytes().decode(), {name: value})
+        text, newline = _text_of(path)
+        edited = _preceded(text, {name: value})
         done = name not in (before or {}) and bool(yaml.safe_load(edited) == {name: value, **(before or {})})
     except (yaml.YAMLError, TypeError, ValueError):
         done = False
     if not done:
         raise _not_editable(path, _block({name: value}, ""))
-    write_atomic(path, edited.encode())
+    _write(path, edited, newline)
+
+
+def _text_of(path: Path) -> tuple[str, str]:
+    """The text with lines that end in \\n, and how they end in the file; mixed ends stay as they are."""
+    text = path.read_bytes().decode()
+    if "\n" in text and text.count("\r\n") == text.count("\n"):
+        return text.replace("\r\n", "\n"), "\r\n"
+    return text, "\n"
+
+
+def _write(path: Path, text: str, newline: str) -> None:
+    place = path.resolve()  # a link stays one
+    with written_whole(place) as scratch:
+        scratch.touch(mode=0o600)  # nobody reads it before it has the file's permissions
+        scratch.write_bytes(text.replace("\n", newline).encode())
+        shutil.copymode(place, scratch)
 
 
 def _not_editable(path: Path, lines: str) -> ConfigError:

@@ -187,6 +187,8 @@ class TrialPlan:
             )
         if self.sensors and option(self.options, "--station") is not None:
             raise ValueError("sensors: they are drawn in a simulation; a station has its own camera, so leave them out")
+        if self.sensors and option(self.options, "--arm") == "ur-rtde":
+            raise ValueError("sensors: they cannot be tried with `--arm ur-rtde` yet: leave one of them out")
         if len(set(self.sensors)) < len(self.sensors):
             raise ValueError("sensors: each one once")
         if not self.led and self.instructions:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -60,7 +61,7 @@ def run_job(folder: Path, options: Sequence[str]) -> dict[str, Any]:
             _running.discard(process)
         lines = told.read_text().splitlines() if process.exitcode in (0, 1, 2) and told.is_file() else []
         reason = said.read_text().strip()[-500:] if said.is_file() else "it did not begin"
-        return _figures(lines, f"toolee hammer {' '.join(options)} ended with code {process.exitcode}: {reason}")
+        return _figures(lines, f"toolee hammer {shlex.join(options)} ended with code {process.exitcode}: {reason}")
 
 
 def stop_jobs() -> None:

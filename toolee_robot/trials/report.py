@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -68,18 +69,16 @@ def write_report(plan: TrialPlan, folder: Path, results: Path | None = None) -> 
 
     Args:
         plan: The plan.
-        folder: The trials' folder, which gets the page, its figures and the table.
-        results: File of the results; None for the folder's own.
+        folder: The trials' folder, which gets the page, its figures and the table in the place of those there.
+        results: File of the results; None for the folder's own, which are not read with it.
 
     Returns:
         The page.
 
     Raises:
-        UserError: The folder, or the file, holds another plan's trials (`user.other_plan`), or the file none
-            (`user.no_results`).
+        UserError: The results are another plan's (`user.other_plan`), or the file holds none (`user.no_results`).
     """
-    own = read_results(plan, folder)
-    records, events = own if results is None else read_results_file(plan, results)
+    records, events = read_results(plan, folder) if results is None else read_results_file(plan, results)
     folder.mkdir(parents=True, exist_ok=True)
     first = of_arm(records, plan.arms[0])
     found = sweeps(plan, first)
@@ -182,7 +181,7 @@ def _page(
     page.definitions(said | {"hash (SHA-256)": plan.hash})
     if records:
         page.paragraph(
-            f"A trial is repeated by its own command, the first one by: toolee hammer {' '.join(records[0].command)}"
+            f"A trial is repeated by its own command, the first one by: toolee hammer {shlex.join(records[0].command)}"
         )
     return page.text()
 
@@ -282,7 +281,7 @@ def _failure(record: Record, folder: Path, on_robot: bool) -> list[Any]:
     words = outcome.replace("_", " ")
     number, recording = _link(record, folder, str(record.trial.seed), PICTURE), _link(record, folder, "mcap", RECORDING)
     if not isinstance(recording, Markup) and not on_robot:
-        recording = f"toolee hammer {' '.join(record.command)}"
+        recording = f"toolee hammer {shlex.join(record.command)}"
     return [number, recording, record.trial.conditions, f["tool"], stage, words, cause(f["reason"])]
 
 
@@ -303,10 +302,10 @@ def _row(record: Record, folder: Path) -> list[Any]:
 
 def _link(record: Record, folder: Path, words: str, file: str) -> Markup | str:
     """The words, with a link to a file of the job's folder where that is here: results may have come alone."""
-    run = record.figures.get("run_folder")
-    if not run:
+    run = Path(record.figures.get("run_folder") or "").name
+    if run in ("", ".."):  # a file of results may say anything
         return words
-    place = out_of(record.trial, folder) / Path(run).name / file
+    place = out_of(record.trial, folder) / run / file
     if not place.is_file():
         return words
     return Markup('<a href="{0}">{1}</a>').format(place.relative_to(folder).as_posix(), words)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -49,7 +50,7 @@ def _column(values: list[Any]) -> pyarrow.Array:
 
 
 def _row(record: Record) -> dict[str, Any]:
-    return {"trial": asdict(record.trial), **record.figures, "command": " ".join(record.command)}
+    return {"trial": asdict(record.trial), **record.figures, "command": shlex.join(record.command)}
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

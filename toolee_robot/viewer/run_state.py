@@ -123,6 +123,6 @@ class RunStates:
         Returns:
             Its pose, (4, 4).
         """
-        z = self._config.work.X_base_nail()[:3, 2]
-        down = z if z[2] < 0.0 else -z
-        return transform(p=down * sunk[nail_of(body)]) @ X
+        name = nail_of(body)
+        into_wood = self._config.work.only(name).X_base_nail()[:3, 2]
+        return transform(p=into_wood * sunk[name]) @ X

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from rich.markup import escape
 from toolee_robot.config import VERSION, is_current, read_station
 from toolee_robot.config.station import to_station
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.files import written_whole
 from toolee_robot.runtime.yaml_edit import add_first, set_fields
 from toolee_robot.runtime.yaml_lines import YamlLines
 
@@ -23,7 +24,8 @@ class Upgrade:
 
     Example: toolee station upgrade lab.yaml
 
-    The file as it was is kept beside it, as lab.yaml.v1. Comments, order and layout stay.
+    The file as it was is kept beside it, as lab.yaml.v1. Comments, order, layout and permissions stay. Of a symbolic
+    link, the file that it leads to is rewritten, and kept beside that.
 
     Exit code 0: the file is of version 2, and complete but for what commands measure; 1: fields are open, and listed;
     2: the file is invalid, and was not changed.
@@ -58,10 +60,13 @@ class Upgrade:
 
     def _keep(self) -> Path:
         """Copy the file; returns the copy."""
-        kept = self.file.with_name(f"{self.file.name}.v1")
+        file = self.file.resolve() if self.file.is_symlink() else self.file
+        kept = file.with_name(f"{file.name}.v1")
         if kept.exists():
             raise UserError(f"{kept} is there already: move it away, it is not overwritten", code="user.copy_exists")
-        write_atomic(kept, self.file.read_bytes())
+        with written_whole(kept) as scratch:
+            scratch.touch(mode=0o600)  # nobody reads it before it has the file's permissions
+            shutil.copy(file, scratch)
         return kept
 
     def _missing(self, console: Console) -> int:
