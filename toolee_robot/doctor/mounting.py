@@ -69,6 +69,10 @@ def check_mounting(state: UrState, config: StationConfig) -> Finding:
     )
     if off <= TOLERANCE:
         return ok(NAME, message)
+    if off >= np.pi - TOLERANCE:
+        # That what points upwards reads positive is one sentence of a manual, and was never seen on a robot.
+        remedy = "hold a spirit level to the base: if it stands as arm.up says, this accelerometer has the other sign"
+        return warn(NAME, f"{message}: upside down", f"{remedy}; please report it, and leave arm.up as it is")
     remedy = "correct arm.up; and set PolyScope's Mounting page right before the brakes are released again"
     return fail(NAME, message, remedy)
 

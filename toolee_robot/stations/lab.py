@@ -133,8 +133,8 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         )
     if purpose is Purpose.JOB and config.strike.deepest is None and (hand := hand_model(config.hand)).yielding is None:
         raise ConfigError(
-            f"strike.deepest is not given, and the {hand.label} has no wrist that yields while the arm goes on behind the "
-            "contact: give 0.01 m, and every strike turns back there",
+            f"strike.deepest is not given, and the {hand.label} has no wrist that yields while the arm goes on behind "
+            "the contact: give 0.01 m, and every strike turns back there",
             code="config.rigid_strike",
         )
     check_upright(config.arm, str(purpose))
