@@ -57,7 +57,13 @@ def test_several_nails_lean_each_for_itself_and_stand_at_the_height_of_the_wood_
 
 
 @pytest.mark.parametrize(
-    "fields", ["wood_rise: [0.2, 0.0]", "nail_lean: [0.0, 1.5]", "wood_rise: [0.1, 0]\n  nail_lean: [-0.1, 0]"]
+    "fields",
+    [
+        "wood_rise: [0.2, 0.0]",
+        "nail_lean: [0.0, 1.5]",
+        "wood_rise: [0.1, 0]\n  nail_lean: [-0.1, 0]",
+        "wood_rise: [0.17, 0]\n  nail_lean: [0.34, 0]",  # each within 10 of the vertical, on either side of it
+    ],
 )
 def test_more_than_ten_degrees_are_refused(tmp_path: Path, fields: str) -> None:
     path = tmp_path / "lab.yaml"

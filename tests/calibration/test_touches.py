@@ -75,7 +75,8 @@ def test_mount_and_nail_from_joint_positions(tmp_path: Path, capsys: pytest.Capt
     assert run(["calibrate", "mount", "--touches", str(file), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     np.testing.assert_allclose(found["p_flange_tip"], TIP, atol=1e-5)
-    (tmp_path / "lab.yaml").write_text("{}\n")
+    lab = "version: 2\nframe: base_link\narm: {model: UR10, up: [0, 0, 1]}\n"
+    (tmp_path / "lab.yaml").write_text(lab)
     tip = [f"{1e3 * v:.4f}" for v in TIP]
     command = ["calibrate", "nail", "--touches", str(file), "--tip-mm", *tip, "--config", str(tmp_path / "lab.yaml")]
     assert run([*command, "--json"]) == 0
@@ -83,7 +84,7 @@ def test_mount_and_nail_from_joint_positions(tmp_path: Path, capsys: pytest.Capt
     np.testing.assert_allclose(found["head"], X_base_nail[:3, 3], atol=1e-5)
     assert abs(found["height_off"]) < 1e-5
     nails = "  nails:\n    - {name: left, xy: [0.75, 0.145]}\n    - {name: right, xy: [0.75, 0.105]}\n"
-    text = f"frame: base_link\nwork:\n  block_size: [0.08, 0.14, 0.06]\n  stand_height: 0.21  # a rule\n{nails}"
+    text = f"{lab}work:\n  block_size: [0.08, 0.14, 0.06]\n  stand_height: 0.21  # a rule\n{nails}"
     (tmp_path / "lab.yaml").write_text(text)
     assert run([*command, "--nail", "right", "--write"]) == 0, capsys.readouterr().err
     work = load_station(tmp_path / "lab.yaml").work

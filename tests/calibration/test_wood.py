@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from tests.examples import examples
 from toolee_robot.calibration.tip import add_touch, read_touches
 from toolee_robot.calibration.wood import MIN_WIDTH, fit_wood
 from toolee_robot.cli.app import run
+from toolee_robot.cli.calibrate.nail_checks import check_near
 from toolee_robot.config import StationConfig, WorkConfig, load_station
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, UserError
@@ -29,6 +31,7 @@ TRIANGLE = np.array([[0.032, 0.0], [-0.016, 0.028], [-0.016, -0.028]])
 TIP = np.array([0.004, -0.002, 0.15])
 DOWN = Rotation.from_euler("x", 180, degrees=True)
 _slope = st.floats(-0.15, 0.15)
+ARM = "version: 2\nframe: base_link\narm: {model: UR10, up: [0, 0, 1]}\n"
 ACROSS = np.stack([np.cos(np.linspace(0.0, np.pi, 1000)), np.sin(np.linspace(0.0, np.pi, 1000))])
 """Directions in which the width of touched places is measured, (2, 1000)."""
 
@@ -137,7 +140,8 @@ def test_touches_of_wood_and_head_are_entered_in_the_station_file(
     options, sign = _touched(tmp_path, true, true.X_base_nail()[:3, 3]), 1 if frame == "base_link" else -1
     lab = tmp_path / "lab.yaml"
     lean = f"[{sign * 0.01}, {sign * 0.02}]  # a set square"
-    lab.write_text(f"frame: {frame}\nwork:\n  nail_xy: [{sign * 0.75}, {sign * 0.1}]\n  nail_lean: {lean}\n")
+    work_text = f"work:\n  nail_xy: [{sign * 0.75}, {sign * 0.1}]\n  nail_lean: {lean}\n"
+    lab.write_text(ARM.replace("base_link", frame) + work_text)
     assert run(["calibrate", "nail", *options, "--config", str(lab), "--write", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["tilt_deg"] == pytest.approx(np.rad2deg(np.arctan(np.hypot(0.02, 0.03))), abs=1e-3)
@@ -146,17 +150,21 @@ def test_touches_of_wood_and_head_are_entered_in_the_station_file(
     np.testing.assert_allclose(work.X_base_nail(), true.X_base_nail(), atol=3e-5)
     np.testing.assert_allclose(work.wood_rise, true.wood_rise, atol=2e-5)
     assert "# a set square" in lab.read_text()
+    assert work.block_xy == pytest.approx(true.nail_xy, abs=2e-5)
+    moved = replace(work, nail_xy=(0.76, 0.105))  # as by a later nail: the plane stays
+    assert abs(work.wood_normal @ (moved.p_base_entry - work.p_base_entry)) < 1e-9
 
 
 def test_the_wood_alone_leaves_the_nail_where_it_is_and_counts_from_the_middle_of_the_block(tmp_path: Path) -> None:
     true = WorkConfig(nail_xy=(0.75, 0.1), block_xy=(0.76, 0.11), stand_height=0.203, wood_rise=(0.05, 0.0))
     options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])
     lab = tmp_path / "lab.yaml"
-    lab.write_text("frame: base_link\nwork:\n  nail_xy: [0.75, 0.1]\n  block_xy: [0.76, 0.11]\n")
+    lab.write_text(f"{ARM}work:\n  nail_xy: [0.75, 0.1]\n  block_xy: [0.76, 0.11]  # a rule\n")
     wood_only = [*options[:2], *options[4:]]
     assert run(["calibrate", "nail", *wood_only, "--config", str(lab), "--write"]) == 0
     work = load_station(lab).work
     assert work.nail_xy == (0.75, 0.1)
+    assert "[0.76, 0.11]  # a rule" in lab.read_text()
     assert work.stand_height == pytest.approx(0.203, abs=2e-5)
     np.testing.assert_allclose(work.p_base_entry, true.p_base_entry, atol=2e-5)
 
@@ -164,7 +172,7 @@ def test_the_wood_alone_leaves_the_nail_where_it_is_and_counts_from_the_middle_o
 def test_wood_that_is_too_steep_and_a_head_at_another_height_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "lab.yaml").write_text("{}\n")
+    (tmp_path / "lab.yaml").write_text(f"{ARM}work: {{nail_xy: [0.75, 0.1]}}\n")
     level = WorkConfig()
     options = _touched(tmp_path, level, level.X_base_nail(0.016)[:3, 3])
     assert run(["calibrate", "nail", *options, "--config", str(tmp_path / "lab.yaml")]) == 2
@@ -173,3 +181,77 @@ def test_wood_that_is_too_steep_and_a_head_at_another_height_are_refused(
     (tmp_path / "wood.yaml").write_text(yaml.safe_dump({"touches": _joints(steep, np.random.default_rng(0))}))
     assert run(["calibrate", "nail", *options[:2], *options[4:], "--config", str(tmp_path / "lab.yaml")]) == 2
     assert "11.3° off the level" in " ".join(capsys.readouterr().err.split())
+
+
+def _refusal(command: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert run(["calibrate", "nail", *command]) == 2
+    return " ".join(capsys.readouterr().err.split())
+
+
+def test_the_plane_is_not_carried_to_a_nail_that_nobody_measured_or_that_is_far_away(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    true, lab = WorkConfig(nail_xy=(0.45, 0.40), wood_rise=(0.035, -0.035)), tmp_path / "lab.yaml"
+    options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])
+    wood_only = [*options[:2], *options[4:], "--config", str(lab)]
+    lab.write_text(ARM)
+    assert "leaves out work.nail_xy" in _refusal(wood_only, capsys)
+    lab.write_text(f"{ARM}work: {{nail_xy: [0.75, 0.1]}}\n")
+    assert "outside the circle around the touches of the wood" in _refusal([*wood_only, "--write"], capsys)
+    lab.write_text(f"{ARM}work: {{nails: [{{name: a, xy: [0.46, 0.40]}}, {{name: b, xy: [0.46, 0.44]}}]}}\n")
+    assert run(["calibrate", "nail", *wood_only, "--write"]) == 0
+    work = load_station(lab).work
+    assert work.block_xy == (0.46, 0.42), "between the nails"
+    assert work.p_base_entry[2] == pytest.approx(0.26 + 0.035 * 0.01, abs=2e-5)
+
+
+@examples(50)
+@given(st.floats(-np.pi, np.pi), st.floats(0.0, 0.2))
+def test_a_nail_may_be_50_mm_outside_of_the_touches(direction: float, distance: float) -> None:
+    at = AT + distance * np.array([np.cos(direction), np.sin(direction)])
+    places = AT + TRIANGLE - TRIANGLE.mean(axis=0)
+    radius = float(np.max(np.linalg.norm(places - AT, axis=1)))
+    assume(abs(distance - radius - 0.05) > 1e-6)
+    if distance < radius + 0.05:
+        check_near(places, at)
+    else:
+        with raises(UserError, code="user.wood_far"):
+            check_near(places, at)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (ARM.replace("version: 2\n", ""), "toolee station upgrade"),
+        ("version: 2\nframe: base_link\narm: {model: UR10}\n", "leaves out arm.up"),
+        ("version: 2\nframe: base_link\narm: {up: [0, 0, 1]}\n", "leaves out arm.model"),
+    ],
+)
+def test_a_lab_that_does_not_say_which_arm_it_has_and_how_it_stands_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, reason: str
+) -> None:
+    options, lab = _touched(tmp_path, WorkConfig(), WorkConfig().X_base_nail()[:3, 3]), tmp_path / "lab.yaml"
+    lab.write_text(f"{text}work: {{nail_xy: [0.75, 0.1]}}\n")
+    assert reason in _refusal([*options, "--config", str(lab), "--write"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("work", "reason"),
+    [
+        ("nail_xy: [0.75, 0.1]\n  nail_lean: [0.1, 0]", "tilt it by"),
+        ("nail_xy: [0.6, 0.1]\n  block_xy: [0.6, 0.1]", "outside of the block"),
+        ("nails: [{name: a, xy: [0.75, 0.12]}, {name: b, xy: [0.75, 0.08], lean: [0.1, 0]}]", "nail b: wood_rise"),
+    ],
+)
+def test_what_the_file_would_not_load_with_is_not_entered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], work: str, reason: str
+) -> None:
+    true = WorkConfig(wood_rise=(-0.12, 0.0))
+    lean = np.array([0.12 + (0.1 if "nail_lean" in work else 0.0), 0.0, 1.0])
+    head = true.p_base_entry + true.nail_protrusion * lean / np.linalg.norm(lean)
+    options, lab = _touched(tmp_path, true, head), tmp_path / "lab.yaml"
+    lab.write_text(before := f"{ARM}work:\n  {work}\n")
+    told = _refusal([*options, "--config", str(lab), "--write"], capsys)
+    assert "nothing was entered" in told
+    assert reason in told
+    assert lab.read_text() == before

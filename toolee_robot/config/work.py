@@ -18,7 +18,7 @@ ONLY_NAIL = "nail"
 SIZES = ("diameter", "length", "head_diameter", "protrusion", "lean")
 """Fields of a nail of `work.nails` that `work.nail_...` give for all."""
 LARGEST_TILT = float(np.deg2rad(10.0))
-"""Largest angle of the wood's normal, and of a nail's axis, to the vertical [rad]; more is refused."""
+"""Largest angle of the wood's normal and of a nail's axis to the vertical, and to each other [rad]; more is refused."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,9 @@ class WorkConfig:
     """The wooden block on its stand, and the nail or nails. Strikes and touches go along the nail's axis.
 
     Heights are relative to the base plane, which is the top of the table. The wood is level and the nail upright unless
-    `wood_rise` and `nail_lean` say otherwise, up to 10 degrees. With the default values 3.7 J drive the nail;
-    a held claw hammer of 0.9 kg at 1.5 m/s, which hits far from its centre of mass, delivers about 0.45 J per strike.
+    `wood_rise` and `nail_lean` say otherwise, up to 10 degrees from the vertical and from each other. With the default
+    values 3.7 J drive the nail; a held claw hammer of 0.9 kg at 1.5 m/s, which hits far from its centre of mass,
+    delivers about 0.45 J per strike.
 
     The fields `nail_...` and `pilot_hole_diameter` are about one nail; where `nails` lists several, about the first of
     them, or the one that `only` picks.
@@ -128,6 +129,11 @@ class WorkConfig:
             raise ValueError(
                 f"{whose}wood_rise {self.wood_rise} and nail_lean {nail.lean} tilt it by {np.rad2deg(tilt):.1f} "
                 f"degrees, {np.rad2deg(LARGEST_TILT):.0f} are allowed: they are metres per metre, 0.0175 for 1 degree"
+            )
+        if (lean := angle_between(self._axis(nail.lean or (0.0, 0.0)), self.wood_normal)) > LARGEST_TILT:
+            raise ValueError(
+                f"{whose}nail_lean {nail.lean} is {np.rad2deg(lean):.1f} degrees off the wood's normal, "
+                f"{np.rad2deg(LARGEST_TILT):.0f} are allowed: it is metres per metre, 0.0175 for 1 degree"
             )
         off = np.abs(np.subtract(nail.xy, self.block_center))
         if np.any(off > np.array(self.block_size[:2]) / 2):

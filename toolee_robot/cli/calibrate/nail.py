@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from toolee_robot.cli.calibrate.nail_checks import touched_station
 from toolee_robot.cli.options import Flag
 from toolee_robot.config import StationConfig, check_upright, load_lab_station, load_station
 from toolee_robot.errors import UserError
@@ -80,8 +81,12 @@ class Nail:
         path = self.station or self.config
         if self.station is not None:
             config = load_lab_station(self.station)
+        elif self.config is None:
+            config = StationConfig()
+        elif self.camera:  # a simulated one
+            config = load_station(self.config)
         else:
-            config = StationConfig() if self.config is None else load_station(self.config)
+            config = touched_station(self.config, wood_alone=self.touches is None)
         from dataclasses import replace
 
         from toolee_robot.cli.calibrate.nail_job import NailJob, Print

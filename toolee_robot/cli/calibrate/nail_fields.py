@@ -26,12 +26,19 @@ def nail_fields(
 
     Returns:
         Values by field, of `work` itself first (None), then of the nail among `work.nails`, as `set_fields` has them.
+        With a rise there is always a `block_xy`, here or in the file: the plane hangs on the middle of the block, and
+        must not move with the next nail.
     """
     data = {} if path is None else read_station(path)
     R = inverse(BaseFrame(data.get("frame", BaseFrame.BASE_LINK)).X_base_this)[:3, :3]
     xy = _rounded(R @ entry)
-    fields: dict[str, Any] = {"stand_height": round(_stand_height(work, name, entry, rise), 5)}
+    center = _center(work, name, entry)
+    slope = np.array(work.wood_rise) if rise is None else rise
+    height = float(entry[2] + slope @ (center - entry[:2])) - work.block_size[2]
+    fields: dict[str, Any] = {"stand_height": round(height, 5)}
     if rise is not None:
+        if work.block_xy is None:
+            fields["block_xy"] = _rounded(R @ np.array([*center, 0.0]))
         fields["wood_rise"] = _rounded(R @ np.array([*rise, 0.0]))
     if with_nail and work.nails:
         return [(None, fields), (("nails", name), {"xy": xy})]
@@ -42,9 +49,9 @@ def _rounded(v: Array) -> list[float]:
     return [round(float(value), 5) + 0.0 for value in v[:2]]
 
 
-def _stand_height(work: WorkConfig, name: str, entry: Array, rise: Array | None) -> float:
-    """Height of the stand with which the wood is where the nail meets it [m]: that below the middle of the block."""
+def _center(work: WorkConfig, name: str, entry: Array) -> Array:
+    """Middle of the block, (2,) [m], `base`: where the file has it, or between the nails with this one where it is."""
+    if work.block_xy is not None:
+        return np.array(work.block_xy)
     places = np.array([entry[:2] if nail.name == name else nail.xy for nail in work.all_nails])
-    center = (places.min(axis=0) + places.max(axis=0)) / 2 if work.block_xy is None else np.array(work.block_xy)
-    slope = np.array(work.wood_rise) if rise is None else rise
-    return float(entry[2] + slope @ (center - entry[:2])) - work.block_size[2]
+    return np.asarray((places.min(axis=0) + places.max(axis=0)) / 2)

@@ -27,6 +27,7 @@ from toolee_robot.calibration.nail import (
 from toolee_robot.calibration.record import read_record
 from toolee_robot.calibration.tip import read_touches
 from toolee_robot.calibration.wood import WoodPlane, fit_wood
+from toolee_robot.cli.calibrate.nail_checks import check_loads, check_near
 from toolee_robot.cli.calibrate.nail_fields import nail_fields
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig
@@ -135,6 +136,7 @@ class NailJob:
         p = transform_points(flange, np.array([tip_mm]) / 1e3)[:, 0]
         at = np.array(work.nail_xy) if self._touched is None else self._touched.head[:2]
         wood = fit_wood(p, at, repeat=repeat, common=common)
+        check_near(p[:, :2], at)
         if wood.tilt > LARGEST_TILT:
             raise UserError(
                 f"by the touches the wood is {np.rad2deg(wood.tilt):.1f}° off the level, "
@@ -235,7 +237,7 @@ class NailJob:
             as_json: Whether to print the figures as a line of JSON, too.
 
         Raises:
-            ConfigError: The file has a layout that is not edited.
+            ConfigError: The file has a layout that is not edited, or would not load with the result.
         """
         work, seen, touched, wood = self.config.work, self._seen, self._touched, self._wood
         rise: Array | None = None
@@ -289,6 +291,7 @@ class NailJob:
         lines += ["", f"Entered in {escape(str(path))}:" if write else "In the station file:", "work:", *told]
         if write:
             assert path is not None
+            check_loads(path, places)
             for item, values in reversed(places):
                 set_fields(path, ("work",), values, item)
         if "true_lateral_mm" in self.figures:

@@ -1,0 +1,97 @@
+"""What is refused of a location of a nail: an incomplete station file, far touches, fields that do not load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from toolee_robot.config import StationConfig, load_lab_station, read_station, unmeasured
+from toolee_robot.config.station import to_station
+from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.frames import Array
+
+FARTHEST = 0.050
+"""Largest distance of the nail from the circle around the touches of the wood [m]: a rise that is known to 0.5 degrees
+is worth 0.4 mm of height there."""
+
+
+def touched_station(path: Path, *, wood_alone: bool) -> StationConfig:
+    """Load the station file of a lab whose nail or wood was touched.
+
+    Args:
+        path: The file, of the present version; it may leave out what touches do not need.
+        wood_alone: Whether only the wood was touched, so that the file says where the nail is.
+
+    Returns:
+        The station.
+
+    Raises:
+        ConfigError: As `load_lab_station`, or the file leaves out which arm it is, how its base stands, or where the
+            nail is although only the wood was touched (`config.unmeasured`).
+    """
+    config = load_lab_station(path, complete=False)
+    needed = ["arm.model", "arm.up", *(["work.nail_xy"] if wood_alone else [])]
+    left_out = unmeasured(path)
+    if missing := [name for name in needed if name in left_out]:
+        head = ", or touch the nail's head, too (--touches)" if "work.nail_xy" in missing else ""
+        raise ConfigError(
+            f"{path} leaves out {', '.join(missing)}, and the simulated station's values would stand in: measure and "
+            f"give them{head}; `toolee station check {path}` says how",
+            code="config.unmeasured",
+        )
+    return config
+
+
+def check_near(places: Array, at: Array) -> None:
+    """Refuse touches of the wood that are not around the nail, where its height would be extrapolated.
+
+    Args:
+        places: x and y of the touches in `base`, (N, 2) [m].
+        at: The nail's, (2,) [m].
+
+    Raises:
+        UserError: The nail is more than 50 mm outside the circle around the touches' mean that holds them all
+            (`user.wood_far`).
+    """
+    middle = np.mean(places, axis=0)
+    radius = np.max(np.linalg.norm(places - middle, axis=1))
+    off = float(np.linalg.norm(at - middle) - radius)
+    if off > FARTHEST:
+        raise UserError(
+            f"the nail at ({at[0]:.3f}, {at[1]:.3f}) m in base_link is {off * 1e3:.0f} mm outside the circle around "
+            f"the touches of the wood, whose middle is ({middle[0]:.3f}, {middle[1]:.3f}), and "
+            f"{FARTHEST * 1e3:.0f} mm are allowed: touch the wood around the nail, or correct the nail's place "
+            "(work.nail_xy, or its touches)",
+            code="user.wood_far",
+        )
+
+
+def check_loads(path: Path, places: Sequence[tuple[tuple[str, str] | None, dict[str, Any]]]) -> None:
+    """Refuse fields with which a station file would not load.
+
+    Args:
+        path: The station file.
+        places: The fields of its `work`, as `nail_fields` returns them.
+
+    Raises:
+        ConfigError: The file with these fields is refused, for the reason given; nothing was written.
+    """
+    data = read_station(path)
+    work = {**(data.get("work") or {})}
+    for item, values in places:
+        if item is None:
+            work |= values
+        else:
+            work[item[0]] = [{**nail, **values} if nail["name"] == item[1] else nail for nail in work[item[0]]]
+    try:
+        to_station({**data, "work": work}, path)
+    except ConfigError as error:
+        told = "; ".join(f"{name} {value}" for _, values in places for name, value in values.items())
+        raise ConfigError(
+            f"nothing was entered: with what was located ({told}) the file would be refused. Correct the field that "
+            f"does not fit, or touch or look again. {error}",
+            code=error.code,
+        ) from error
