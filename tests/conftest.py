@@ -59,7 +59,6 @@ class _Machine:
         if self._running:
             self._latency.__exit__(None, None, None)
             self._keepalive.__exit__(None, None, None)
-            self._running = ""
 
 
 _MACHINE = _Machine()
@@ -75,8 +74,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("realtime"):
         _MACHINE.begin(item.nodeid)
-    elif "PYTEST_XDIST_WORKER" in os.environ:  # which has done its share of them
-        _MACHINE.end()
 
 
 def pytest_unconfigure() -> None:

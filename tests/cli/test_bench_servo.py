@@ -8,7 +8,7 @@ import pytest
 
 from toolee_robot.cli.app import run
 
-pytestmark = pytest.mark.realtime(alone=True)
+pytestmark = pytest.mark.realtime
 
 
 @pytest.mark.parametrize(("model", "seconds"), [("UR10", 8), pytest.param("UR10e", 30, marks=pytest.mark.nightly)])

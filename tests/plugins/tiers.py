@@ -1,9 +1,8 @@
 """The tiers of the tests, which of them run, and in how many processes.
 
 `unit`: what no other marker claims. `sim`: simulated stations, renderings, small trainings, whole jobs. `realtime`:
-bound to the wall clock; they run one at a time, beside each of them at most a light one, and all others meanwhile, at
-the lowest priority (`realtime_first.py`). `nightly`: long ones, of any tier; they run with --nightly, with
-`-m nightly`, or by their name.
+bound to the wall clock; they run one at a time, after all others, and beside each of them at most a light one
+(`realtime_last.py`). `nightly`: long ones, of any tier; they run with --nightly, with `-m nightly`, or by their name.
 """
 
 from __future__ import annotations
@@ -23,11 +22,9 @@ if TYPE_CHECKING:
     from xdist.remote import Producer
     from xdist.workermanage import WorkerController
 
-    from tests.plugins.realtime_first import RealtimeFirst
+    from tests.plugins.realtime_last import RealtimeLast
 
 TIERS = ("unit", "sim", "realtime")
-KINDS = ("alone", "light")
-"""Of `realtime`: what needs a machine that does nothing else, and what takes little of it."""
 _MOST_CORES = 8
 """That get a process each; more would wait for the longest file."""
 _MEMORY = 2e9
@@ -35,8 +32,6 @@ _MEMORY = 2e9
 _FOLDER = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 _LIST = "tiers"
 """Of a worker's input: the path of the file in which it says what tier each test is of."""
-_GIVES_WAY = pytest.StashKey[bool]()
-"""Of a worker: whether there is anything bound to the clock."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -81,13 +76,13 @@ def _has_examples(item: pytest.Item) -> bool:
 
 @pytest.hookimpl(optionalhook=True, tryfirst=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One for each core, and two for those marked `realtime`: one fewer where memory is short. A choice of tests runs
-    in this process."""
+    """One for each core, one more since tests also wait, and two for those marked `realtime`: one fewer where memory is
+    short. A choice of tests runs in this process."""
     files = any(Path(str(argument).partition("::")[0]).suffix == ".py" for argument in config.args)
     options = any(getattr(config.option, name, None) for name in ("keyword", "lf", "hardware"))
     if files or options or config.getoption("-m") == "realtime":
         return 0
-    workers = min(len(os.sched_getaffinity(0)), _MOST_CORES) + 2
+    workers = min(len(os.sched_getaffinity(0)), _MOST_CORES) + 3
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return workers if memory >= workers * _MEMORY else workers - 1
 
@@ -100,12 +95,12 @@ def pytest_configure_node(node: WorkerController) -> None:
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> RealtimeFirst | None:
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> RealtimeLast | None:
     if config.getoption("dist") != "loadfile":
         return None
-    from tests.plugins.realtime_first import RealtimeFirst
+    from tests.plugins.realtime_last import RealtimeLast
 
-    return RealtimeFirst(config, log, Path(config.stash[_FOLDER].name) / "tiers.json")
+    return RealtimeLast(config, log, Path(config.stash[_FOLDER].name) / "tiers.json")
 
 
 @pytest.hookimpl(tryfirst=True)  # before the worker says that it has collected
@@ -113,29 +108,15 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     given: dict[str, Any] = getattr(session.config, "workerinput", {})
     if _LIST not in given:
         return
-    tiers: dict[str, dict[str, float]] = {tier: {} for tier in (*TIERS, *KINDS)}
+    tiers: dict[str, dict[str, float]] = {tier: {} for tier in (*TIERS, "light")}
     for item in session.items:
         (marker,) = (marker for tier in TIERS if (marker := item.get_closest_marker(tier)))
-        tier = next((kind for kind in KINDS if marker.kwargs.get(kind)), marker.name)
+        tier = "light" if marker.kwargs.get("light") else marker.name
         tiers[tier][item.nodeid] = marker.kwargs.get("seconds", 0.0)
-    session.config.stash[_GIVES_WAY] = any(tiers[tier] for tier in ("realtime", *KINDS))
     path = Path(given[_LIST])
     own = path.with_suffix(f".{given['workerid']}")
     own.write_text(json.dumps(tiers))
     own.replace(path)
-
-
-def give_way() -> None:
-    """Let this process, and what it starts from now on, run only where no other wants the core, as `CpuKeepalive` does:
-    what is bound to the clock takes it at once. Without privileges there is no way back."""
-    if os.sched_getscheduler(0) == os.SCHED_OTHER:
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-
-
-@pytest.hookimpl(tryfirst=True)  # before its fixtures
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    if item.config.stash.get(_GIVES_WAY, False) and not item.get_closest_marker("realtime"):
-        give_way()
 
 
 @pytest.hookimpl(trylast=True)

@@ -1,5 +1,4 @@
-"""The order in which pytest-xdist's workers get the files of tests: those bound to the wall clock first, the rest
-beside them at the lowest priority."""
+"""The order in which pytest-xdist's workers get the files of tests: those bound to the wall clock last, alone."""
 
 from __future__ import annotations
 
@@ -14,40 +13,38 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-BOUND = ("alone", "realtime", "light")
-"""What is bound to the clock: what needs a machine that does nothing else, what runs one at a time, and what may run
-beside that."""
-_FEWEST = 3
-"""Workers of which two begin with what is bound to the clock: at least one begins with the rest."""
+BOUND = ("realtime", "light")
+"""What is bound to the clock: what needs a machine that does nothing else, and what may run beside it."""
+_FEWEST = 4
+"""Workers of which two wait: at least as many run what is not bound to the clock."""
 
 
 @dataclass
 class _Share:
-    """What one worker runs before all else.
+    """What one worker runs when the processes of all that do not wait have ended.
 
     Attributes:
         files: Their names in the queue.
-        worker: The one that runs it; none where it died and its successor is not there yet.
+        worker: The one that waits for it, or runs it; none where it died and its successor is not there yet.
     """
 
     files: frozenset[str]
     worker: WorkerController | None = None
 
 
-class RealtimeFirst(LoadFileScheduling):
-    """Whole files go to the workers, as with `--dist loadfile`, but two workers begin with what is bound to the clock,
-    in processes that have run no other test: one with the tests marked `realtime`, one after another, and the other
-    one, at the same time, with those marked `realtime(light=True)`, one after another. The others run the rest
-    meanwhile, and give way (`tiers.give_way`); those two help when they are through. All wait for the tests marked
-    `realtime(alone=True)`, the very first. Of two workers one begins with all that is bound to the clock, the light
-    ones last; a single one does, too.
+class RealtimeLast(LoadFileScheduling):
+    """Whole files go to the workers, as with `--dist loadfile`, but two workers wait until the processes of all others
+    have ended. Then one of them runs the tests marked `realtime`, one after another, and the other one, at the same
+    time, those marked `realtime(light=True)`, one after another: on a machine that does nothing else, and in processes
+    that have run no other test. Of two or three workers one waits, and runs the light ones after the others. Where
+    nothing is marked so, nobody waits; a single worker runs the tests marked `realtime` after all others.
 
     Args:
         config: of the controlling process.
         log: xdist's debug log.
         tiers: a file that the workers have written when they have collected: JSON, `{tier: {node id: seconds}}`, with
-            what the marker says of how long the test's file takes; `alone` and `light` are tiers of their own. (What a
-            worker tells of its collection is the node ids, without markers.)
+            what the marker says of how long the test's file takes; the light ones are a tier of their own, `light`.
+            (What a worker tells of its collection is the node ids, without markers.)
     """
 
     collection: list[str] | None
@@ -57,7 +54,6 @@ class RealtimeFirst(LoadFileScheduling):
         super().__init__(config, log)
         self._tiers = tiers
         self._bound: dict[str, str] = {}
-        self._alone: set[str] = set()
         self._shares: list[_Share] = []
 
     def schedule(self) -> None:
@@ -74,13 +70,6 @@ class RealtimeFirst(LoadFileScheduling):
                 share.worker = max(free, key=lambda node: int(node.gateway.id.removeprefix("gw")), default=None)
         self._reschedule_all()
 
-    def mark_test_complete(self, node: WorkerController, item_index: int, duration: float = 0) -> None:
-        super().mark_test_complete(node, item_index, duration)
-        nodeid = self.registered_collections[node][item_index]
-        if nodeid in self._alone:
-            self._alone.remove(nodeid)
-            self._reschedule_all()
-
     def remove_node(self, node: WorkerController) -> str | None:
         share = self._share(node)
         if share is not None:
@@ -92,21 +81,23 @@ class RealtimeFirst(LoadFileScheduling):
     def _fill_queue(self) -> None:
         tiers: dict[str, dict[str, float]] = json.loads(self._tiers.read_text())
         self._bound = {nodeid: tier for tier in BOUND for nodeid in tiers[tier]}
-        self._alone = set(tiers["alone"])
         seconds = {**tiers["unit"], **tiers["sim"]}
 
         def order(file: tuple[str, dict[str, bool]]) -> tuple[float, int]:
             """The longest first, so that all workers end at about the same time."""
             return -max(seconds[nodeid] for nodeid in file[1]), -len(file[1])
 
-        single, light = self._files([*tiers["alone"], *tiers["realtime"]]), self._files(tiers["light"])
-        for files in (single, light, OrderedDict(sorted(self._files(seconds).items(), key=order))):
+        self.workqueue.update(sorted(self._files(seconds).items(), key=order))
+        bound = [files for tier in BOUND if (files := self._files(tiers[tier]))]
+        for files in bound:
             self.workqueue.update(files)
-        shares = [single, light] if len(self.nodes) >= _FEWEST else [single | light]
-        self._shares = [_Share(frozenset(files)) for files in shares if files]
+        if len(self.nodes) >= _FEWEST:
+            self._shares = [_Share(frozenset(files)) for files in bound]
+        elif len(self.nodes) > 1 and bound:
+            self._shares = [_Share(frozenset().union(*bound))]
 
     def _split_scope(self, nodeid: str) -> str:
-        """The file; its tests of each kind that is bound to the clock are a group of their own."""
+        """The file; its tests that are bound to the clock are a group of their own, and the light ones another."""
         file = super()._split_scope(nodeid)
         return f"{file} ({self._bound[nodeid]})" if nodeid in self._bound else file
 
@@ -121,14 +112,13 @@ class RealtimeFirst(LoadFileScheduling):
         return next((share for share in self._shares if share.worker is node), None)
 
     def _next_file(self, share: _Share | None) -> str | None:
-        """The first one in the queue of this share, or else of what is in none."""
-        kept = frozenset[str]().union(*(other.files for other in self._shares))
-        own = (file for file in self.workqueue if share and file in share.files)
-        return next(own, next((file for file in self.workqueue if file not in kept), None))
+        """The first one in the queue of this share, or of what nobody waits for."""
+        kept = frozenset[str]().union(*(share.files for share in self._shares))
+        return next((file for file in self.workqueue if (file in share.files if share else file not in kept)), None)
 
-    def _waits(self, share: _Share | None) -> bool:
-        """For a test that another worker runs alone."""
-        return bool(self._alone) and not (share and any(self._split_scope(test) in share.files for test in self._alone))
+    def _waits(self) -> bool:
+        """Whether there is work left for those that do not wait, or any of their processes."""
+        return self._next_file(None) is not None or any(self._share(node) is None for node in self.nodes)
 
     def _reschedule_all(self) -> None:
         for node in self.nodes:
@@ -138,7 +128,7 @@ class RealtimeFirst(LoadFileScheduling):
         if node.shutting_down or node not in self.registered_collections:
             return
         share = self._share(node)
-        if self._waits(share):
+        if share is not None and self._waits():
             return
         # A worker starts a test when it knows what follows: another one, or the end.
         while (file := self._next_file(share)) is not None and self._pending_of(self.assigned_work[node]) <= 2:
