@@ -24,7 +24,7 @@ def test_elastic_joints_follow_a_controllers_ticks_and_come_to_rest(period: floa
         hand = world.robot.robot.hand_payload(world.robot.robot.hand_open)
         plant.set_payload(hand.mass, hand.center_of_mass)
         start = plant.q.copy()
-        for k in range(round(1.5 / period)):
+        for k in range(round(1.7 / period)):
             q = start + 0.5 * (1.0 - np.cos(np.pi * min((k + 1) * period, 1.0))) * TURN
             plant.command(q, np.zeros(6))
             plant.step(period)
