@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, CollisionWorld
@@ -51,7 +52,7 @@ def plan_straight(
     world: CollisionWorld,
     q_start: Array,
     length: float,
-    direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    direction: ArrayLike = (0.0, 0.0, 1.0),
     speed: float = 0.25,
     share: float | None = None,
 ) -> Trajectory:

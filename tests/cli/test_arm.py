@@ -19,6 +19,7 @@ import pytest
 from rich.console import Console
 
 from tests.errors import raises
+from tests.slow_motion import assert_slow
 from tests.stand_in import stand_in
 from toolee_robot.cli.app import run
 from toolee_robot.cli.arm.terminal import TerminalPerson
@@ -52,18 +53,6 @@ def _arm(capsys: pytest.CaptureFixture[str], lab: Path, *words: str, host: str =
     code = run(["arm", *words, "--robot-host", host, "--config", str(lab), "--yes", "--json"])
     out = capsys.readouterr()
     return code, json.loads(out.out.splitlines()[-1]) if out.out else {"said": out.err}
-
-
-def _assert_slow(trace: Trace) -> None:
-    """The set-points that the controller got, and the joints themselves, stay within the caps.
-
-    A late command shows as two steps in one tick: speeds are means over WINDOW ticks, two of which may be such ones.
-    """
-    rate, window = 125.0, 12
-    for q in (trace.q_target, trace.q):
-        speeds = (q[window:] - q[:-window]) * rate / window
-        assert np.abs(speeds).max() <= 0.1 * (window + 2) / window
-        assert np.abs(speeds[window:] - speeds[:-window]).max() * rate / window <= 1.4
 
 
 @contextmanager
@@ -100,13 +89,13 @@ def test_a_jog_and_a_line_stay_under_the_caps_at_the_joints(
     before = np.array(robot.state()["q"])
     code, told, trace = _moved(robot, lambda: _arm(capsys, lab, "move", "--joint", "6", "--by", "0.15"))
     assert code == 0, told
-    _assert_slow(trace)
+    assert_slow(trace, 125.0)
     np.testing.assert_allclose(robot.state()["q"], before + np.array([0, 0, 0, 0, 0, 0.15]), atol=1e-3)
     code, after, trace = _moved(
         robot, lambda: _arm(capsys, lab, "move", "--along", "0.03", "0", "0.02", "--frame", "pendant_base")
     )
     assert code == 0, after
-    _assert_slow(trace)
+    assert_slow(trace, 125.0)
     for frame, way in (("pendant_base", [0.03, 0, 0.02]), ("base_link", [-0.03, 0, 0.02])):
         moved = np.subtract(after[f"flange_{frame}"], told[f"flange_{frame}"])
         np.testing.assert_allclose(moved, way, atol=1e-3)
@@ -125,7 +114,7 @@ def test_ctrl_c_stops_the_arm_on_its_path(
     with _meanwhile(interrupt_in_motion):
         code, _, trace = _moved(robot, lambda: _arm(capsys, lab, "move", "--joint", "6", "--by", "-0.3"))
     assert code == 130
-    _assert_slow(trace)
+    assert_slow(trace, 125.0)
     moved = np.array(robot.state()["q"]) - before
     assert -0.2 < moved[5] < -0.02
     assert np.abs(moved[:5]).max() < 1e-3
@@ -146,7 +135,7 @@ def test_a_touch_tells_where_it_met_something_and_goes_back(
             robot, lambda: _arm(capsys, lab, "touch", "--along", "0", "0", "-0.04", "--frame", "base_link")
         )
     assert code == 0, told
-    _assert_slow(trace)
+    assert_slow(trace, 125.0)
     assert told["contact"]
     assert 0.001 < told["travelled"] < 0.035
     np.testing.assert_allclose(told["flange_base_link"][:2], np.negative(told["flange_pendant_base"][:2]))

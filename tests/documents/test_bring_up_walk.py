@@ -25,6 +25,7 @@ import numpy as np
 import pytest
 
 from tests.documents.blocks import ROOT, blocks
+from tests.slow_motion import assert_slow
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
@@ -37,10 +38,6 @@ TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
 HOSTS = {ArmModel.UR10: "127.0.0.58", ArmModel.UR10E: "127.0.0.59"}
 LEFT_OUT = ("--inputs", "toolee hammer", "toolee faults", "toolee ur-controller", "toolee bench-servo")
 """Of the commands: what needs more than a robot, and what is not of the walk."""
-SPEED, ACCELERATION = 0.1, 1.0
-"""[rad/s], [rad/s^2] No joint moves faster, says the page."""
-WINDOW = 0.1
-"""[s] Over which speeds are means: a command that a busy machine sends late makes two steps in one tick."""
 TIMEOUT = 300.0
 
 
@@ -128,15 +125,6 @@ def at_terminal(words: list[str], folder: Path, robot: Robot) -> tuple[int, str]
     return process.returncode, text
 
 
-def assert_slow(trace: Trace, model: ArmModel) -> None:
-    """Neither the set-points nor the joints exceed the page's speed and acceleration."""
-    n = round(WINDOW * ARM_DATA[model].rate)
-    for q in (trace.q_target, trace.q):
-        speeds = (q[n:] - q[:-n]) / WINDOW
-        assert np.abs(speeds).max() <= SPEED * (n + 2) / n
-        assert np.abs(speeds[n:] - speeds[:-n]).max() / WINDOW <= 1.4 * ACCELERATION
-
-
 def test_every_step_of_the_page_works_and_is_slow(robot: Robot, tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text(lab_file(robot.model))
     commands = page_commands()
@@ -156,5 +144,5 @@ def test_every_step_of_the_page_works_and_is_slow(robot: Robot, tmp_path: Path) 
         code, text = at_terminal(words, tmp_path, robot)
         print(f"$ {command}\n{text}")
         assert code == 0, f"{command}: {text}"
-        assert_slow(robot.moved(), robot.model)
+        assert_slow(robot.moved(), ARM_DATA[robot.model].rate)
     assert "lag:" in (tmp_path / "lab.yaml").read_text(), "`lag --write` has written what it measured"

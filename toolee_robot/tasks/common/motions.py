@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from toolee_robot.config import StationConfig, check_upright
 from toolee_robot.control.collision import CollisionWorld
@@ -192,7 +193,7 @@ class Motions:
     def straight(
         self,
         name: str,
-        direction: tuple[float, float, float],
+        direction: ArrayLike,
         length: float,
         guard: ContactGuard | None = None,
         *,
@@ -203,7 +204,7 @@ class Motions:
 
         Args:
             name: Name of the motion.
-            direction: Unit vector in `base`.
+            direction: Unit vector in `base`, (3,).
             length: Length along it [m]; negative for the opposite direction.
             guard: Contact detection; None for none.
             speed: Largest speed [m/s]; less where the mode allows less.

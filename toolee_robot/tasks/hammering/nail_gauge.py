@@ -76,8 +76,7 @@ class NailGauge:
         self._motions, self._config, self._robot = motions, config, robot
         self._touch = Touch(motions, config, robot, observer)
         self.latest: Touches | None = None
-        x, y, z = config.work.wood_normal.tolist()
-        self._out = (x, y, z)
+        self._out = config.work.wood_normal
         self._known = 0.0  # height of the nail at the first measurement [m]
         self._first: Touches | None = None  # its touches: nail and wood
         self._corrected: Array | None = None  # the face's place in the hand as the last measurement has left it
@@ -156,12 +155,12 @@ class NailGauge:
         nail = head.felt
         self._rise_to(nail + LIFT)
         # Towards the handle, so that the hand moves away from the block.
-        normal, aside = np.asarray(self._out), motions.X_base_ee[:3, 0]
-        aside = aside - (aside @ normal) * normal
+        aside = motions.X_base_ee[:3, 0]
+        aside = aside - (aside @ self._out) * self._out
         aside /= np.linalg.norm(aside)
         # A nail that leans has its foot nearer to there, or farther from it, than its head.
         foot = max(0.0, -expected * float(aside @ self._config.work.nail_axis))
-        motions.straight("aside", (float(aside[0]), float(aside[1]), float(aside[2])), ASIDE + foot)
+        motions.straight("aside", aside, ASIDE + foot)
         # The nail may have sunk, never risen: the tool has slipped by at least this.
         slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
         lowest = min(slipped, 0.0) - TOLERANCE

@@ -144,8 +144,7 @@ class Striking:
         X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
         out = self._config.work.nail_axis
         below = float((plan.X_base_ee_contact - X_base_ee)[:3, 3] @ out)
-        x, y, z = out.tolist()
-        self._motions.straight("up", (x, y, z), above + max(below, 0.0), speed=RETRACT_SPEED, share=RETRACT_SHARE)
+        self._motions.straight("up", out, above + max(below, 0.0), speed=RETRACT_SPEED, share=RETRACT_SHARE)
 
     def load(self, report: MotionReport) -> StrikeLoad:
         """Compute what a strike asked of the arm.

@@ -125,8 +125,7 @@ class Touch:
         self._motions, self._config, self._robot, self._observer = motions, config, robot, observer
         self._settings: TouchSettings | None = None
         self._releases = Releases()
-        x, y, z = config.work.wood_normal.tolist()
-        self._out = (x, y, z)
+        self._up = config.work.wood_normal  # out of the wood, in `base`
 
     @property
     def noisy(self) -> bool:
@@ -190,9 +189,7 @@ class Touch:
         for force in settings.forces:
             guard = ContactGuard(force, averaging_window=settings.window)
             left = max(self._height(X_flange_ee) - end, 0.001)
-            down = plan_straight(
-                self._robot, self._config, motions.world(), motions.q, -left, self._out, settings.speed
-            )
+            down = plan_straight(self._robot, self._config, motions.world(), motions.q, -left, self._up, settings.speed)
             report = motions.execute(f"touch the {what}", down, guard, at_work=True)
             if report.contact is None:
                 return best
@@ -251,11 +248,6 @@ class Touch:
         assert self._settings is not None, "prepare() comes first"
         return 0 if self._settings.release is None else round(ZERO_TIME * self._motions.arm.rate)
 
-    @property
-    def _up(self) -> Array:
-        """Direction out of the wood in `base`, (3,)."""
-        return np.asarray(self._out)
-
     def _height(self, X_flange_ee: Array) -> float:
         X_base_ee = self._robot.arm.fk(self._motions.q) @ X_flange_ee
         return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
@@ -272,7 +264,7 @@ class Touch:
         known = releases.stiffness
         pressed = force / known if known else max(force / down.stiffness, down.height - self._height(X_flange_ee))
         pressed, speed = min(pressed, SLOPE_RANGE - FREE), settings.release_speed(known or down.stiffness)
-        up = plan_straight(self._robot, self._config, motions.world(), motions.q, pressed + FREE, self._out, speed)
+        up = plan_straight(self._robot, self._config, motions.world(), motions.q, pressed + FREE, self._up, speed)
         report = motions.execute(f"release the {what}", up, at_work=True)
         course = self._course(report, np.inf, X_flange_ee)
         rise = onset(course)
