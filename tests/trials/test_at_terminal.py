@@ -17,11 +17,13 @@ from toolee_robot.trials.results import Happened, read_results
 
 MAIN = "from toolee_robot.cli import main; main()"
 JOB = """
-import json, signal, sys, time
+import json, select, signal, sys, time
 signal.signal(signal.SIGTERM, signal.default_int_handler)  # as `toolee hammer` does
 print("job: at the terminal", sys.stdin.isatty(), sys.stderr.isatty(), file=sys.stderr)
 try:
     print("job: moving?", file=sys.stderr, flush=True)
+    while not select.select([sys.stdin], [], [], 0.1)[0]:
+        pass  # a signal that came just before a read would wait for its end
     interrupted = sys.stdin.readline() != "go\\n"
 except KeyboardInterrupt:
     time.sleep(1.0)  # an arm takes its time to stop

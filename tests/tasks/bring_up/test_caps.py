@@ -164,6 +164,27 @@ def test_a_touch_that_feels_contacts_where_nothing_presses_goes_on_and_gives_up_
     np.testing.assert_allclose(arm.q, HOME, atol=1e-6)
 
 
+def test_a_touch_is_told_before_the_way_back_which_may_end_in_a_stop() -> None:
+    class StoppedOnItsWayBack(ListeningArm):
+        def execute(
+            self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
+        ) -> MotionReport:
+            if self.given:
+                raise DeviceError("stopped", code="device.arm")
+            return super().execute(trajectory, guard, watch)
+
+    slow = SlowStation.of(STATION, Caps())
+    arm = StoppedOnItsWayBack(HOME)
+    arm.meets = 0.5
+    command = Touch(robot_host=HOST, along=(0.0, 0.0, -0.05), frame="base_link")
+    supervisor = Supervisor(arm, Bystander(), slow.robot, slow.config, lambda: slow.world)
+    settings, met = TouchSettings(8.0, 0.024, 0.01, None, 0.0, 12.0), []
+    with raises(DeviceError, code="device.arm"):
+        approach(supervisor, slow, command.plan(slow, HOME), settings, met=met.append)
+    (touch,) = met
+    assert 0.0 < touch.travelled < 0.05
+
+
 def test_the_supervisor_itself_refuses_what_is_over_the_caps() -> None:
     """So that a mistake in a plan is none in a motion."""
     slow = SlowStation.of(STATION, Caps())

@@ -16,6 +16,7 @@ from toolee_robot.frames import Array
 
 if TYPE_CHECKING:
     from toolee_robot.tasks.bring_up.caps import SlowStation
+    from toolee_robot.tasks.bring_up.touch import Touch as Contact
     from toolee_robot.types import Trajectory
 
 
@@ -49,6 +50,12 @@ class Touch(MotionOptions):
         from toolee_robot.cli.arm.session import place_figures, place_text, session
         from toolee_robot.tasks.bring_up.touch import approach, measured_settings
 
+        def noted(touch: Contact) -> None:
+            """Before the way back: a stop on it does not cost the touch."""
+            if self.touches is not None:
+                count = add_touch(self.touches, touch.q)
+                console.print(f"{self.touches} has {count} touch{'es' if count > 1 else ''}.", markup=False)
+
         if self.touches is not None and self.touches.exists():
             read_touches(self.touches)  # refuses what is no such list before anything moves
         with session(self, console) as robot:
@@ -62,7 +69,7 @@ class Touch(MotionOptions):
             robot.show(f"touch: until {settings.force:.1f} N, at {1e3 * speed:.1f} mm/s{slower}, and back", plan)
             robot.person.confirm("Move?")
             with robot.person.attending():
-                touch = approach(robot.arm, robot.slow, plan, settings)
+                touch = approach(robot.arm, robot.slow, plan, settings, met=noted)
         if touch is None:
             console.print("[yellow]Nothing was felt on the whole way.[/yellow] The arm is back where it began.")
             figures: dict[str, object] = {"contact": False}
@@ -74,9 +81,6 @@ class Touch(MotionOptions):
             )
             figures = {"contact": True, "travelled": touch.travelled, "force": touch.force}
             figures |= place_figures(touch.X_base_flange) | {"q": touch.q.tolist()}
-            if self.touches is not None:
-                count = add_touch(self.touches, touch.q)
-                console.print(f"{self.touches} has {count} touch{'es' if count > 1 else ''}.", markup=False)
         if self.json:
             print(json_line(figures), flush=True)
         return int(touch is None)
