@@ -90,6 +90,7 @@ def test_the_block_is_tilted_where_collisions_are_looked_for() -> None:
     assert angle_between(block.X_joint_shape[:3, 2], Z) == pytest.approx(np.arctan(0.15))
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=60)
 def test_a_job_strikes_along_a_nail_that_leans_in_wood_that_is_not_level() -> None:
     work = WorkConfig(nail_protrusion=0.006, wood_rise=(0.04, -0.03), nail_lean=(-0.05, 0.04))

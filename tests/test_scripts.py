@@ -9,6 +9,7 @@ import pytest
 from scripts import calibrate
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=20)
 def test_a_camera_is_calibrated_in_python(capsys: pytest.CaptureFixture[str]) -> None:
     calibrate.main(seed=1, poses=8)

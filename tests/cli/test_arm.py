@@ -142,6 +142,7 @@ def test_a_touch_tells_where_it_met_something_and_goes_back(
     np.testing.assert_allclose(robot.state()["q"], before, atol=1e-3)
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_touch_with_a_cb3s_force_ends_at_what_it_meets_and_not_in_the_air(
     lab: Path, capsys: pytest.CaptureFixture[str]

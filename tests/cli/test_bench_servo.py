@@ -11,7 +11,8 @@ from toolee_robot.cli.app import run
 pytestmark = pytest.mark.realtime
 
 
-@pytest.mark.parametrize(("model", "seconds"), [("UR10", 8), pytest.param("UR10e", 30, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize(("model", "seconds"), [("UR10", 8), ("UR10e", 30)])
 def test_every_target_is_met(model: str, seconds: int, capsys: pytest.CaptureFixture[str]) -> None:
     status = run(["bench-servo", "--model", model, "--seconds", str(seconds), "--host", "127.0.0.36", "--json"])
     out, table = capsys.readouterr()

@@ -204,6 +204,7 @@ def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
     assert topics["/contacts"] == len(met) >= record["strikes"] + 6, "nail and wood were touched three times at least"
 
 
+@pytest.mark.nightly
 def test_a_job_that_is_told_what_a_person_measures_drives_the_nail(tmp_path: Path) -> None:
     (tmp_path / "short.yaml").write_text("work: {nail_protrusion: 0.006}")
     job = _whole_job(tmp_path, "--perfect-perception", "--config", "short.yaml")
@@ -239,6 +240,7 @@ def test_without_correction_the_same_hammer_misses_the_nail(tmp_path: Path) -> N
     assert "Traceback" not in job.err
 
 
+@pytest.mark.nightly
 def test_the_papers_estimator_takes_the_pose_networks_place(tmp_path: Path) -> None:
     """Of a network that has learnt nothing the samples agree on no place, so that no nail is struck."""
     weights = untrained_paper_weights(tmp_path / "weights")
@@ -251,7 +253,7 @@ def test_the_papers_estimator_takes_the_pose_networks_place(tmp_path: Path) -> N
     assert "perceive" in record["stage_seconds"]
 
 
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sign", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
 def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal.Signals) -> None:
     process = _start(tmp_path, "--perfect-perception", "--seed", "101", "--json")
     assert process.stderr is not None

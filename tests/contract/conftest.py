@@ -16,7 +16,7 @@ from toolee_robot.types import ArmModel
 _SIMULATED = (
     pytest.param("pybullet", marks=pytest.mark.sim),
     pytest.param("UR10", marks=pytest.mark.realtime),
-    pytest.param("UR10e", marks=pytest.mark.realtime),
+    pytest.param("UR10e", marks=(pytest.mark.realtime, pytest.mark.nightly)),
 )
 _HARDWARE = pytest.param("hardware", marks=pytest.mark.realtime)
 

@@ -18,11 +18,8 @@ from toolee_robot.tasks.common.motions import Motions
 pytestmark = pytest.mark.realtime
 
 _QUICK = {
-    ("hand unplugged", Phase.SWING, "Inspire Modbus-TCP"),
-    ("hand unplugged", Phase.REST, "Ability Hand"),
     ("finger stalled", Phase.REST, "Inspire RH56"),
     ("hand silent", Phase.SWING, "Ability Hand"),
-    ("hand too hot", Phase.SWING, "Inspire RH56"),
     ("tool slips in the hand", Phase.REST, "Shadow Hand"),
 }
 """What is measured in every run: nightly all of them."""

@@ -38,6 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.nightly
 @swift
 def test_the_detector_finds_the_same(folder: Path) -> None:
     data = load_scenes([folder / "test" / "000000"])

@@ -139,6 +139,7 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Scores:
     return result
 
 
+@pytest.mark.nightly
 def test_end_effectors_are_detected(scores: Scores) -> None:
     """Measured: 68 of 70, mean mask IoU 0.902, AP50 0.952, 7 false alarms."""
     assert 68 <= scores.targets <= 72, "a rounding may add or remove one: these are other frames than those measured"
@@ -148,6 +149,7 @@ def test_end_effectors_are_detected(scores: Scores) -> None:
     assert scores.false_alarms <= 7
 
 
+@pytest.mark.nightly
 def test_poses_are_accurate(scores: Scores) -> None:
     """Measured: of 70 targets 67 within 5 deg 2 cm, 64 within 5 deg 5 mm, 40 within 2 deg 2 mm."""
     assert scores.poses["5deg2cm"] >= 64 / 70
@@ -155,12 +157,14 @@ def test_poses_are_accurate(scores: Scores) -> None:
     assert scores.poses["2deg2mm"] >= 36 / 70
 
 
+@pytest.mark.nightly
 def test_hammer_heads_are_accurate(scores: Scores) -> None:
     """Measured: medians 1.27 mm and 1.17 deg."""
     assert scores.head_median_mm <= 1.5
     assert scores.head_median_deg <= 1.7
 
 
+@pytest.mark.nightly
 def test_usable_poses_are_right(scores: Scores) -> None:
     """Measured: 69 poses marked usable, 64 of them within 10 deg 2 cm, 5 not; none without a tool."""
     assert scores.usable_right >= 62 / 70

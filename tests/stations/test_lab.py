@@ -209,8 +209,8 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
 @pytest.mark.parametrize(
     ("name", "driver", "port", "factor"),
     [
-        ("inspire", InspireHand, "/dev/ttyUSB0", FACTOR),
-        # Of the others the contract, their drivers' tests and rows are in every run; nightly these.
+        # The contract, their drivers' tests and rows are in every run; nightly these.
+        pytest.param("inspire", InspireHand, "/dev/ttyUSB0", FACTOR, marks=pytest.mark.nightly),
         pytest.param("inspire", InspireHand, "tcp://192.168.11.210:6000", FACTOR, marks=pytest.mark.nightly),
         pytest.param("ability", AbilityHand, "/dev/ttyUSB0", FACTOR, marks=pytest.mark.nightly),
         # Its fingers wait for the thumb, slowly.

@@ -57,7 +57,7 @@ class Bending(Log):
             nail.place(nail.protrusion, (float(np.arcsin(self._aside / nail.protrusion)), 0.0))
 
 
-@pytest.mark.parametrize(("aside", "bent"), [(0.0, False), (0.004, True)])
+@pytest.mark.parametrize(("aside", "bent"), [pytest.param(0.0, False, marks=pytest.mark.nightly), (0.004, True)])
 def test_a_nail_that_strikes_have_bent_is_seen_and_struck_no_further_once_it_is_seen_again(
     bench: Bench, aside: float, bent: bool
 ) -> None:

@@ -79,6 +79,7 @@ def test_it_follows_a_job_that_runs(tmp_path: Path) -> None:
         page.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=20)
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on this machine")
 def test_a_browser_is_sent_little_until_the_page_is_there_and_nothing_while_it_stands(tmp_path: Path) -> None:

@@ -144,7 +144,10 @@ def plays_in_vain(controller: ControllerProcess, release: Callable[[ControllerPr
     assert np.ptp(q, axis=0).max() == 0.0
 
 
-@pytest.mark.parametrize("pause", PAUSES)
+@pytest.mark.parametrize(
+    "pause",
+    [pytest.param(p, marks=() if p == "protective stop" else pytest.mark.nightly) for p in PAUSES],
+)
 def test_play_after_a_stop_never_resumes_the_old_motion(
     arm: UnsupervisedUrArm, controller: ControllerProcess, pause: str
 ) -> None:
@@ -206,8 +209,8 @@ nightly = pytest.mark.nightly
 @pytest.mark.parametrize(
     ("pause", "order", "between"),
     [
-        ("protective stop", LINK_FIRST, 0.0),
         ("protective stop", STOP_FIRST, 0.0),
+        pytest.param("protective stop", LINK_FIRST, 0.0, marks=nightly),
         pytest.param("protective stop", LINK_FIRST, 0.02, marks=nightly),
         pytest.param("protective stop", STOP_FIRST, 0.005, marks=nightly),
         pytest.param("safeguard stop", LINK_FIRST, 0.0, marks=nightly),
@@ -249,6 +252,7 @@ def test_the_program_ends_when_the_link_is_lost_beside_a_stop_at_rest(
         arm.execute(swing(HOME))
 
 
+@pytest.mark.nightly
 def test_a_program_that_cannot_be_ended_after_a_lost_link_is_ended_when_the_dashboard_is_back(
     arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:
@@ -274,6 +278,7 @@ def test_a_program_that_cannot_be_ended_after_a_lost_link_is_ended_when_the_dash
     plays_in_vain(controller, PAUSES["protective stop"][1])
 
 
+@pytest.mark.nightly
 def test_a_program_that_cannot_be_ended_forbids_the_reset(
     arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:
@@ -357,6 +362,7 @@ def halting(controller: ControllerProcess) -> Iterator[None]:
         thread.join()
 
 
+@pytest.mark.nightly
 def test_a_reset_that_meets_late_readings_alone_says_so(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     controller.fault("protective_stop")
     time.sleep(0.3)
@@ -368,7 +374,9 @@ def test_a_reset_that_meets_late_readings_alone_says_so(arm: UnsupervisedUrArm, 
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
-@pytest.mark.parametrize("reset", [False, True], ids=["FIN", "RST"])
+@pytest.mark.parametrize(
+    "reset", [pytest.param(False, id="FIN"), pytest.param(True, id="RST", marks=pytest.mark.nightly)]
+)
 def test_dropped_link(arm: UnsupervisedUrArm, controller: ControllerProcess, reset: bool) -> None:
     """The robot's program goes on and holds the arm where it was sent last, until the robot's watchdog ends it: the
     ur_rtde, which would end it at once and start another, does not get through."""
@@ -392,6 +400,7 @@ def test_half_open_link(arm: UnsupervisedUrArm, controller: ControllerProcess) -
         arm.state(0.1)
 
 
+@pytest.mark.nightly
 def test_a_controller_that_pauses_at_rest_is_stale_meanwhile_and_no_more(
     arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:
@@ -419,6 +428,7 @@ def test_a_network_that_is_stuck_for_a_second_stops_the_motion(
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
+@pytest.mark.nightly
 def test_a_stall_of_three_seconds_is_a_lost_link(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     controller.fault("stall", seconds=3.0, port="rtde")
     time.sleep(2.2)

@@ -102,7 +102,7 @@ OTHERS = [
 ]
 
 
-_EVERY_RUN = ("one reading of joints that are no numbers", "infinite speed")
+_EVERY_RUN = ("one reading of joints that are no numbers",)
 """Each reading that is no measurement is a fault of the state stream (`servo/test_state_stream.py`); what becomes of it
 further on is the same for all, and measured nightly for the others."""
 
@@ -129,7 +129,7 @@ def test_what_is_no_measurement_is_a_fault(
         assert np.abs(measured).max() < 1e3, "garbage is in the report"
 
 
-@pytest.mark.parametrize("variable", ["safety_status_bits", "runtime_state"])
+@pytest.mark.parametrize("variable", ["runtime_state", pytest.param("safety_status_bits", marks=pytest.mark.nightly)])
 def test_modes_that_do_not_exist_are_a_fault(
     arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess, variable: str
 ) -> None:
@@ -147,6 +147,7 @@ def test_ur_rtde_does_not_connect_again_behind_our_back(
         assert isinstance(error, MotionFaultError)
 
 
+@pytest.mark.nightly
 def test_positions_that_ur_rtde_does_not_send_are_a_fault(
     arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess
 ) -> None:
@@ -229,6 +230,7 @@ def test_any_corruption_in_mid_motion(
     _swing_while_struck(arm, proxy, controller, replace(rule, skip=skip), moment)
 
 
+@pytest.mark.nightly
 @_few(2)
 @given(rule=st.one_of(_handshakes, _dashboard), skip=st.integers(0, 40))
 def test_any_corruption_while_connecting(
@@ -245,6 +247,7 @@ def test_any_corruption_while_connecting(
     assert controller.state()["tick"] > 0
 
 
+@pytest.mark.nightly
 @_few(5)
 @given(
     rule=st.one_of(_handshakes, _dashboard, st.sampled_from([*NO_MEASUREMENT.values(), *OTHERS])),

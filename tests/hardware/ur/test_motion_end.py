@@ -47,6 +47,7 @@ class Elastic(JointPlant):
         self._x = self._x + dt * self._v
 
 
+@pytest.mark.nightly
 def test_an_arm_that_swings_is_not_taken_for_one_that_stands() -> None:
     with (
         ControllerProcess(

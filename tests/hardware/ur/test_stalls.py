@@ -38,7 +38,9 @@ def arm(controller: ControllerProcess) -> Iterator[UnsupervisedUrArm]:
         yield arm
 
 
-@pytest.mark.parametrize("who", ["stand-in", "driver", "both"])
+@pytest.mark.parametrize(
+    "who", ["both", *(pytest.param(who, marks=pytest.mark.nightly) for who in ("stand-in", "driver"))]
+)
 def test_commands_are_followed_with_the_usual_lag_after_a_standstill(
     controller: ControllerProcess, arm: UnsupervisedUrArm, who: str
 ) -> None:

@@ -33,8 +33,8 @@ def controller() -> Iterator[ControllerProcess]:
 
 SIGNALS = [
     pytest.param(signal.SIGKILL, 0.0, "", id="SIGKILL"),
-    pytest.param(signal.SIGSTOP, HEARTBEAT, "", id="SIGSTOP"),
-    pytest.param(signal.SIGINT, 0.0, "interrupted", id="SIGINT"),
+    pytest.param(signal.SIGSTOP, HEARTBEAT, "", id="SIGSTOP", marks=pytest.mark.nightly),
+    pytest.param(signal.SIGINT, 0.0, "interrupted", id="SIGINT", marks=pytest.mark.nightly),
 ]
 
 

@@ -28,7 +28,7 @@ MORE = np.array([10.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 NEAR = 1.0  # [N] for a stand-in that is noisy
 
 
-@pytest.fixture(scope="module", params=ArmModel)
+@pytest.fixture(scope="module", params=[ArmModel.UR10, pytest.param(ArmModel.UR10E, marks=pytest.mark.nightly)])
 def model(request: pytest.FixtureRequest) -> ArmModel:
     return ArmModel(request.param)
 

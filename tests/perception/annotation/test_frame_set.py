@@ -89,6 +89,7 @@ def test_the_true_outlines_give_the_true_poses(folder: Path, ends: list[Rendered
     assert (off[:, 0] < 3 * off[:, 2]).mean() >= 0.8, "errors are of the size that is told"
 
 
+@pytest.mark.nightly
 def test_annotate_then_evaluate(
     folder: Path, ends: list[RenderedEnd], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

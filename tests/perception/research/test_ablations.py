@@ -103,6 +103,7 @@ def test_uncentred_clouds_are_the_same_clouds() -> None:
     torch.testing.assert_close(centred.R_canonical @ seen.R, centred.R, atol=1e-5, rtol=0)
 
 
+@pytest.mark.nightly
 def test_rows_train_resume_and_are_tabulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=32, flow_blocks=1)
     names = ("base", "flow", "no-direction")

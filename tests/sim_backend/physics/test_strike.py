@@ -62,6 +62,7 @@ def test_strikes_are_simulated_faster_than_real_time(held: SimStation) -> None:
     assert simulated > cpu
 
 
+@pytest.mark.nightly
 def test_with_elastic_joints_strikes_are_as_fast_and_drive_the_nail_about_as_far() -> None:
     """When in a control cycle the face meets the nail decides how soon the arm turns back: a single strike drives it up
     to a tenth farther or less far for that alone, so that the mean of several at different speeds is judged, too."""
