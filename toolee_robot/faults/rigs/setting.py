@@ -15,6 +15,7 @@ import numpy as np
 from toolee_robot.config import ArmLimits, ServoConfig, servo_lag
 from toolee_robot.faults.rigs.joints_path import MOVING, braking_time, projected
 from toolee_robot.frames import Array
+from toolee_robot.hardware.ur.servo.tracking import tracking_error
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import (
@@ -146,6 +147,26 @@ class Setting:
         moving = np.flatnonzero(speed > MOVING)
         last = int(moving[-1]) + 1 if len(moving) else 0
         return max((last + 1 - len(before)) * self.period, 0.0)
+
+    def noticing(self, path: Trajectory, path_time: float, tolerance: float, lag: ServoLag) -> float:
+        """The time from a servo's new lag until the joints are further from their commands than the driver allows.
+
+        Args:
+            path: The trajectory.
+            path_time: Time on it that the joints had reached at the fault [s].
+            tolerance: Largest permitted tracking error [rad].
+            lag: Lag of the servo from the fault on.
+
+        Returns:
+            The time [s], without that of command and data on their way; the rest of the path if they never are.
+        """
+        fault = self._command_time(path, path_time)
+        commands = _samples(path, path.duration, self.period)
+        sent, first = np.arange(len(commands)) * self.period, round(fault / self.period)
+        for k, q in enumerate(self._followed(commands, first, 1.0, lag)):
+            if k > first and tracking_error(sent, commands, sent[k], q, self.servo_bound) > tolerance:
+                return float(sent[k]) - fault
+        return path.duration - fault
 
     def rounding(self, path: Trajectory, lag: ServoLag | None = None) -> float:
         """How far the servo's lag takes the joints off a path that they are sent along.

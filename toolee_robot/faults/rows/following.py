@@ -18,7 +18,6 @@ from toolee_robot.faults.rows.arm import AT_REST
 from toolee_robot.faults.rows.released_stops import travel
 from toolee_robot.hal import MotionOutcome
 from toolee_robot.sim_backend.ur_controller.profile import profile as profile_of
-from toolee_robot.types import Trajectory
 
 NOISE, CONTACT_NOISE, LAGS = (
     "noise of encoders and force",
@@ -104,7 +103,7 @@ def _lags(rig: Rig) -> FaultRow:
     happened = rig.inject(lambda: rig.controller.fault("lag", seconds=MORE))
     stop, strike, limits = happened.stop, rig.strike, rig.swing.config.arm
     latched = rig.is_latched()
-    notice = _notice(rig, stop.path_time)
+    notice = setting.noticing(strike, stop.path_time, PATIENT.tracking_error, more) + 3 * rig.period
     # One more cycle: the fault itself takes effect in the controller's next one.
     allowed = notice + setting.braking(strike, stop.path_time, notice, limits, lag=more) + 3 * rig.period
     wrong = []
@@ -120,16 +119,3 @@ def _lags(rig: Rig) -> FaultRow:
         7, LAGS, Phase.SWING, rig.name, "brakes on the path, latches", type(happened.error).__name__, latched,
         not wrong, "; ".join(wrong), stop.reaction, stop.standstill, allowed, stop.speed, stop.off_path,
     )  # fmt: skip
-
-
-def _notice(rig: Rig, path_time: float) -> float:
-    """Largest time until the driver knows: the lag that it allows for, then the commands' way out of its bound [s]."""
-    way = _time_to_leave(rig.strike, path_time, PATIENT.tracking_error)
-    return rig.setting.servo_bound + way + 3 * rig.period
-
-
-def _time_to_leave(path: Trajectory, start: float, distance: float) -> float:
-    """Time that a path takes from `start` until one of its joints is `distance` away [s]."""
-    q = np.array([np.interp(start, path.times, column) for column in path.q.T])
-    away = np.flatnonzero((path.times > start) & (np.abs(path.q - q).max(axis=1) > distance))
-    return float(path.times[away[0]] - start) if len(away) else path.duration - start
