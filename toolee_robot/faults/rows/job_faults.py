@@ -224,7 +224,7 @@ WORK = (
     JobFault(26, "nail sinks too far after the first strike", SWING, RECORDS, _bend(0.011), "strike",
              Outcome.BENT, "has bent away", 2, "home", max_strikes=5, sees=True),
     JobFault(26, "nail sinks too far", SWING, RECORDS, _after("touch the wood", _bend(0.019)), "strike",
-             Outcome.BENT, "has bent away", 5, "home", max_strikes=5, sees=True),
+             Outcome.BENT, "has bent away", 3, "home", looks_again=True, max_strikes=5, sees=True),
     JobFault(26, "nail bends aside", SWING, "looks again, strikes once more, gives up, records a failure",
              _bend(aside=np.deg2rad(80)), "strike", Outcome.NAIL_MISSED, "the nail is not where the face went", 3,
              "home", looks_again=True, max_strikes=5, sees=True),
