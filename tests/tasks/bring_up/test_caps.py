@@ -25,6 +25,7 @@ from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.motion.touch_force import TouchSettings
 from toolee_robot.tasks.bring_up.caps import ACCELERATION, SPEED, Caps, SlowStation
 from toolee_robot.tasks.bring_up.lag_motion import lag_motion
+from toolee_robot.tasks.bring_up.touch import Touch as Contact
 from toolee_robot.tasks.bring_up.touch import approach
 from toolee_robot.types import Trajectory
 
@@ -178,7 +179,8 @@ def test_a_touch_is_told_before_the_way_back_which_may_end_in_a_stop() -> None:
     arm.meets = 0.5
     command = Touch(robot_host=HOST, along=(0.0, 0.0, -0.05), frame="base_link")
     supervisor = Supervisor(arm, Bystander(), slow.robot, slow.config, lambda: slow.world)
-    settings, met = TouchSettings(8.0, 0.024, 0.01, None, 0.0, 12.0), []
+    settings = TouchSettings(8.0, 0.024, 0.01, None, 0.0, 12.0)
+    met: list[Contact] = []
     with raises(DeviceError, code="device.arm"):
         approach(supervisor, slow, command.plan(slow, HOME), settings, met=met.append)
     (touch,) = met

@@ -162,7 +162,8 @@ class Setting:
         """
         fault = self._command_time(path, path_time)
         commands = _samples(path, path.duration, self.period)
-        sent, first = np.arange(len(commands)) * self.period, round(fault / self.period)
+        sent = np.arange(len(commands), dtype=np.float64) * self.period
+        first = round(fault / self.period)
         for k, q in enumerate(self._followed(commands, first, 1.0, lag)):
             if k > first and tracking_error(sent, commands, sent[k], q, self.servo_bound) > tolerance:
                 return float(sent[k]) - fault
