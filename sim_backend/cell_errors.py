@@ -7,8 +7,10 @@ error the others are as before, so that trials of the same seed are paired.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.record import rows
@@ -17,7 +19,7 @@ from toolee_robot.config.values import STRICT, NotNegative
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.robots import load_robot
-from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.tools import Tool
 from toolee_robot.types import DhCalibration, HandWeight
 from toolee_robot.types.arm import Six
@@ -66,14 +68,20 @@ class CellErrors:
     """Of the arm's joints, as a share of the nominal one (sim_backend/physics/joint_springs.py): 6.7e4, 3.1e4 and 1.0e4
     Nm/rad by the joint's size, from catalogues of gears of such torques. Steps bound how stiff a joint can be, other
     than by 0."""
+    handover: NotNegative = 1.0
+    """Of the pose in which the hammer is laid into the hand, as a share of its range (sim_backend/options.py): 30 mm
+    along the handle, 25 deg about it, 12 deg of each tilt, to both sides; assumed."""
+    other_tool: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """How far the tool's data, before ruler, scales and balance err, are those of another hammer of its kind, which the
+    seed draws: 0 for its own, 1 for the other one's."""
 
 
 MOST_NAILS = 64
 """Number of nails that lean, each for itself."""
-EXACT = CellErrors(*(0.0 for _ in fields(CellErrors)))
-"""No errors: the job is told what is there."""
 NOMINAL = CellErrors()
 """What a careful person's measurements are off by."""
+EXACT = replace(CellErrors(*(0.0 for _ in fields(CellErrors))), handover=NOMINAL.handover)
+"""No errors: the job is told what is there. How the hammer lies in the hand nobody tells it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +96,8 @@ class DrawnErrors:
         arm: Standard normal numbers of the arm's kinematics: theta, a, d, alpha of the six joints, (4, 6).
         material: Standard normal numbers of the wood and of the friction in the hand, (2,).
         hand: Standard normal number of the hand's mass.
+        offset: How the hammer is laid into the hand.
+        other_tool: Seed of the other hammer whose data the job may be told.
         sizes: Their sizes.
         known_camera: Whether the camera's error is that of the calibration that the job is told, and not drawn here.
     """
@@ -99,6 +109,8 @@ class DrawnErrors:
     arm: Array
     material: Array
     hand: float
+    offset: InHandOffset
+    other_tool: int
     sizes: CellErrors
     known_camera: bool = False
 
@@ -158,7 +170,7 @@ class DrawnErrors:
         return DhCalibration(*(_six(d + self.sizes.kinematics * z) for d, z in zip(deltas, self.arm, strict=True)))
 
     def options(self, usual: SimOptions) -> SimOptions:
-        """What no station file says of the cell: nails that lean, friction in the hand, errors of the wrench, joints.
+        """What no station file says of the cell: nails that lean, hammer and friction in the hand, wrench, joints.
 
         Args:
             usual: The options without errors.
@@ -171,6 +183,7 @@ class DrawnErrors:
         return replace(
             usual,
             nail_leans=leans,
+            offset=self.offset,
             friction=friction,
             wrench_errors=self.sizes.wrench,
             compliance=self.sizes.compliance,
@@ -187,15 +200,21 @@ class DrawnErrors:
             Its data.
         """
         z, size = self.tool, self.sizes
-        X = tool.ee(Category.HAMMER_HEAD).X_tool_ee
-        normal = Rotation.from_rotvec(size.face_angle * z[4:7]).apply(X[:3, 2])
+        sheet = _sheet(tool)
+        if size.other_tool:
+            # The world, which takes a second to import, is there where a tool is.
+            from toolee_robot.sim_backend.station import draw_hammer
+
+            other = draw_hammer(np.random.default_rng(self.other_tool), (tool.kind,))
+            sheet = (1.0 - size.other_tool) * sheet + size.other_tool * _sheet(other)
+        radius, face, normal, mass, center = sheet[0], sheet[1:4], sheet[4:7], sheet[7], sheet[8:11]
         return ToolData(
             name=name,
-            grip_radius=max(5e-3, tool.handle.grip_radius + 0.5 * size.ruler * float(z[0])),
-            face=_three(X[:3, 3] + size.ruler * z[1:4]),
-            face_normal=_three(normal),
-            mass=tool.mass * (1.0 + size.scales * float(z[7])),
-            center_of_mass=_three(tool.center_of_mass + np.array([0.0, 0.0, size.balance * float(z[8])])),
+            grip_radius=max(5e-3, float(radius) + 0.5 * size.ruler * float(z[0])),
+            face=_three(face + size.ruler * z[1:4]),
+            face_normal=_three(Rotation.from_rotvec(size.face_angle * z[4:7]).apply(normal)),
+            mass=float(mass) * (1.0 + size.scales * float(z[7])),
+            center_of_mass=_three(center + np.array([0.0, 0.0, size.balance * float(z[8])])),
         )
 
     @property
@@ -219,6 +238,10 @@ class DrawnErrors:
             "payload_percent": round(100.0 * self.sizes.payload * self.hand, 3),
             "wrench_percent": round(100.0 * self.sizes.wrench, 3),
             "compliance_percent": round(100.0 * self.sizes.compliance, 3),
+            "handover_mm": round(1e3 * self.offset.along, 3),
+            "handover_spin_deg": round(float(np.rad2deg(self.offset.spin)), 3),
+            "handover_tilt_deg": round(float(np.rad2deg(np.hypot(self.offset.tilt_x, self.offset.tilt_y))), 3),
+            "other_tool_percent": round(100.0 * self.sizes.other_tool, 3),
         }
 
 
@@ -234,7 +257,8 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
     Returns:
         The errors.
     """
-    camera, nail, tool, lean, arm, material, hand = (np.random.default_rng([seed, 31, group]) for group in range(7))
+    streams = (np.random.default_rng([seed, 31, group]) for group in range(8))
+    camera, nail, tool, lean, arm, material, hand, other = streams
     if camera_covariance is None:
         off = camera.normal(size=6) * np.repeat([sizes.camera_position, sizes.camera_rotation], 3)
     else:
@@ -249,9 +273,17 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
         arm.normal(size=(4, 6)),
         material.normal(size=2),
         float(hand.normal()),
+        InHandOffset.of_job(seed, sizes.handover),
+        int(other.integers(2**31)),
         sizes,
         known_camera=camera_covariance is not None and not np.any(camera_covariance),
     )
+
+
+def _sheet(tool: Tool) -> Array:
+    """A hammer's exact data: radius of the handle, face, its normal, mass, centre of mass, (11,)."""
+    X = tool.ee(Category.HAMMER_HEAD).X_tool_ee
+    return np.concatenate([[tool.handle.grip_radius], X[:3, 3], X[:3, 2], [tool.mass], tool.center_of_mass])
 
 
 def _share(error: float) -> float:

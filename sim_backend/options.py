@@ -15,7 +15,12 @@ from toolee_robot.tools import Tool
 
 @dataclass(frozen=True)
 class InHandOffset:
-    """Deviation of a handle in the hand from the nominal grasp.
+    """Deviation of a handle in the hand from the nominal grasp, before the fingers close.
+
+    Its range is assumed: measured are how people hold things out to each other (Chan et al., "Characterization of
+    handover orientations used by humans", IROS 2015; the data sets HOH and H2O), not how a tool then lies in a robot's
+    hand. A person is taken to put a handle a third of a palm's width beside where it is asked for, and to turn it by
+    eye.
 
     Attributes:
         along: Shift along the handle [m].
@@ -30,18 +35,32 @@ class InHandOffset:
     tilt_y: float = 0.0
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> InHandOffset:
+    def draw(cls, rng: np.random.Generator, size: float = 1.0) -> InHandOffset:
         """Draw an offset: uniform within +-30 mm along, +-25 deg of spin, +-12 deg of each tilt.
 
         Args:
             rng: Source of randomness.
+            size: Factor on these ranges.
 
         Returns:
             The offset.
         """
-        along, spin = rng.uniform(-0.030, 0.030), rng.uniform(-1, 1) * np.deg2rad(25)
-        tilt_x, tilt_y = rng.uniform(-1, 1, 2) * np.deg2rad(12)
+        along, spin = size * rng.uniform(-0.030, 0.030), size * rng.uniform(-1, 1) * np.deg2rad(25)
+        tilt_x, tilt_y = size * rng.uniform(-1, 1, 2) * np.deg2rad(12)
         return cls(float(along), float(spin), float(tilt_x), float(tilt_y))
+
+    @classmethod
+    def of_job(cls, seed: int, size: float = 1.0) -> InHandOffset:
+        """Draw the offset of a job.
+
+        Args:
+            seed: Seed of the job.
+            size: Factor on the ranges of `draw`.
+
+        Returns:
+            The offset.
+        """
+        return cls.draw(np.random.default_rng([seed, 11]), size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Self
 
 import numpy as np
@@ -22,17 +22,18 @@ from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
 from toolee_robot.sim_backend.world import Sample, SimWorld
-from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, make_tool, split
+from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_tool, split
 
 MAX_MOMENT = 1.7  # [Nm] largest moment of the tool's weight about the grip's centre: what the wrist can swing
 MIN_REACH = 0.15  # [m] from the grip's centre to the face, along the handle: room for the hand
 
 
-def draw_hammer(rng: np.random.Generator) -> Tool:
+def draw_hammer(rng: np.random.Generator, kinds: Sequence[ToolKind] = NAIL_DRIVERS) -> Tool:
     """Draw a hammer of the test split, which no network was trained on, of a size that one hand can swing.
 
     Args:
         rng: Source of randomness.
+        kinds: Kinds to draw from.
 
     Returns:
         The tool.
@@ -44,7 +45,7 @@ def draw_hammer(rng: np.random.Generator) -> Tool:
         seed = int(rng.integers(0, 5000))
         if split(seed) != "test":
             continue
-        tool = make_tool(NAIL_DRIVERS[int(rng.integers(len(NAIL_DRIVERS)))], seed)
+        tool = make_tool(kinds[int(rng.integers(len(kinds)))], seed)
         face = tool.ee(Category.HAMMER_HEAD).X_tool_ee
         moment = 9.81 * tool.mass * tool.center_of_mass[2]
         if SWUNG_MASS[0] <= tool.mass <= SWUNG_MASS[1] and face[2, 3] >= MIN_REACH and moment <= MAX_MOMENT:
@@ -68,7 +69,7 @@ def draw_handover(seed: int, options: SimOptions) -> tuple[Tool, InHandOffset]:
     if seed < 0:
         raise UserError(f"the seed must be 0 or more, got {seed}", code="user.seed_negative")
     tool = draw_hammer(np.random.default_rng([seed, 10])) if options.tool is None else options.tool
-    offset = InHandOffset.draw(np.random.default_rng([seed, 11])) if options.offset is None else options.offset
+    offset = InHandOffset.of_job(seed) if options.offset is None else options.offset
     return tool, offset
 
 

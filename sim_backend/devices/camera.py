@@ -130,8 +130,9 @@ class SimCamera:
     def _depth(self, rendering: Rendering) -> FloatArray:
         """What the depth camera reads, (H, W) [m]."""
         if self._sensor is not None:
-            drawn = np.random.default_rng([self._seed, 4])  # anew for each frame: the same camera
-            return random_reading(self._sensor, rendering, self.intrinsics, drawn, noise=self._rng)
+            # Anew for each frame: the same camera, with the same errors in the same pixels.
+            camera, fields = (np.random.default_rng([self._seed, stream]) for stream in (4, 5))
+            return random_reading(self._sensor, rendering, self.intrinsics, camera, fields=fields, noise=self._rng)
         return measure_depth(
             rendering.depth, rendering.cos_incidence, rendering.shininess, self.intrinsics, self._noise, self._rng
         )

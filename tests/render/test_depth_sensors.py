@@ -163,6 +163,49 @@ def test_every_kind_takes_the_same_picture_with_its_own_depth(kind: SensorKind) 
     assert (kind == "time-of-flight") == np.array_equal(example.depth_mm, usual.depth_mm)
 
 
+@settings(max_examples=15, deadline=None)
+@given(shared=st.floats(0.0, 1.0), frames=st.integers(2, 6), seed=st.integers(0, 1000))
+def test_what_neighbours_share_no_number_of_frames_averages_out(shared: float, frames: int, seed: int) -> None:
+    """The pattern stands still: of n frames' mean the variance s + (1 - s) / n is left."""
+    one, noise = camera(shared=shared, noise=0.1), np.random.default_rng(seed)
+    fb = one.focal * one.baseline
+    errors = [fb / one.measure(wall(1.0), K, noise, np.random.default_rng([seed, 1])) - fb for _ in range(frames)]
+    left = np.var(np.mean(errors, axis=0)) / np.var(errors[0])
+    assert left == pytest.approx(shared + (1.0 - shared) / frames, abs=0.05)
+
+
+@pytest.mark.parametrize("kind", KINDS[1:-1])
+def test_the_errors_of_one_camera_stay_with_its_pixels(kind: SensorKind) -> None:
+    """What it loses and bends in one frame it does in the next one, whatever else has come into the image."""
+    depth, cos = np.full(SHAPE, 0.7, np.float32), np.full(SHAPE, 0.6, np.float32)
+    shine = np.zeros(SHAPE, np.float32)
+    shine[:, :256] = 1.0
+    color, ids = np.full((*SHAPE, 3), 60, np.uint8), np.zeros(SHAPE, np.int16)
+    empty = Rendering(color, depth, ids, cos, shine)
+    something = depth.copy()
+    something[300:] = 0.45
+    looked_at = (slice(20, 280), slice(60, 450))
+
+    def like(one: np.ndarray, other: np.ndarray) -> float:
+        """How much two frames' errors are alike, where a lost pixel counts as one of 30 mm."""
+        errors = [np.where(frame > 0, np.clip(frame - 0.7, -0.03, 0.03), -0.03)[looked_at] for frame in (one, other)]
+        return float(np.corrcoef(errors[0].ravel(), errors[1].ravel())[0, 1])
+
+    same, others = [], []
+    for seed in range(8):
+
+        def read(image: Rendering, frame: int, fields: int, seed: int = seed) -> np.ndarray:
+            streams = (np.random.default_rng([seed, stream]) for stream in (4, fields, 100 + frame))
+            drawn, still, noise = streams
+            return random_reading(kind, image, K, drawn, fields=still, noise=noise)
+
+        first = read(empty, 0, 5)
+        same.append(like(first, read(Rendering(color, something, ids, cos, shine), 1, 5)))
+        others.append(like(first, read(empty, 1, 6)))
+    assert np.median(same) > 0.5
+    assert np.median(same) > np.median(others) + 0.25
+
+
 @pytest.mark.parametrize("kind", ["time-of-flight", "time-of-flight-lab"])
 def test_one_camera_errs_alike_in_every_frame(kind: SensorKind) -> None:
     """A job's frames are of one camera: only its noise is new in each."""

@@ -9,7 +9,7 @@ import shutil
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,13 @@ from tests.paper_weights import untrained_paper_weights
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.weight_files import weights_hash
+from toolee_robot.runtime.yaml_files import read_record
+from toolee_robot.sim_backend.cell_errors import NOMINAL, CellErrors, draw_errors
 from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
 from toolee_robot.trials.attended_plan import option
+from toolee_robot.trials.report import ERRORS
 from toolee_robot.trials.results import RESULTS, Happened, Record, read_results
+from toolee_robot.trials.sweeps import UNITS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLAN = TrialPlan("three hammers", 40, 3, (Arm.FULL, Arm.NO_CORRECTION), {"camera_position": 0.004})
@@ -543,6 +547,40 @@ def test_the_report_tells_the_size_that_is_too_much(tmp_path: Path) -> None:
     assert ruler["too_much"] == "not up to 5"
     assert "One error at a time" in page
     assert "place, mm along each axis" in page
+
+
+def test_the_report_tells_success_by_the_handover_and_by_the_data_of_another_hammer(tmp_path: Path) -> None:
+    """What a job is told wrong of its tool, and how the tool is laid into the hand."""
+
+    def fails_far_off(options: Sequence[str]) -> dict[str, Any]:
+        file = Path(options[options.index("--errors") + 1]) if "--errors" in options else None
+        sizes = NOMINAL if file is None else read_record(file, CellErrors, "list of errors")
+        facts = draw_errors(sizes, int(options[options.index("--seed") + 1])).facts
+        success = abs(facts["handover_mm"] or 0.0) < 30.0
+        return {**job(options), "success": success, "outcome": "flush" if success else "tool_lost", "errors": facts}
+
+    sweep: dict[str, tuple[float, ...]] = {"handover": (0.5, 3.0), "other_tool": (0.5, 1.0)}
+    plan = replace(PLAN, trials=10, arms=(Arm.FULL,), errors="nominal", sweep=sweep)
+    records = run_trials(plan, tmp_path, 1, quietly, fails_far_off)
+    page = write_report(plan, tmp_path).read_text()
+    handover, other = json.loads((tmp_path / "report.json").read_text())["sweeps"]
+    assert (handover["sizes"], other["sizes"]) == ([0.5, 1.0, 3.0], [0.0, 0.5, 1.0])
+    assert [share["hits"] for share in other["shares"]] == [10, 10, 10]
+    assert [share["hits"] for share in handover["shares"]][:2] == [10, 10]
+    assert handover["shares"][2]["hits"] < 10
+    assert "<td>handover, times the nominal range</td>" in page.replace(' class="left"', "")
+    assert "of the way to another hammer" in page
+    table = parquet.read_table(tmp_path / "trials.parquet").to_pylist()
+    for row, record in zip(table, records, strict=True):
+        assert row["errors.handover_mm"] == record.figures["errors"]["handover_mm"]
+        assert row["errors.other_tool_percent"] == (
+            100.0 * row["trial.size"] if row["trial.error"] == "other_tool" else 0.0
+        )
+
+
+def test_every_error_has_a_name_in_the_report() -> None:
+    assert set(ERRORS) == set(draw_errors(NOMINAL, 3).facts)
+    assert set(UNITS) == {field.name for field in fields(CellErrors)}
 
 
 def test_of_a_few_seeds_no_size_is_told_that_is_too_much(tmp_path: Path) -> None:

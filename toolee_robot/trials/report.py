@@ -56,6 +56,10 @@ ERRORS = {
     "payload_percent": "hand's mass, %",
     "wrench_percent": "errors of the force, % of its generation's",
     "compliance_percent": "compliance of the joints, % of the nominal one",
+    "handover_mm": "handover: shift along the handle, mm",
+    "handover_spin_deg": "handover: turn about the handle, °",
+    "handover_tilt_deg": "handover: tilt of the handle, °",
+    "other_tool_percent": "tool's data, % of the way to another hammer's",
 }
 """Errors against which success is shown, and how the axis is called."""
 CONDITIONS = "conditions"

@@ -37,6 +37,8 @@ UNITS = {
     "payload": ("hand's mass, %", 100.0),
     "wrench": ("force: noise, offset, drift, times the generation's", 1.0),
     "compliance": ("joints' compliance, times the nominal one", 1.0),
+    "handover": ("handover, times the nominal range", 1.0),
+    "other_tool": ("tool's data, % of the way to another hammer's", 100.0),
 }
 """How the axis of each swept error is called, and the factor from the plan's unit to the axis's."""
 

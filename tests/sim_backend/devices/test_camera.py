@@ -94,6 +94,26 @@ def test_each_kind_of_depth_camera_sees_the_boxes_with_noise_of_its_own(kind: Se
     np.testing.assert_array_equal(again, first)
 
 
+@pytest.mark.parametrize("kind", ["structured-light", "active-stereo", "filled-stereo"])
+def test_frames_of_a_depth_camera_do_not_average_its_errors_out(kind: SensorKind) -> None:
+    """As those of a real one that stands still; another camera's do."""
+
+    def error(camera: SimCamera) -> np.ndarray:
+        read = camera.read().depth
+        return np.where((read > 0) & (abs(read - true) < 0.03), read - true, np.nan)
+
+    one, other = (SimCamera(Boxes(), Clock(), CONFIG, seed, kind) for seed in (1, 2))
+    true = one.render().depth
+    first, second, third = error(one), error(one), error(other)
+
+    def alike(a: np.ndarray, b: np.ndarray) -> float:
+        both = np.isfinite(a) & np.isfinite(b)
+        return float(np.corrcoef(a[both], b[both])[0, 1])
+
+    assert alike(first, second) > 0.3
+    assert alike(first, second) > alike(first, third) + 0.2
+
+
 def test_a_frozen_or_closed_camera_raises() -> None:
     clock = Clock()
     camera = SimCamera(Boxes(), clock, CONFIG)

@@ -9,7 +9,7 @@ from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.renderer import Image
 from toolee_robot.render.scene import Rendering
 from toolee_robot.render.sensors.depth_camera import measure_depth
-from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors
+from toolee_robot.render.sensors.lab_time_of_flight import HELD_AT, SystematicErrors
 from toolee_robot.render.sensors.registration import Registration
 from toolee_robot.render.sensors.surface import Surface
 from toolee_robot.render.sensors.triangulation import TriangulatingCamera
@@ -34,6 +34,7 @@ def random_reading(
     K: CameraIntrinsics,
     rng: np.random.Generator,
     device: str = "cpu",
+    fields: np.random.Generator | None = None,
     noise: np.random.Generator | None = None,
 ) -> FloatArray:
     """Read depth with a randomly drawn sensor of a kind.
@@ -42,14 +43,19 @@ def random_reading(
         kind: The kind of sensor.
         image: The rendered image.
         K: Intrinsics of the camera.
-        rng: Random generator; with `noise` that of the sensor alone, which is the same one where it is.
+        rng: Random generator of the sensor's parameters, and of all else that has none of its own. Readings of one
+            sensor are given one of the same seed.
         device: "cpu" or "cuda".
+        fields: Random generator of the sensor's smooth errors, which stay with the pixels: for readings of one sensor
+            one of the same seed. None for `rng`.
         noise: Random generator of what differs between readings of one sensor; None for `rng`.
 
     Returns:
         Depth in the colour camera's pixels, (H, W) float32 [m]; 0 where there is none.
     """
-    noise = rng if noise is None else noise
+    # The size of patches must not follow what is in the image where they stay.
+    patches_at = None if fields is None else HELD_AT
+    fields, noise = (rng if own is None else own for own in (fields, noise))
     if kind == "mixed":
         kind = _SINGLE[int(rng.choice(len(_SINGLE), p=_SHARES))]
     if kind == "time-of-flight":
@@ -57,11 +63,12 @@ def random_reading(
         return measure_depth(*surface, K, DepthNoise.random(rng), noise, device)
     seen = Surface.of(image)
     if kind == "time-of-flight-lab":
-        depth = SystematicErrors.random(rng).seen(seen, K.fx, noise)
+        depth = SystematicErrors.random(rng).seen(seen, K.fx, fields, patches_at)
         surface = (depth, seen.cos_incidence, seen.shininess)
         reading = measure_depth(*surface, K, DepthNoise.random(rng), noise, device)
     elif kind == "structured-light":
-        reading = TriangulatingCamera.structured_light(rng).measure(seen, K, noise)
+        reading = TriangulatingCamera.structured_light(rng).measure(seen, K, noise, fields)
     else:
-        reading = TriangulatingCamera.active_stereo(rng, filled=kind == "filled-stereo").measure(seen, K, noise)
+        camera = TriangulatingCamera.active_stereo(rng, filled=kind == "filled-stereo")
+        reading = camera.measure(seen, K, noise, fields)
     return Registration.random(_BASELINES[kind], rng).apply(reading, seen.depth, K)

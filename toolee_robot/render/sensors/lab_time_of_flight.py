@@ -18,6 +18,8 @@ from toolee_robot.render.sensors.surface import Surface
 
 _PATCH = 0.012
 """Size of holes and of light's detours on a tool [m]."""
+HELD_AT = 0.5
+"""Distance of a tool that a station's camera looks at [m]."""
 
 
 @dataclass(frozen=True)
@@ -64,20 +66,26 @@ class SystematicErrors:
             nearest=u(0.3, 0.5),
         )
 
-    def seen(self, surface: Surface, focal: float, rng: np.random.Generator) -> FloatArray:
+    def seen(
+        self, surface: Surface, focal: float, rng: np.random.Generator, distance: float | None = None
+    ) -> FloatArray:
         """The depth that the camera's noise acts on.
 
         Args:
             surface: The surfaces.
             focal: Focal length of the image [px].
-            rng: Random generator.
+            rng: Random generator of the patches, which belong to the pixels: frames of one camera take the same one,
+                and the same distance.
+            distance: Distance at which patches have their size [m]; None for the surfaces' median.
 
         Returns:
             Depth with the systematic errors, (H, W) float32 [m]; 0 where nothing is read.
         """
         depth, shine = surface.depth, surface.shininess
         known = depth > 0
-        size = _PATCH * focal / max(float(np.median(depth[known])) if known.any() else 1.0, 0.1)
+        if distance is None:
+            distance = max(float(np.median(depth[known])) if known.any() else 1.0, 0.1)
+        size = _PATCH * focal / distance
         value = depth + np.float32(self.wiggle) * np.sin(2 * np.pi * depth / self.period + self.phase)
         value += np.float32(self.black) * (1.0 - surface.brightness) ** 4
         value += np.float32(self.detour) * shine * np.abs(smooth_noise(depth.shape, size, rng))

@@ -118,21 +118,31 @@ class TriangulatingCamera:
             filled=filled,
         )
 
-    def measure(self, surface: Surface, K: CameraIntrinsics, rng: np.random.Generator) -> FloatArray:
+    def measure(
+        self,
+        surface: Surface,
+        K: CameraIntrinsics,
+        rng: np.random.Generator,
+        fields: np.random.Generator | None = None,
+    ) -> FloatArray:
         """Measure depth.
 
         Args:
             surface: The surfaces.
             K: Intrinsics of the image.
-            rng: Random generator.
+            rng: Random generator of the noise that each pixel has for itself.
+            fields: Random generator of what the pattern makes of the pixels: the error that a window shares, which side
+                wins at an outline, what finds no match. A camera whose pattern stands still has the same in each
+                frame. None for `rng`.
 
         Returns:
             Depth, (H, W) float32 [m]; 0 where there is none.
         """
+        fields = rng if fields is None else fields
         window = self.window * K.fx / self.focal
-        seen = self._outlines(surface.depth, window, rng)
+        seen = self._outlines(surface.depth, window, fields)
         shape = seen.shape
-        common, own = smooth_noise(shape, window, rng), rng.standard_normal(shape, dtype=np.float32)
+        common, own = smooth_noise(shape, window, fields), rng.standard_normal(shape, dtype=np.float32)
         noise = np.float32(np.sqrt(self.shared)) * common + np.float32(np.sqrt(1.0 - self.shared)) * own
         product = np.float32(self.focal * self.baseline)
         with np.errstate(divide="ignore"):
@@ -140,7 +150,7 @@ class TriangulatingCamera:
         disparity = np.round(disparity / np.float32(self.step)) * np.float32(self.step)
         reading = product / np.maximum(disparity, np.float32(self.step))
         lost = (seen <= 0) | (reading < self.nearest) | (reading > self.farthest)
-        lost |= hidden_from(surface.depth, K, self.baseline) | self._unmatched(surface, window, rng)
+        lost |= hidden_from(surface.depth, K, self.baseline) | self._unmatched(surface, window, fields)
         kept: FloatArray = np.where(lost, 0.0, reading).astype(np.float32)
         return _filled(kept) if self.filled else kept
 
