@@ -15,8 +15,9 @@ from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception.dataset.records import SHOWN_HAND, EeTable
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.pipeline import ToolPerception
-from toolee_robot.perception.synthesis.example import Series, expose, label, render_example
+from toolee_robot.perception.synthesis.example import Series, expose, render_example
 from toolee_robot.perception.synthesis.hard import ARM, HAND, hard_scene
+from toolee_robot.perception.synthesis.labels import label
 from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.render.renderer import Shot
 from toolee_robot.types import HoldingHand, RgbdFrame

@@ -49,7 +49,7 @@ class Generate:
     """Processes (or Ray tasks) at a time."""
     seed: int = 0
     """Which data set of that kind."""
-    test_share: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: 0.1; with --tools 1)")] = None
+    test_share: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: 0.1; --tools, mitsuba: 1)")] = None
     """Share of the examples with held-out tools, textures and backgrounds, from 0 to 1."""
     tools: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """One's own tools instead of the generated ones, all held out: a folder for each with tool.yaml (docs/dataset.md)
@@ -61,6 +61,11 @@ class Generate:
     differ by a rounding."""
     test_set: Flag = False
     """Mark it as a test set: every scoring of it is entered in the ledger (docs/results/protocol.md)."""
+    renderer: Literal["built-in", "mitsuba"] = "built-in"
+    """mitsuba: path-traced pictures of the scenes of `hard` (extra `evaluate`), to evaluate on and never to train on;
+    some 10 s an image and core."""
+    surroundings: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Panoramas (.hdr) and textures (.jpg, .png) for --renderer mitsuba, docs/dataset.md; without it a modelled sky."""
     sensor: SensorKind = "time-of-flight"
     """Depth camera of `hard`: docs/dataset.md. mixed draws one for each image."""
     json: Flag = False
@@ -69,13 +74,15 @@ class Generate:
     def run(self) -> int:
         from toolee_robot.perception.dataset.spec import DatasetSpec
         from toolee_robot.perception.synthesis.generate import generate
+        from toolee_robot.render.path_tracing.surroundings import surroundings_files
 
         custom_tools: tuple[CustomMesh, ...] = ()
         if self.tools is not None:
             from toolee_robot.perception.synthesis.custom_tool_reader import read_custom_tools
 
             custom_tools = read_custom_tools(self.tools)
-        share = self.test_share if self.test_share is not None else 1.0 if custom_tools else DatasetSpec.test_share
+        held_out = bool(custom_tools) or self.renderer != "built-in"
+        share = self.test_share if self.test_share is not None else 1.0 if held_out else DatasetSpec.test_share
         tools = tuple(tool.record for tool in custom_tools)
         spec = DatasetSpec(
             self.config,
@@ -86,6 +93,8 @@ class Generate:
             device=self.device,
             test_set=self.test_set,
             sensor=self.sensor,
+            renderer=self.renderer,
+            surroundings=() if self.surroundings is None else surroundings_files(self.surroundings),
         )
         workers = _cores() if self.workers is None else self.workers
         console = Console(stderr=self.json, highlight=False)
@@ -97,7 +106,7 @@ class Generate:
                 counts.append(done)
                 report("rendering", done, total)
 
-            made = generate(spec, self.out, workers, count, self.cluster, custom_tools)
+            made = generate(spec, self.out, workers, count, self.cluster, custom_tools, self.surroundings)
         seconds = time.monotonic() - began
         cost = _Cost.of_workers(spec.size - counts[0], seconds) if made and self.cluster == "local" else None
         if made:

@@ -16,7 +16,7 @@ from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import NOWHERE
 from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.perception.synthesis import paper
-from toolee_robot.perception.synthesis.example import _Reach
+from toolee_robot.perception.synthesis.labels import _Reach
 from toolee_robot.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(365.0, 365.0, 31.5, 31.5, 64, 64)

@@ -19,7 +19,8 @@ from toolee_robot.perception.dataset.paper_camera import CIRCLE, FOCAL
 from toolee_robot.perception.dataset.records import FARTHEST, MAX_EES, NEAREST, SCENES, Example
 from toolee_robot.perception.dataset.scene_reader import load
 from toolee_robot.perception.dataset.scene_writer import write_scene
-from toolee_robot.perception.synthesis.example import Series, label, make_example, render_example
+from toolee_robot.perception.synthesis.example import Series, make_example, render_example
+from toolee_robot.perception.synthesis.labels import label
 from toolee_robot.perception.synthesis.paper import DEPTHS
 from toolee_robot.perception.synthesis.surfaces import Surfaces
 from toolee_robot.render.renderer import pixel_rays
