@@ -74,6 +74,8 @@ class CollisionWorld:
         X_hand_ee: Estimated pose of the end effector in the hand, (4, 4), around which the configured envelope of the
             tool lies; None without a tool.
         extra: Further bodies of the station.
+        tool_off: How far the tool may be from where `X_hand_ee` has it, in every direction [m]: its envelope is so much
+            larger.
 
     Attributes:
         robot: Kinematic model of arm and hand.
@@ -90,6 +92,7 @@ class CollisionWorld:
         q_hand: Array,
         X_hand_ee: Array | None = None,
         extra: tuple[Body, ...] = (),
+        tool_off: float = 0.0,
     ) -> None:
         self.robot, self.q_hand = robot, q_hand
         self.workspace = np.array(config.scene.workspace_lower), np.array(config.scene.workspace_upper)
@@ -98,7 +101,7 @@ class CollisionWorld:
         held: list[Body] = []
         if X_hand_ee is not None:
             X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
-            held = tool_bodies(config.tool_envelope, X_flange_ee, robot.arm.X_joint6_flange)
+            held = tool_bodies(config.tool_envelope, X_flange_ee, robot.arm.X_joint6_flange, tool_off)
         station = [*station_bodies(config), *extra]
         self.carried = [*carried, *held]
         self.bodies = [*arm, *self.carried, *station]

@@ -63,13 +63,14 @@ class Body:
         return replace(self, X_joint_shape=X @ self.X_joint_shape, spheres=spheres)
 
 
-def tool_bodies(envelope: ToolEnvelope, X_flange_ee: Array, X_joint6_flange: Array) -> list[Body]:
+def tool_bodies(envelope: ToolEnvelope, X_flange_ee: Array, X_joint6_flange: Array, margin: float = 0.0) -> list[Body]:
     """Build the bodies of the held tool, which move with the arm's last joint.
 
     Args:
         envelope: The tool's size.
         X_flange_ee: Pose of the end effector in the flange, (4, 4).
         X_joint6_flange: Pose of the flange in the last joint, (4, 4).
+        margin: Distance by which each body is larger in every direction [m].
 
     Returns:
         Head, claw and handle.
@@ -82,9 +83,9 @@ def tool_bodies(envelope: ToolEnvelope, X_flange_ee: Array, X_joint6_flange: Arr
     claw = X @ transform(p=0.5 * e.claw_radius * x - (e.head_length - 0.5 * claw_length) * z)
     handle = X @ frame_from_axes(z=x, x=z, p=0.5 * e.handle_length * x - e.handle_depth * z)
     return [
-        _cylinder("tool head", e.head_radius, e.head_length, head),
-        _cylinder("tool claw", e.claw_radius, claw_length, claw),
-        _cylinder("tool handle", e.handle_radius, e.handle_length, handle),
+        _cylinder("tool head", e.head_radius + margin, e.head_length + 2.0 * margin, head),
+        _cylinder("tool claw", e.claw_radius + margin, claw_length + 2.0 * margin, claw),
+        _cylinder("tool handle", e.handle_radius + margin, e.handle_length + 2.0 * margin, handle),
     ]
 
 

@@ -29,6 +29,8 @@ class ArmData:
         torque: Largest joint torques [Nm].
         payload: Largest mass at the flange [kg].
         rate: Rate of the controller's real-time data and of servoj [Hz].
+        wrench_drift: Change of the error of the reported wrench from posture to posture, standard deviation per axis:
+            force [N] and torque [Nm]. Assumed: docs/reference/ur_controller.md.
         link_mass: Masses of the links that the joints move [kg].
         link_center_of_mass: Their centres of mass [m], each in the link's Denavit-Hartenberg frame.
     """
@@ -37,6 +39,7 @@ class ArmData:
     a: Six
     payload: float
     rate: float
+    wrench_drift: tuple[float, float]
     link_mass: Six
     alpha: Six = (pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0)
     velocity: Six = (radians(120), radians(120), radians(180), radians(180), radians(180), radians(180))
@@ -57,6 +60,7 @@ ARM_DATA = {
         a=(0.0, -0.612, -0.5723, 0.0, 0.0, 0.0),
         payload=10.0,
         rate=CB3_RATE,
+        wrench_drift=(2.1, 0.42),
         link_mass=(7.1, 12.7, 4.27, 2.0, 2.0, 0.365),
     ),
     ArmModel.UR10E: ArmData(
@@ -64,6 +68,7 @@ ARM_DATA = {
         a=(0.0, -0.6127, -0.57155, 0.0, 0.0, 0.0),
         payload=12.5,
         rate=E_SERIES_RATE,
+        wrench_drift=(1.1, 0.07),
         link_mass=(7.369, 13.051, 3.989, 2.1, 1.98, 0.615),
     ),
 }

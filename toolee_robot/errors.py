@@ -59,6 +59,10 @@ class PerceptionError(TooleeError):
     """The tool was not found, or its pose cannot be trusted."""
 
 
+class WeighingError(TooleeError):
+    """The arm cannot weigh the tool in its hand, or not well enough; the message says what to do instead."""
+
+
 class PlanningError(TooleeError):
     """No safe motion exists for the request; nothing was moved."""
 

@@ -168,6 +168,8 @@ def test_the_rehearsed_cell_is_off_by_what_a_person_measures(config: StationConf
         assert cell.measured.work == config.work
         told, tool = cell.measured.tool, cell.tool
         assert told is not None
+        assert told.X_tool_face is not None
+        assert told.mass is not None
         X_face = tool.ee(Category.HAMMER_HEAD).X_tool_ee
         assert 0.0 < np.linalg.norm(told.X_tool_face[:3, 3] - X_face[:3, 3]) < 6.0 * NOMINAL.ruler
         assert angle_between(told.X_tool_face[:3, 2], X_face[:3, 2]) < np.deg2rad(6.0)

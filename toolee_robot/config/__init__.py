@@ -12,6 +12,7 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.config.camera_device import CameraDevice
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope
+from toolee_robot.config.intrinsics_record import given_by_intrinsics
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.measured import MEASURED, given_by_nails, given_by_pose, load_lab_station, unmeasured
 from toolee_robot.config.mounting import UPRIGHT_WITHIN, check_upright
@@ -52,6 +53,7 @@ __all__ = [
     "WorkConfig",
     "check_current",
     "check_upright",
+    "given_by_intrinsics",
     "given_by_nails",
     "given_by_pose",
     "is_current",

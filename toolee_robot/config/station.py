@@ -12,6 +12,7 @@ from toolee_robot.config.calibration import SIMULATED_CALIBRATION, CalibrationCo
 from toolee_robot.config.calibration_record import check_place, check_record, take_record
 from toolee_robot.config.camera_pose import take_camera_pose
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope
+from toolee_robot.config.intrinsics_record import take_intrinsics
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
@@ -46,7 +47,8 @@ class StationConfig:
     hand: HandConfig = field(default_factory=HandConfig)
     """The hand on the flange."""
     tool: ToolData | None = None
-    """The hammer that a person hands over; null for the simulated station, which hands over one of its own."""
+    """The hammer that a person hands over; null for the simulated station, which hands over one of its own. Of that one
+    it leaves untold what is null here."""
     tool_envelope: ToolEnvelope = field(default_factory=ToolEnvelope)
     """What encloses the tool in collision checks."""
     strike: StrikeConfig = field(default_factory=StrikeConfig)
@@ -138,6 +140,7 @@ def to_station(data: Any, path: Path) -> StationConfig:
         return to_record(data, path, StationConfig, what)
     is_current(data, path)  # refuses an unknown one
     data, record = take_record(_first_nail({name: value for name, value in data.items() if name != FIELD}), path)
+    data = take_intrinsics(data, path)
     frame = take_frame(data)
     data = take_camera_pose(data, frame, path)
     config = to_record(data, path, StationConfig, what)
@@ -146,7 +149,7 @@ def to_station(data: Any, path: Path) -> StationConfig:
     check_units(config, path)
     if record is None:
         return config
-    check_record(record, config.camera.intrinsics, config.arm.calibration, path)
+    check_record(record, config.camera.intrinsics, config.camera.distortion, config.arm.calibration, path)
     measured = config.camera.measured_pose is not None
     if measured or "position" in (data.get("camera") or {}):
         told_by = "camera.X_base_camera" if measured else "camera.position"

@@ -63,7 +63,7 @@ def check_units(config: StationConfig, path: Path) -> None:
             wrong.append(
                 f"camera.{name}: {getattr(camera, name)} px is no focal length of a {camera.width} px wide image"
             )
-    if config.tool is not None and config.tool.mass > HEAVIEST:
+    if config.tool is not None and config.tool.mass is not None and config.tool.mass > HEAVIEST:
         wrong.append(f"tool.mass: {config.tool.mass} kg is no hammer for one hand")
     if wrong:
         raise ConfigError(f"{path}: {'; '.join(_with_lines(wrong, path))}", code="config.unit")

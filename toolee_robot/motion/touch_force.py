@@ -81,8 +81,29 @@ class TouchSettings:
         return float(np.clip(self.release * stiffness, *RELEASE_SPEEDS))
 
 
+def wrenches_at_rest(arm: Arm, clock: Clock, duration: float) -> Array:
+    """Read the wrench of an arm at rest.
+
+    Args:
+        arm: The arm.
+        clock: The station's clock.
+        duration: Time over which it is read [s].
+
+    Returns:
+        The readings, one a cycle, (N, 6) [N, Nm], `base` axes.
+
+    Raises:
+        DeviceError: The arm does not answer.
+    """
+    readings = []
+    for _ in range(max(round(duration * arm.rate), 1)):
+        clock.sleep(1.0 / arm.rate)
+        readings.append(arm.state().wrench)
+    return np.array(readings)
+
+
 def forces_at_rest(arm: Arm, clock: Clock, duration: float) -> Array:
-    """Read the force of an arm at rest.
+    """Read the force of an arm at rest; see `wrenches_at_rest`.
 
     Args:
         arm: The arm.
@@ -95,11 +116,7 @@ def forces_at_rest(arm: Arm, clock: Clock, duration: float) -> Array:
     Raises:
         DeviceError: The arm does not answer.
     """
-    readings = []
-    for _ in range(max(round(duration * arm.rate), 1)):
-        clock.sleep(1.0 / arm.rate)
-        readings.append(arm.state().wrench[:3])
-    return np.array(readings)
+    return wrenches_at_rest(arm, clock, duration)[:, :3]
 
 
 def check_offset(wrench: Array) -> None:

@@ -24,6 +24,7 @@ from toolee_robot.config import (
     ToolData,
     ToolEnvelope,
     WorkConfig,
+    given_by_intrinsics,
     given_by_nails,
     given_by_pose,
 )
@@ -42,6 +43,7 @@ NONE = "none"
 SIZE = ("width", "height")
 """Fields of `camera` that are its mode."""
 _LENS = ("fx", "fy", "cx", "cy")
+_SEVERAL = -1
 INTRINSICS = (*_LENS, *SIZE)
 """Fields of `camera` that its driver tells, where it is connected."""
 _DEVICE = ("driver", "serial", "least_range")
@@ -101,7 +103,7 @@ class Question:
         try:
             if numbers := _count(self.hint):
                 value = tuple(float(part) for part in parts)
-                if len(value) != numbers:
+                if numbers not in (_SEVERAL, len(value)):
                     commas = "; a comma parts numbers, decimals have a point" if "," in answer else ""
                     text = f"{numbers} numbers are needed, {len(value)} were given{commas}"
                     raise UserError(text, code="user.answer")
@@ -121,7 +123,7 @@ class Question:
         if self.choices:
             return ", ".join(self.choices)
         if numbers := _count(self.hint):
-            return f"{numbers} numbers"
+            return "numbers" if numbers == _SEVERAL else f"{numbers} numbers"
         return ""
 
 
@@ -176,8 +178,8 @@ def contradiction(data: dict[str, Any], section: str) -> str:
         What is wrong, of the records of which every field is there; empty for nothing.
     """
     probe = {name: value for name, value in data.items() if name not in ("version", "frame", "calibration")}
-    if isinstance(camera := probe.get("camera"), dict):  # the loader takes the pose, as it does those two
-        probe["camera"] = {name: value for name, value in camera.items() if name != "X_base_camera"}
+    if isinstance(camera := probe.get("camera"), dict):  # the loader takes them, as it does those two
+        probe["camera"] = {n: value for n, value in camera.items() if n not in ("X_base_camera", "intrinsics")}
     try:
         TypeAdapter(StationConfig).validate_python(probe)
     except ValidationError as error:
@@ -225,10 +227,10 @@ def _all(data: dict[str, Any]) -> Iterator[Question]:
     yield from _of(WorkConfig, ("work",), [name for name in MEASURED["work"] if f"work.{name}" not in of_nails])
     (block,) = _of(WorkConfig, ("work",), ("block_xy",))
     yield replace(block, optional=True, offered=NONE)
-    for question in _of(PersonConfig, ("person",), [field.name for field in fields(PersonConfig)]):
-        optional = type(None) in get_args(question.hint)
-        yield Question(question.path, question.hint, question.text, optional=optional)
-    yield from _of(ToolData, ("tool",), [field.name for field in fields(ToolData)])
+    records: tuple[tuple[type[Any], str], ...] = ((PersonConfig, "person"), (ToolData, "tool"))
+    for record, section in records:
+        for question in _of(record, (section,), [field.name for field in fields(record)]):
+            yield replace(question, optional=type(None) in get_args(question.hint))
     for question in _of(ToolEnvelope, ("tool_envelope",), [field.name for field in fields(ToolEnvelope)]):
         yield replace(question, offered=f"{getattr(ToolEnvelope(), question.path[-1]):g}")
     yield from _of_strikes(data.get("hand") or {})
@@ -243,10 +245,13 @@ def _of_strikes(hand: dict[str, Any]) -> Iterator[Question]:
 
 
 def _of_camera(camera: dict[str, Any]) -> Iterator[Question]:
-    by_pose = given_by_pose(camera.get("X_base_camera"))
-    names = [name for name in MEASURED["camera"] if f"camera.{name}" not in by_pose]
+    given = given_by_pose(camera.get("X_base_camera")) | given_by_intrinsics(camera.get("intrinsics"))
+    names = [name for name in MEASURED["camera"] if f"camera.{name}" not in given]
     if (camera.get("device") or {}).get("driver") not in WITH_MODE:
         yield from _of(CameraConfig, ("camera",), names)
+        if "camera.distortion" not in given:  # other drivers tell it themselves
+            (distortion,) = _of(CameraConfig, ("camera",), ("distortion",))
+            yield replace(distortion, optional=True, offered=NONE)
         return
     # The mode first: the driver opens the camera in it, and the camera then tells the rest.
     for question in _of(CameraConfig, ("camera",), sorted(names, key=lambda name: name in _LENS)):
@@ -277,10 +282,12 @@ def _of(record: type[Any], path: tuple[str, ...], names: Any) -> Iterator[Questi
 
 
 def _count(hint: Any) -> int:
-    """How many numbers a field holds; 0 for a single value."""
+    """How many numbers a field holds; 0 for a single value, `_SEVERAL` where it is not said."""
     if type(None) in get_args(hint):
         (hint,) = (kind for kind in get_args(hint) if kind is not type(None))
-    return len(get_args(hint)) if get_origin(hint) is tuple else 0
+    if get_origin(hint) is not tuple:
+        return 0
+    return _SEVERAL if Ellipsis in get_args(hint) else len(get_args(hint))
 
 
 def _why(error: ValueError | ValidationError) -> str:

@@ -150,7 +150,8 @@ class _Trial:
     def _card(self) -> list[str]:
         """What the person sets up."""
         trial, config = self._task.trial, self._config
-        tool = "the station file names none" if config.tool is None else f"{config.tool.name}, {config.tool.mass:g} kg"
+        sheet = config.tool
+        tool = "the station file names none" if sheet is None else f"{sheet.name}, {sheet.weight_in_words}"
         lines = [
             "",
             f"Trial {self._number} of {self._of}: arm {trial.arm.replace('_', ' ')}, repetition {trial.seed}",

@@ -212,8 +212,8 @@ class Hammer:
             )
         config = StationConfig() if self.config is None else load_station(self.config)
         if self.setup is not None:
-            config = with_setup(config, self.setup)
-            if config.tool is not None:
+            before, config = config.tool, with_setup(config, self.setup)
+            if config.tool is not before:
                 raise UserError(
                     f"{self.setup} gives a tool, and a simulated one is drawn from --seed: leave `tool` out",
                     code="user.option",

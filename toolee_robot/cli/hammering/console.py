@@ -23,6 +23,7 @@ from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 _PHASES = {
     Stage.HANDOVER: "Handover",
     Stage.GRIP: "Grip",
+    Stage.WEIGH: "Weigh",
     Stage.VIEW: "Look",
     Stage.PERCEIVE: "Look",
     Stage.PLAN: "Drive the nail",
@@ -34,6 +35,7 @@ _PHASES = {
 _DOING = {
     Stage.HANDOVER: "waiting for the tool in the open hand",
     Stage.GRIP: "closing the fingers, confirming the hold",
+    Stage.WEIGH: "weighing the tool, the wrist turns slowly",
     Stage.VIEW: "bringing the tool before the camera",
     Stage.PERCEIVE: "finding the end effector and its pose",
     Stage.PLAN: "planning the strike",

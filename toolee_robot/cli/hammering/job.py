@@ -19,6 +19,8 @@ from toolee_robot.cli.hammering.report import HammerReport
 from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
+from toolee_robot.control.dynamics.tool_weight import ToolWeight
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.recording.file_names import PICTURE, RECORDING
 from toolee_robot.recording.history import RunHistory
@@ -35,6 +37,7 @@ from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome
 from toolee_robot.tasks.hammering.ablation import Ablation
 from toolee_robot.tasks.hammering.task import HammeringTask
+from toolee_robot.tools import Tool
 
 if TYPE_CHECKING:
     from toolee_robot.viewer.run_page import RunPage  # needs the extra `viewer`
@@ -155,6 +158,9 @@ class HammerJob:
 
     def _metadata(self, opened: Opened) -> dict[str, Any]:
         """What identifies the run, for its recording."""
+        X_tool_ee = opened.grasp.X_tool_ee
+        if opened.grasp.ee_off and opened.shape is not None:  # the shape is drawn where its face was seen
+            X_tool_ee = opened.shape.ee(Category.HAMMER_HEAD).X_tool_ee
         return {
             **self.source.facts,
             "correction": self.correction,
@@ -164,7 +170,7 @@ class HammerJob:
             "tool": opened.tool,
             "title": f"{opened.words}; {self._mode()}",
             "X_hand_ee": opened.grasp.X_hand_ee,
-            "X_tool_ee": opened.grasp.X_tool_ee,
+            "X_tool_ee": X_tool_ee,
         }
 
     def _mode(self) -> str:
@@ -235,6 +241,7 @@ class HammerJob:
             "seconds": round(seconds, 3),
             **self.source.facts,
             "tool": opened.tool,
+            "weighed": _weight_figures(result.weight, opened),
             "real_time_factor": self.source.real_time_factor,
             "machine_stall_ms": None if longest_stall is None else _rounded(longest_stall * 1e3),
             "machine_stalled": machine_stalled,
@@ -286,6 +293,19 @@ class HammerJob:
 
 def _true_nail_figures(truth: NailTruth | None) -> dict[str, float | None]:
     return {f"nail_{name}": None if truth is None else _rounded(getattr(truth, name)) for name in NAIL_FIGURES}
+
+
+def _weight_figures(weight: ToolWeight | None, opened: Opened) -> dict[str, Any] | None:
+    """What the arm has weighed of the tool, flange frame; None where it was told."""
+    if weight is None:
+        return None
+    return {
+        "mass": _rounded(weight.mass),
+        "mass_sigma": _rounded(weight.mass_sigma),
+        "center_of_mass": [round(float(x), 4) for x in weight.center_of_mass],
+        "center_sigma": _rounded(weight.center_sigma),
+        "true_mass": _rounded(opened.shape.mass) if isinstance(opened.shape, Tool) else None,
+    }
 
 
 def _nail_figures(nail: NailResult, verdict: Verdict | None) -> dict[str, Any]:

@@ -39,6 +39,7 @@ class HammerReport:
         rows = [
             ("strikes", str(f["strikes"])),
             *self._nail_rows(),
+            *self._weight_rows(),
             *self._load_rows(),
             *self._true_rows(),
             ("robot's time", f"{f['robot_seconds']:.0f} s, {f['nail_seconds']:.0f} s of it for the nail"),
@@ -54,6 +55,15 @@ class HammerReport:
         title = flush if f["success"] else str(f["outcome"]).replace("_", " ") + stage
         colour = "green" if f["success"] else "red"
         return Panel("\n".join(lines), title=f"[bold]{title}[/bold]", border_style=colour, expand=False, padding=(1, 2))
+
+    def _weight_rows(self) -> list[tuple[str, str]]:
+        weighed = self.figures["weighed"]
+        if weighed is None:
+            return []
+        words = f"{weighed['mass']:.2f} ± {weighed['mass_sigma']:.2f} kg, by the arm"
+        if weighed["true_mass"] is not None:
+            words += f" ({weighed['true_mass']:.2f} kg *)"
+        return [("tool's mass", words)]
 
     def _load_rows(self) -> list[tuple[str, str]]:
         f = self.figures

@@ -155,7 +155,8 @@ class SimulatedSource:
         cell, options = drawn.made_of(self.config), drawn.options(SimOptions(gui=self.gui, sensor=self.sensor))
         with open_station(cell, self.seed, options, self.stand_in, self.hand_driver) as sim:
             config = self.config if self.errors == EXACT else drawn.weighed(drawn.displaced(self.config))
-            grasp = measured_grasp(drawn.measured(sim.tool, sim.tool.name), config)
+            sheet = drawn.measured(sim.tool, sim.tool.name).unmeasured_as(config.tool)
+            grasp = measured_grasp(sheet, config)
             yield Opened(sim.station, config, grasp, sim.tool.name, _words(sim.tool), sim.judge, sim.tool)
 
 
@@ -250,7 +251,7 @@ class LabSource:
         doing(f"this moves a real {self.config.arm.model}; --rehearse moves none")
         with LabStation(self.config, tell, doing=doing) as lab:
             tool = lab.tool
-            words = f"{tool.name.capitalize()}, {tool.mass:.2f} kg"
+            words = f"{tool.name.capitalize()}, {tool.weight_in_words}"
             yield Opened(lab.station, self.config, measured_grasp(tool, self.config), tool.name, words, None)
 
 

@@ -40,7 +40,8 @@ def job_cell(config: StationConfig, station_file: Path, seed: int) -> Cell:
     errors = job_errors(config, station_file, seed)
     options = errors.options(SimOptions())
     tool, _ = draw_handover(seed, options)
-    measured = replace(config, tool=errors.measured(tool, f"{tool.kind.replace('_', ' ')} of the rehearsal"))
+    sheet = errors.measured(tool, f"{tool.kind.replace('_', ' ')} of the rehearsal")
+    measured = replace(config, tool=sheet.unmeasured_as(config.tool))
     return Cell(errors.made_of(errors.displaced(config)), measured, tool, options, seed)
 
 

@@ -99,6 +99,7 @@ class Look:
         observer: Receives frames and estimates.
         X_hand_ee_nominal: Pose of the end effector in the hand in a nominal grasp, (4, 4).
         camera: What an earlier look says of the error of the camera's calibration; None for the first.
+        ee_off: How far the end effector may be from its nominal pose beside what any grasp leaves open [m].
 
     Attributes:
         frames: The frames taken.
@@ -112,6 +113,7 @@ class Look:
         observer: TaskObserver,
         X_hand_ee_nominal: Array,
         camera: CameraError | None = None,
+        ee_off: float = 0.0,
     ) -> None:
         self._camera = camera
         self._X_camera_base = inverse(config.camera.X_base_camera)
@@ -120,7 +122,7 @@ class Look:
         self._perceiver = perceiver
         self._observer = observer
         self._nominal = X_hand_ee_nominal
-        self._largest = largest_displacement(X_hand_ee_nominal)
+        self._largest = largest_displacement(X_hand_ee_nominal) + ee_off
         self._device = config.camera.device
         self._region = held_region(config, X_hand_ee_nominal, self._largest)
         self.frames: list[RgbdFrame] = []

@@ -22,7 +22,7 @@ from toolee_robot.errors import DeviceError, GripDoubtError, MotionFaultError, P
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
 from toolee_robot.motion.strike_contact import strike_guard
-from toolee_robot.motion.touch_force import forces_at_rest
+from toolee_robot.motion.touch_force import wrenches_at_rest
 from toolee_robot.tasks.common.hand_watch import HandWatch, check_held
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.person_proof import PersonProof
@@ -64,6 +64,7 @@ class Motions:
         X_hand_ee: Estimated pose of the end effector in the hand, (4, 4).
         held: Whether the hand holds the tool.
         in_the_way: Bodies of the work that nothing may touch, beside those of the station.
+        tool_off: How far the tool may be from where `X_hand_ee` has it, beyond what its envelope allows for [m].
         payload: What the flange carries; None before it was set.
         noise: Readings of the force at rest, one a cycle, (N, 3) [N]; None before they were taken.
     """
@@ -82,6 +83,7 @@ class Motions:
         self.X_hand_ee = X_hand_ee
         self.held = False
         self.in_the_way: tuple[Body, ...] = ()
+        self.tool_off = 0.0
         self.payload: Payload | None = None
         self.noise: Array | None = None
         self._zeroed: Array | None = None
@@ -116,7 +118,7 @@ class Motions:
     def world(self) -> CollisionWorld:
         """Collision model of the present state."""
         X_hand_ee = self.X_hand_ee if self.held else None
-        return CollisionWorld(self._robot, self._config, self.q_hand, X_hand_ee, self.in_the_way)
+        return CollisionWorld(self._robot, self._config, self.q_hand, X_hand_ee, self.in_the_way, self.tool_off)
 
     def set_payload(self, payload: Payload) -> None:
         """Tell the arm what its flange carries; see `hal.Arm`.
@@ -158,17 +160,19 @@ class Motions:
         self._done(name, report, hand)
         return report
 
-    def transfer(self, name: str, trajectory: Trajectory) -> None:
+    def transfer(self, name: str, trajectory: Trajectory, speed: float = np.inf) -> None:
         """Move through free space, slowed down to the speed limit of the mode.
 
         Args:
             name: Name of the motion.
             trajectory: The motion, from rest to rest.
+            speed: Largest speed of hand and tool, where it is less than the mode's [m/s].
 
         Raises:
             TooleeError: As `execute`.
         """
-        self.execute(name, slowed_to(trajectory, self.world(), self.arm.mode.speed(self._config.supervisor)))
+        speed = min(speed, self.arm.mode.speed(self._config.supervisor))
+        self.execute(name, slowed_to(trajectory, self.world(), speed))
 
     def swing(self, name: str, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
         """Execute the strike of a plan, without any modification.
@@ -271,7 +275,21 @@ class Motions:
         Raises:
             DeviceError: The arm does not answer.
         """
-        return forces_at_rest(self.arm, self._station.clock, duration)
+        return self.wrenches(duration)[:, :3]
+
+    def wrenches(self, duration: float) -> Array:
+        """Read the wrench of the arm at rest.
+
+        Args:
+            duration: Time over which it is read [s].
+
+        Returns:
+            The readings, one a cycle, (N, 6) [N, Nm], `base` axes.
+
+        Raises:
+            DeviceError: The arm does not answer.
+        """
+        return wrenches_at_rest(self.arm, self._station.clock, duration)
 
     def check_hand(self) -> None:
         """Check the hand before a strike.

@@ -7,6 +7,7 @@ from enum import StrEnum
 
 from toolee_robot.control.contact import Meeting
 from toolee_robot.control.dynamics.strike_load import StrikeLoad
+from toolee_robot.control.dynamics.tool_weight import ToolWeight
 from toolee_robot.errors import DeviceError
 from toolee_robot.types import InHandEstimate
 
@@ -26,6 +27,7 @@ class Outcome(StrEnum):
     NO_GRIP = "no_grip"
     TOOL_LOST = "tool_lost"
     TOOL_SLIPPED = "tool_slipped"
+    WEIGHT_UNKNOWN = "weight_unknown"
     POSE_UNKNOWN = "pose_unknown"
     NO_PLAN = "no_plan"
     NAIL_MISSED = "nail_missed"
@@ -56,6 +58,7 @@ class Stage(StrEnum):
 
     HANDOVER = "handover"
     GRIP = "grip"
+    WEIGH = "weigh"
     VIEW = "view"
     PERCEIVE = "perceive"
     PLAN = "plan"
@@ -128,6 +131,7 @@ class HammerResult:
         nails: What became of each nail that was to be driven.
         stops: Number of times that the arm was stopped with the tool in the hand.
         fault: Error of a device, or of a person in the way, that ended it; None where none did.
+        weight: What the arm has weighed of the tool; None where it was told.
     """
 
     outcome: Outcome
@@ -142,6 +146,7 @@ class HammerResult:
     nails: tuple[NailResult, ...] = ()
     stops: int = 0
     fault: DeviceError | None = None
+    weight: ToolWeight | None = None
 
     @property
     def success(self) -> bool:

@@ -26,6 +26,8 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.grasp import Grasp
+from toolee_robot.tasks.hammering.weighing import Weighing
+from toolee_robot.types import Payload
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,8 @@ _MOUNT = _Prompts(
     "Fix the hammer's handle in the mount, face towards its working side. Pull at it, then confirm.",
     "Take the hammer out of the mount, then confirm.",
 )
+UNKNOWN_GIVE = " Its head 15 to 28 cm from the grip's middle."
+"""What is said beside the prompt of a tool whose face was not measured."""
 MOUNT_EMPTY = "The mount cannot tell whether a tool is in it. Is it empty? The arm is about to move to the handover."
 """Question before the arm moves an empty mount."""
 _RESET = (
@@ -72,8 +76,10 @@ class Handover:
         observer: Receives messages.
         grasp: Nominal grasp of the tool.
         nails: Names of the nails that will be struck.
+        weighing: Weighs a tool of which nobody has said what it weighs.
 
     Attributes:
+        grasp: Nominal grasp of the tool, with what was weighed.
         person_clear: Whether nobody was asked to come near since a person was last seen out of reach.
     """
 
@@ -87,10 +93,12 @@ class Handover:
         observer: TaskObserver,
         grasp: Grasp,
         nails: Sequence[str],
+        weighing: Weighing,
     ) -> None:
         self.person_clear = True
+        self.grasp = grasp
         self._station, self._config, self._robot, self._motions = station, config, robot, motions
-        self._stages, self._observer, self._grasp, self._nails = stages, observer, grasp, nails
+        self._stages, self._observer, self._nails, self._weighing = stages, observer, nails, weighing
         self._prompts = _MOUNT if robot.description.hand.clamps else _HAND
 
     def take_tool(self) -> None:
@@ -110,8 +118,11 @@ class Handover:
                 self._once_reset(self._go_there)
             else:
                 self._go_there()
+            if self.grasp.to_weigh:
+                self._weighing.feel_empty_hand()
             self.person_clear = False
-            if not person.request_handover(self._prompts.give, timeout):
+            give = self._prompts.give + (UNKNOWN_GIVE if self.grasp.ee_off else "")
+            if not person.request_handover(give, timeout):
                 raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
         with self._stages(Stage.GRIP):
             hand.close()
@@ -121,17 +132,27 @@ class Handover:
             if not hand.state().holding:
                 raise JobEnded(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
             self._motions.held = True
-            self.tell_payload()
+        self.tell_payload()
 
     def tell_payload(self) -> None:
         """Tell the arm that it carries the tool; an arm that was stopped since the person came is reset by a person.
 
+        A tool that nobody has weighed is weighed first.
+
         Raises:
             PersonNearError: The person who has looked at the stopped arm was not seen out of reach.
             DeviceError: The arm does not take the payload, or a person did not confirm its reset.
+            WeighingError: The tool cannot be weighed, or not well enough.
         """
-        grasp, q_hand = self._grasp, self._motions.q_hand
-        payload = self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com)
+        q_hand = self._motions.q_hand
+        if self.grasp.to_weigh:
+            self._tell(self._robot.description.hand_payload(q_hand))
+            with self._stages(Stage.WEIGH):
+                self.grasp = self._weighing.weigh(self.grasp)
+        grasp = self.grasp
+        self._tell(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
+
+    def _tell(self, payload: Payload) -> None:
         if self._once_reset(lambda: self._motions.set_payload(payload)):
             self._permit_fast()
 
@@ -251,8 +272,11 @@ class Handover:
             X_base_nail = self._config.work.only(name).X_base_nail()
             whose = f"nail {name}: " if len(self._nails) > 1 else ""
             try:
-                plan_strike(self._robot, self._config, world, *state, X_base_nail, tool=self._grasp.swung)
+                plan_strike(self._robot, self._config, world, *state, X_base_nail, tool=self.grasp.swung)
             except UnreachableError as error:
+                if self.grasp.ee_off:  # the face may be elsewhere
+                    self._observer.message(f"{whose}with a face in the middle of where it may be: {error}")
+                    continue
                 raise UnreachableError(f"{whose}{error}", code=error.code) from error
             except PlanningError as error:
                 message = f"{whose}with the tool as it nominally lies in the hand no strike is possible: {error}"

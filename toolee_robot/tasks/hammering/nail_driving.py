@@ -53,7 +53,7 @@ class NailDriving:
         look: Looks at the tool from the given number of views, and whether it forgets the looks before; sets
             `motions.X_hand_ee` and returns how the tool is held.
         frames: Returns what the camera took at the last look.
-        tool: Mass [kg] and centre of mass of the tool in the frame of its end effector [m].
+        tool: Returns mass [kg] and centre of mass of the tool in the frame of its end effector [m].
         correction: Whether the estimated in-hand pose is used.
 
     Attributes:
@@ -71,7 +71,7 @@ class NailDriving:
         observer: TaskObserver,
         look: Callable[[int, bool], Holding],
         frames: Callable[[], Sequence[RgbdFrame]],
-        tool: Payload,
+        tool: Callable[[], Payload],
         *,
         correction: bool,
     ) -> None:
@@ -84,7 +84,7 @@ class NailDriving:
         self._striking = Striking(motions, config, robot, clock, observer, tool)
         self._correction = correction
         self._gauge = NailGauge(motions, config, robot, observer)
-        self._deepest = deepest_strike(tool.mass, config.strike.speed)
+        self._tool = tool
         self._forecast = NailForecast(config.work.nail_length, config.task.flush_protrusion, motions.arm.rate)
         self._strikes_seen = 0
         self._holding = Holding()
@@ -102,6 +102,11 @@ class NailDriving:
     def strikes_since_look(self) -> int:
         """Number of strikes since the last look at the tool."""
         return len(self.strikes) - self._strikes_seen
+
+    @property
+    def _deepest(self) -> float:
+        """Depth that a strike can drive the nail at most [m]."""
+        return deepest_strike(self._tool().mass, self._config.strike.speed)
 
     def _look_due(self, strikes: int) -> bool:
         """Whether to look again after so many strikes; not if a steadily held tool is about to finish the nail."""

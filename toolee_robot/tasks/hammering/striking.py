@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from toolee_robot.config import StationConfig
@@ -39,7 +41,7 @@ class Striking:
         robot: Kinematic model of arm and hand.
         clock: The station's clock.
         observer: Receives plans, contacts and strikes.
-        tool: Mass [kg] and centre of mass of the tool in the frame of its end effector [m].
+        tool: Returns mass [kg] and centre of mass of the tool in the frame of its end effector [m].
 
     Attributes:
         done: The strikes that were recorded.
@@ -52,7 +54,7 @@ class Striking:
         robot: RobotModel,
         clock: Clock,
         observer: TaskObserver,
-        tool: Payload,
+        tool: Callable[[], Payload],
     ) -> None:
         self.done: list[Strike] = []
         self._motions, self._config, self._robot = motions, config, robot
@@ -104,9 +106,9 @@ class Striking:
         motions, deepest = self._motions, self._config.strike.deepest
         state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee
         if deepest is None:
-            plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=self._tool)
+            plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=self._tool())
         else:
-            limits = SwingLimits(self._tool, deepest)
+            limits = SwingLimits(self._tool(), deepest)
             plan = plan_swing(self._robot, self._config, *state, X_base_nail, limits=limits)
         self._observer.planned(self._clock.now(), plan)
         return plan

@@ -29,6 +29,8 @@ from toolee_robot.errors import (
     PerceptionError,
     PersonNearError,
     PlanningError,
+    UserError,
+    WeighingError,
 )
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.look import Perceiver
@@ -42,6 +44,7 @@ from toolee_robot.tasks.hammering.handover import Handover
 from toolee_robot.tasks.hammering.nail_driving import NailDriving
 from toolee_robot.tasks.hammering.nail_series import NailSeries
 from toolee_robot.tasks.hammering.tool_pose import Holding, ToolPose
+from toolee_robot.tasks.hammering.weighing import Weighing
 
 LIFT = 0.020
 """Retraction from the work before the tool is looked at again [m]."""
@@ -63,6 +66,9 @@ class HammeringTask:
             baseline, for comparison only.
         observer: Receives the events of the job; None for no observer.
         nails: Names of the nails to drive, in order; None for all of the station.
+
+    Raises:
+        UserError: A face of which nothing is known is to be struck with where it nominally is (`user.unknown_face`).
     """
 
     def __init__(
@@ -76,6 +82,12 @@ class HammeringTask:
         observer: TaskObserver | None = None,
         nails: Sequence[str] | None = None,
     ) -> None:
+        if grasp.ee_off and not correction:
+            raise UserError(
+                "where the tool's face is, is not known, so that it cannot be struck with without a look at it: give "
+                "tool.face and tool.face_normal, or leave --no-correction out",
+                code="user.unknown_face",
+            )
         self._stops = Stops()
         self._station = station
         self._config = config
@@ -85,21 +97,24 @@ class HammeringTask:
         self._motions = motions = Motions(station, config, robot, observer, grasp.X_hand_ee)
         self._stages = stages = Stages(observer)
         names = tuple(nails or config.work.names)
-        self._handover = Handover(station, config, robot, motions, stages, observer, grasp, names)
+        motions.tool_off = grasp.ee_off
+        self._weighing = weighing = Weighing(motions, config, robot, station.clock, observer)
+        self._handover = handover = Handover(station, config, robot, motions, stages, observer, grasp, names, weighing)
         self._nails = series = NailSeries(
             config.work,
             motions,
             [
                 (name, NailDriving(
                     motions, replace(config, work=config.work.only(name)), robot, station.clock, stages, observer,
-                    self._look, lambda: self._tool_pose.frames, grasp.swung, correction=correction,
+                    self._look, lambda: self._tool_pose.frames, lambda: weighing.swung(handover.grasp),
+                    correction=correction,
                 ))
                 for name in names
             ],
             observer,
         )  # fmt: skip
         self._tool_pose = ToolPose(
-            station, perceiver, config, robot, motions, stages, observer, grasp.X_hand_ee,
+            station, perceiver, config, robot, motions, stages, observer, grasp.X_hand_ee, grasp.ee_off,
             strikes_since_look=lambda: series.strikes_since_look,
         )  # fmt: skip
         self._outcome: Outcome | None = None
@@ -198,6 +213,7 @@ class HammeringTask:
             self._nails.results(outcome, reason),
             self._stops.count,
             self._fault,
+            self._weighing.weight,
         )
 
     def _end(self, job: Callable[[], tuple[Outcome, str]]) -> HammerResult:
@@ -228,6 +244,8 @@ class HammeringTask:
             return Outcome.PERSON_NEAR, str(error)
         except PerceptionError as error:
             return Outcome.POSE_UNKNOWN, str(error)
+        except WeighingError as error:
+            return Outcome.WEIGHT_UNKNOWN, str(error)
         except PlanningError as error:
             return Outcome.NO_PLAN, str(error)
         except GripError as error:
@@ -308,6 +326,8 @@ class HammeringTask:
             return outcome, f"{reason}; nothing was moved"
         if outcome is Outcome.TOOL_LOST:
             return outcome, reason
+        if outcome is Outcome.WEIGHT_UNKNOWN:
+            return outcome, f"{reason}; {TAKE_OUT}"
         if outcome in STOPPED:
             if not self.holds_tool:
                 return outcome, f"{reason}; {PUT_AWAY}"

@@ -28,6 +28,8 @@ STEADY, STEADY_ANGLE = 0.00075, np.deg2rad(0.5)
 """Largest slip per strike of a tool that is held steadily: in the plane of the face [m], since touches measure the slip
 along its normal, and of its normal [rad]."""
 
+WELL_SEEN = 0.04
+"""Distance of a face from where the views were planned to see it, up to which they see it as well [m]."""
 OWN_ERRORS = 0.5
 """Share of the variances of two looks that is in their difference: what is left of the camera's error, and what the
 network makes of this tool, are in both. Assumed."""
@@ -62,6 +64,7 @@ class ToolPose:
         stages: Times the stages of the job.
         observer: Receives frames, estimates and messages.
         X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
+        ee_off: How far it may be from there beside what any grasp leaves open [m]; 0 where the tool was measured.
         strikes_since_look: Returns the number of strikes since the last look.
 
     Attributes:
@@ -79,13 +82,14 @@ class ToolPose:
         stages: Stages,
         observer: TaskObserver,
         X_hand_ee: Array,
+        ee_off: float,
         strikes_since_look: Callable[[], int],
     ) -> None:
         self.estimates: list[tuple[float, InHandEstimate]] = []
         self.frames: Sequence[RgbdFrame] = ()
         self._station, self._perceiver, self._config, self._robot = station, perceiver, config, robot
         self._motions, self._stages, self._observer = motions, stages, observer
-        self._X_hand_ee = X_hand_ee
+        self._X_hand_ee, self._ee_off = X_hand_ee, ee_off
         self._strikes_since_look = strikes_since_look
         self._related = False
 
@@ -108,7 +112,9 @@ class ToolPose:
             TooleeError: A motion or a device failed.
         """
         known = self.estimates[-1][1].camera if self._related else None
-        look = Look(self._config, self._robot, self._perceiver, self._observer, self._X_hand_ee, known)
+        look = Look(
+            self._config, self._robot, self._perceiver, self._observer, self._X_hand_ee, known, ee_off=self._ee_off
+        )
         for attempt in (1, 2):
             with self._stages(Stage.VIEW):
                 q_hand = self._motions.q_hand
@@ -144,11 +150,23 @@ class ToolPose:
                 if attempt == 2:
                     raise
                 self._observer.message(f"{error}; looking again")
+        if self._found(estimate.X_hand_ee):
+            return self.look(views)
         self.estimates.append((self._station.clock.now(), estimate))
         self.frames = look.frames
         self._motions.X_hand_ee = estimate.X_hand_ee
         self._related = True
         return holding
+
+    def _found(self, X_hand_ee: Array) -> bool:
+        """Whether to look once more: a face of which nothing was known is far from where the views expected it."""
+        if not self._ee_off:
+            return False
+        away = float(np.linalg.norm(X_hand_ee[:3, 3] - self._X_hand_ee[:3, 3]))
+        self._observer.message(f"the face is {away * 1e3:.0f} mm from where it was looked for first")
+        self._X_hand_ee = self._motions.X_hand_ee = X_hand_ee
+        self._ee_off = self._motions.tool_off = 0.0
+        return away > WELL_SEEN
 
     def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
         """Fuse the estimates of two looks; ends the job when the tool has slipped too far."""

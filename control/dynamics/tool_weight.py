@@ -1,0 +1,232 @@
+"""Mass and centre of mass of a held tool, from the wrench that the arm feels at rest in several orientations.
+
+The wrench has an offset that turns with the flange and changes a little from posture to posture, and the arm
+compensates a payload of the hand that may be wrong. One reading is taken with the empty hand, in the posture of the
+first one with the tool: their difference is the tool alone. The others turn the tool's weight in the flange, while the
+offset stays. All of it is one linear least-squares problem with Gaussian priors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolee_robot.errors import WeighingError
+from toolee_robot.frames import Array
+
+LEAST_TURN = np.deg2rad(45.0)
+"""Least angle between the directions of gravity in the flange of two of the readings [rad]."""
+LEAST_READINGS = 3
+"""Least number of readings with the tool."""
+BATCHES = 8
+"""Number of parts of a reading whose means tell its noise: longer than the noise's correlation."""
+LEAST_NOISE = 0.01, 0.001
+"""Least standard deviation of a mean: force [N] and torque [Nm]; a simulated arm may have none."""
+_WIDE = np.array([20.0, 6.0, 6.0, 6.0, *(200.0,) * 3, *(100.0,) * 3])
+"""Standard deviations of the priors that say nothing: mass [kg] and moments [kg m] of the tool, offset [N, Nm]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RestReading:
+    """What the arm feels at rest in one posture.
+
+    Attributes:
+        R_base_flange: Orientation of the flange, (3, 3).
+        wrench: Mean force [N] and torque [Nm] about the flange's origin, (6,), axes of `base`; the payload of the hand
+            alone is compensated.
+        noise: Standard deviation of that mean per axis, as its parts tell: of the force [N] and of the torque [Nm].
+        count: Number of readings of which it is the mean.
+    """
+
+    R_base_flange: Array
+    wrench: Array
+    noise: tuple[float, float]
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class WeighingPrior:
+    """What is known before a tool is weighed: standard deviations, and where the hand holds its handle.
+
+    Attributes:
+        posture: Change of the wrench's error from posture to posture, per axis: force [N] and torque [Nm].
+        hand_mass: Error of the hand's mass that the arm compensates [kg].
+        hand_moment: Error of its mass times its centre of mass, axes of the flange, (3,) [kg m].
+        time: Change of the wrench's error while the tool is handed over, per axis: force [N] and torque [Nm].
+        grip: A point of the handle's axis, flange frame, (3,) [m].
+        handle: Direction of that axis, flange frame, (3,), of length 1.
+        handle_moment: Mass times distance of the centre of mass from it [kg m].
+    """
+
+    posture: tuple[float, float]
+    hand_mass: float
+    hand_moment: Array
+    time: tuple[float, float]
+    grip: Array
+    handle: Array
+    handle_moment: float
+
+
+@dataclass(frozen=True, eq=False)
+class ToolWeight:
+    """Weight of a tool.
+
+    Attributes:
+        mass: Mass [kg].
+        mass_sigma: Its standard deviation [kg].
+        center_of_mass: Centre of mass, flange frame, (3,) [m].
+        center_covariance: Its covariance, (3, 3) [m^2].
+    """
+
+    mass: float
+    mass_sigma: float
+    center_of_mass: Array
+    center_covariance: Array
+
+    @property
+    def center_sigma(self) -> float:
+        """Standard deviation of the centre of mass in the direction in which it is known least [m]."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.center_covariance)[-1]))
+
+
+def rest_reading(R_base_flange: Array, wrenches: Array) -> RestReading:
+    """Average what an arm feels at rest.
+
+    Args:
+        R_base_flange: Orientation of the flange, (3, 3).
+        wrenches: Readings of the wrench, (N, 6) [N, Nm], axes of `base`; the longer, the better is their noise known.
+
+    Returns:
+        Their mean, and its standard deviation by the means of `BATCHES` parts, whatever the noise's correlation within
+        one.
+    """
+    parts = np.array([part.mean(axis=0) for part in np.array_split(wrenches, min(BATCHES, len(wrenches)))])
+    variance = np.var(parts, axis=0, ddof=1) / len(parts) if len(parts) > 1 else np.full(6, np.inf)
+    return RestReading(R_base_flange, wrenches.mean(axis=0), _pair(variance), len(wrenches))
+
+
+def weigh(held: Sequence[RestReading], empty: RestReading, gravity: Array, prior: WeighingPrior) -> ToolWeight:
+    """Compute mass and centre of mass of a tool.
+
+    Args:
+        held: Readings with the tool, the first in the posture of `empty`.
+        empty: Reading with the empty hand.
+        gravity: Acceleration of free fall in `base`, (3,) [m/s^2].
+        prior: What is known before.
+
+    Returns:
+        The weight. Where the readings contradict each other by more than they should, its standard deviations are as
+        much larger.
+
+    Raises:
+        WeighingError: There are too few readings, or gravity has nearly the same direction in the flange in all of
+            them (`weighing.orientations`); or the mass is no mass (`weighing.not_held`).
+    """
+    directions = np.array([reading.R_base_flange.T @ gravity for reading in held]) / np.linalg.norm(gravity)
+    turn = float(np.arccos(np.clip((directions @ directions.T).min(), -1.0, 1.0))) if len(held) else 0.0
+    if len(held) < LEAST_READINGS or turn < LEAST_TURN:
+        raise WeighingError(
+            f"the arm has felt the tool in {len(held)} orientations within {np.rad2deg(turn):.0f}°, and needs "
+            f"{LEAST_READINGS} over {np.rad2deg(LEAST_TURN):.0f}° or more: clear the space around the handover, or "
+            "weigh the tool on scales and write tool.mass and tool.center_of_mass",
+            code="weighing.orientations",
+        )
+    readings = [*held, empty]
+    # The noise is the same in all: what the parts of each tell of it is pooled.
+    density = np.mean([np.square(reading.noise) * reading.count for reading in readings], axis=0)
+    noises = np.sqrt([density / reading.count for reading in readings])
+    wrenches = np.concatenate([_in_flange(reading) for reading in readings])
+    rows, sigma = _equations([reading.R_base_flange for reading in held], gravity, noises, prior)
+    known = _known(prior)
+    information = rows.T @ (rows / sigma[:, None] ** 2) + known.T @ known
+    solution = np.linalg.solve(information, rows.T @ (wrenches / sigma**2))
+    misfit = np.sum(((wrenches - rows @ solution) / sigma) ** 2) + np.sum((known @ solution) ** 2)
+    freedom = len(wrenches) - _FLAT
+    covariance = np.linalg.inv(information)[:4, :4] * max(1.0, float(misfit) / freedom)
+    mass, moment = float(solution[0]), solution[1:4]
+    mass_sigma = float(np.sqrt(covariance[0, 0]))
+    if not mass > 2.0 * mass_sigma:
+        raise WeighingError(
+            f"the arm feels a tool of {mass:.2f} ± {mass_sigma:.2f} kg, which may be none: see whether the hand holds "
+            "it, or weigh it on scales and write tool.mass and tool.center_of_mass",
+            code="weighing.not_held",
+        )
+    J = np.column_stack([-moment / mass**2, np.eye(3) / mass])
+    return ToolWeight(mass, mass_sigma, np.asarray(moment / mass, dtype=np.float64), J @ covariance @ J.T)
+
+
+def expected_covariance(
+    Rs_base_flange: Sequence[Array], gravity: Array, noise: tuple[float, float], prior: WeighingPrior
+) -> Array:
+    """Predict how well orientations would tell a tool's weight.
+
+    Args:
+        Rs_base_flange: Orientations of the flange, (3, 3) each; in the first one there is a reading without the tool.
+        gravity: Acceleration of free fall in `base`, (3,) [m/s^2].
+        noise: Standard deviation of a reading's mean, per axis: force [N] and torque [Nm].
+        prior: What is known before.
+
+    Returns:
+        Covariance of mass [kg] and moments [kg m] of the tool, (4, 4).
+    """
+    noises = np.tile(noise, (len(Rs_base_flange) + 1, 1))
+    rows, sigma = _equations(Rs_base_flange, gravity, noises, prior)
+    known = _known(prior)
+    information = rows.T @ (rows / sigma[:, None] ** 2) + known.T @ known
+    return np.asarray(np.linalg.inv(information)[:4, :4])
+
+
+# The unknowns: mass and moments of the tool (4), the offset (6), and, with priors of their own, the error of the hand's
+# mass and moments (4) and the change of the offset in the first posture (6).
+_FLAT = 10
+
+
+def _equations(
+    Rs_base_flange: Sequence[Array], gravity: Array, noises: Array, prior: WeighingPrior
+) -> tuple[Array, Array]:
+    """Rows of the readings with the tool, then of that without, in the flange's axes, and their standard deviations."""
+    count = len(Rs_base_flange)
+    rows = np.zeros((6 * (count + 1), 20))
+    sigma = np.repeat(np.maximum(noises, LEAST_NOISE), 3, axis=1)
+    sigma[1:count] = np.hypot(sigma[1:count], np.repeat(prior.posture, 3))
+    sigma[count] = np.hypot(sigma[count], np.repeat(prior.time, 3))
+    for k in range(count + 1):
+        empty = k == count
+        block = rows[6 * k : 6 * k + 6]
+        weight = _weight_rows(Rs_base_flange[0 if empty else k].T @ gravity)
+        block[:, 0:4] = 0.0 if empty else weight
+        block[:, 4:10] = np.eye(6)
+        block[:, 10:14] = weight
+        if empty or k == 0:
+            block[:, 14:20] = np.eye(6)
+    return rows, sigma.ravel()
+
+
+def _weight_rows(g: Array) -> Array:
+    """Wrench of a weight by its mass and moments, (6, 4), for gravity (3,) in the flange's axes."""
+    x, y, z = g
+    rows = np.zeros((6, 4))
+    rows[:3, 0] = g
+    rows[3:, 1:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return rows
+
+
+def _known(prior: WeighingPrior) -> Array:
+    """What is known of the unknowns, as rows that are 0 with a standard deviation of 1, (23, 20)."""
+    hand = [prior.hand_mass, *prior.hand_moment]
+    rows = np.zeros((23, 20))
+    rows[:20] = np.diag(1.0 / np.concatenate([_WIDE, hand, np.repeat(prior.posture, 3)]))
+    beside = (np.eye(3) - np.outer(prior.handle, prior.handle)) / prior.handle_moment
+    rows[20:, 0], rows[20:, 1:4] = -beside @ prior.grip, beside
+    return rows
+
+
+def _in_flange(reading: RestReading) -> Array:
+    return np.asarray((reading.wrench.reshape(2, 3) @ reading.R_base_flange).ravel())
+
+
+def _pair(variances: Array) -> tuple[float, float]:
+    """Standard deviations of force and torque, from variances along the axes, (6,)."""
+    return float(np.sqrt(variances[:3].mean())), float(np.sqrt(variances[3:].mean()))

@@ -1,0 +1,194 @@
+"""Mass and centre of mass of a held tool, from what an arm of either generation feels at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from tests.errors import raises
+from toolee_robot.arm_data import ARM_DATA
+from toolee_robot.control.dynamics.tool_weight import (
+    RestReading,
+    ToolWeight,
+    WeighingPrior,
+    expected_covariance,
+    rest_reading,
+    weigh,
+)
+from toolee_robot.errors import WeighingError
+from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.profile import profile
+from toolee_robot.types import ArmModel
+
+G = np.array([0.0, 0.0, -9.81])
+GRIP, HANDLE = np.array([0.0, -0.03, 0.17]), np.array([1.0, 0.0, 0.0])
+TURNS = np.deg2rad([[0, 0, 0], [0, -40, 90], [0, -40, -90], [-60, 40, -45], [60, 0, 45], [60, -40, 45]])
+"""Turns of the wrist between the readings, as the planner chooses them for an Inspire hand."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An arm with a hand, and a tool: what is there, and how the arm feels it."""
+
+    model: ArmModel
+    seed: int
+    mass: float
+    center: Array
+
+    @property
+    def prior(self) -> WeighingPrior:
+        """What a job with a hand of 0.65 kg knows."""
+        drift = ARM_DATA[self.model].wrench_drift
+        return WeighingPrior(drift, 0.065, np.full(3, 0.01), (0.15, 0.03), GRIP, HANDLE, 0.04)
+
+    def readings(self, turns: Array = TURNS, push: float = 0.0) -> tuple[list[RestReading], RestReading]:
+        """With the tool and without it; in the last posture something pushes with so many newtons."""
+        rng = np.random.default_rng([self.seed, 1])
+        errors = profile("harsh", self.model.value == "UR10e").force
+        offset = np.concatenate([norm * _direction(rng) for norm in errors.offset])
+        waves, phase = 0.5 * rng.normal(size=(6, 3)), rng.uniform(-np.pi, np.pi, 6)
+        # The hand is heavier than the arm believes, and its centre elsewhere.
+        hand_mass, hand_moment = 0.065 * rng.normal(), 0.01 * rng.normal(size=3)
+        R_first = Rotation.random(rng=rng)
+
+        def felt(turn: Array, duration: float, tool: bool, pushed: float = 0.0) -> RestReading:
+            R = (R_first * Rotation.from_euler("XYZ", turn)).as_matrix()
+            steady = offset + np.repeat(errors.pose_drift, 3) * np.sin(waves @ turn + phase)
+            steady += _weight(R, hand_mass, hand_moment)
+            if tool:
+                steady += _weight(R, self.mass, self.mass * self.center)
+            steady[0] += pushed
+            rate = ARM_DATA[self.model].rate
+            keep = np.exp(-1.0 / (rate * errors.correlation))
+            white = rng.normal(size=(int(duration * rate), 6)) * np.sqrt(1.0 - keep**2)
+            noise = np.repeat(errors.noise, 3) * lfilter([1.0], [1.0, -keep], white, axis=0)
+            return rest_reading(R, ((steady + noise).reshape(-1, 2, 3) @ R.T).reshape(-1, 6))
+
+        empty = felt(turns[0], 4.0, tool=False)
+        held = [felt(turn, 4.0 if k == 0 else 2.0, tool=True) for k, turn in enumerate(turns[:-1])]
+        return [*held, felt(turns[-1], 2.0, tool=True, pushed=push)], empty
+
+    def weighed(self, turns: Array = TURNS, push: float = 0.0) -> ToolWeight:
+        return weigh(*self.readings(turns, push), G, self.prior)
+
+
+def _direction(rng: np.random.Generator) -> Array:
+    v = rng.normal(size=3)
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def _weight(R: Array, mass: float, moment: Array) -> Array:
+    g = R.T @ G
+    return np.concatenate([mass * g, np.cross(moment, g)])
+
+
+def _drawn(model: ArmModel, seed: int) -> Cell:
+    rng = np.random.default_rng([seed, 0])
+    mass = float(rng.uniform(0.2, 1.5))
+    beside = np.cross(HANDLE, _direction(rng)) * rng.uniform(0.0, 0.03)
+    return Cell(model, seed, mass, GRIP + rng.uniform(-0.29, 0.29) * HANDLE + beside)
+
+
+models = pytest.mark.parametrize("model", list(ArmModel))
+
+
+@models
+def test_the_error_is_within_three_of_its_own_standard_deviations(model: ArmModel) -> None:
+    cells = [_drawn(model, seed) for seed in range(400)]
+    weights = [cell.weighed() for cell in cells]
+    off = np.array(
+        [
+            [
+                (weight.mass - cell.mass) / weight.mass_sigma,
+                *((weight.center_of_mass - cell.center) / np.sqrt(np.diag(weight.center_covariance))),
+            ]
+            for cell, weight in zip(cells, weights, strict=True)
+        ]
+    )
+    assert np.all(np.mean(np.abs(off) < 3.0, axis=0) >= 0.99)
+    assert np.median([weight.mass_sigma for weight in weights]) < (0.06 if model is ArmModel.UR10 else 0.025)
+
+
+@models
+@settings(max_examples=50, deadline=None)
+@given(
+    seed=st.integers(0, 2**31 - 1),
+    mass=st.floats(0.2, 1.5),
+    along=st.floats(-0.29, 0.29),
+    beside=st.tuples(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02)),
+)
+def test_any_hammer_is_weighed(
+    model: ArmModel, seed: int, mass: float, along: float, beside: tuple[float, float]
+) -> None:
+    cell = Cell(model, seed, mass, GRIP + np.array([along, *beside]))
+    weight = cell.weighed()
+    assert abs(weight.mass - mass) < 6.0 * weight.mass_sigma
+    off = weight.center_of_mass - cell.center
+    assert off @ np.linalg.solve(weight.center_covariance, off) < 60.0
+    assert weight.mass_sigma < 0.1
+
+
+@models
+def test_orientations_that_hardly_differ_tell_nothing(model: ArmModel) -> None:
+    cell = _drawn(model, 1)
+    with raises(WeighingError, code="weighing.orientations"):
+        cell.weighed(0.15 * TURNS)
+    with raises(WeighingError, code="weighing.orientations"):
+        cell.weighed(TURNS[:2])
+    held, empty = cell.readings()
+    with raises(WeighingError, code="weighing.orientations"):
+        weigh([], empty, G, cell.prior)
+    assert len(held) == len(TURNS)
+
+
+@models
+def test_turns_about_the_vertical_alone_are_no_orientations(model: ArmModel) -> None:
+    cell = replace(_drawn(model, 2), seed=2)
+    held, empty = cell.readings()
+    turned = [
+        replace(held[0], R_base_flange=Rotation.from_euler("z", angle).as_matrix() @ held[0].R_base_flange)
+        for angle in (0.0, 1.0, 2.0)
+    ]
+    with raises(WeighingError, code="weighing.orientations"):
+        weigh(turned, empty, G, cell.prior)
+
+
+@models
+def test_an_empty_hand_is_no_tool(model: ArmModel) -> None:
+    with raises(WeighingError, code="weighing.not_held"):
+        replace(_drawn(model, 3), mass=0.0).weighed()
+
+
+@models
+def test_what_touches_the_arm_in_one_posture_makes_the_result_uncertain(model: ArmModel) -> None:
+    cell = _drawn(model, 4)
+    free, pushed = cell.weighed(), cell.weighed(push=40.0)
+    assert pushed.mass_sigma > 2.0 * free.mass_sigma
+    assert abs(pushed.mass - cell.mass) < 3.0 * pushed.mass_sigma
+
+
+def test_the_uncertainty_is_predicted_before_anything_is_felt() -> None:
+    cell = _drawn(ArmModel.UR10, 5)
+    held, empty = cell.readings()
+    predicted = expected_covariance([reading.R_base_flange for reading in held], G, empty.noise, cell.prior)
+    assert cell.weighed().mass_sigma == pytest.approx(np.sqrt(predicted[0, 0]), rel=0.4)
+
+
+def test_an_arm_without_errors_weighs_exactly() -> None:
+    cell = _drawn(ArmModel.UR10E, 6)
+    held, empty = cell.readings()
+
+    def exact(reading: RestReading, tool: bool) -> RestReading:
+        R = reading.R_base_flange
+        wrench = _weight(R, cell.mass, cell.mass * cell.center) if tool else np.zeros(6)
+        return rest_reading(R, np.tile((wrench.reshape(2, 3) @ R.T).ravel(), (10, 1)))
+
+    weight = weigh([exact(reading, tool=True) for reading in held], exact(empty, tool=False), G, cell.prior)
+    assert weight.mass == pytest.approx(cell.mass, abs=1e-3)
+    np.testing.assert_allclose(weight.center_of_mass, cell.center, atol=0.01)

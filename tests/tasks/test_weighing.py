@@ -1,0 +1,183 @@
+"""Jobs with a hammer of which nobody has measured anything: the arm weighs it, and the camera finds its face."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.errors import raises
+from toolee_robot.config import StationConfig, ToolData
+from toolee_robot.control import RobotModel
+from toolee_robot.end_effectors import Category
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array, inverse
+from toolee_robot.hal import MotionReport
+from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.devices.arm import SimArm
+from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.station import draw_hammer
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import Outcome, Stage
+from toolee_robot.tasks.hammering.grasp import UNKNOWN_FACE, UNKNOWN_FACE_OFF, measured_grasp
+from toolee_robot.tasks.hammering.task import HammeringTask
+from toolee_robot.types import ArmModel, Payload
+
+pytestmark = pytest.mark.sim(seconds=60)
+
+UNKNOWN = ToolData("old hammer", None, None, None, None, None)
+SEED = 100
+ERRORS = SimOptions(wrench_errors=1.0)
+"""Noise, offset and drift of the wrench as of the arm's generation."""
+
+
+class Enough(Exception):
+    """Ends the job."""
+
+
+class Until(TaskObserver):
+    """Ends the job as a stage begins; keeps messages and speeds of the flange; does something after a motion.
+
+    Attributes:
+        stage: The stage; None for none.
+        after: What is done after the first motion of a name.
+        messages: The messages.
+        fastest: Largest speed of the flange in the motions of a name [m/s].
+    """
+
+    def __init__(self, stage: Stage | None = None) -> None:
+        self.stage = stage
+        self.after: dict[str, Callable[[], None]] = {}
+        self.messages: list[str] = []
+        self.fastest: dict[str, float] = {}
+        self._robot = RobotModel.of_station(StationConfig())
+
+    def stage_started(self, stage: Stage) -> None:
+        if stage is self.stage:
+            raise Enough
+
+    def message(self, text: str) -> None:
+        self.messages.append(text)
+
+    def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:  # noqa: ARG002
+        flange = self._robot.arm.fk(report.q_commanded)[:, :3, 3]
+        speed = np.linalg.norm(np.diff(flange, axis=0), axis=1) / np.diff(report.stamps)
+        self.fastest[name] = max(self.fastest.get(name, 0.0), float(np.max(speed)))
+        self.after.pop(name, _nothing)()
+
+
+def _nothing() -> None: ...
+
+
+def _task(simulation: SimStation, config: StationConfig, observer: TaskObserver | None = None) -> HammeringTask:
+    perception = PerfectPerception(simulation.judge)
+    return HammeringTask(
+        simulation.station, perception, config, measured_grasp(UNKNOWN, config), observer=observer or TaskObserver()
+    )
+
+
+@pytest.mark.parametrize("model", list(ArmModel))
+def test_the_arm_weighs_the_tool_and_is_told_its_weight(model: ArmModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = replace(StationConfig(), arm=replace(StationConfig().arm, model=model))
+    observer, told = Until(Stage.VIEW), list[Payload]()
+    with SimStation.build(config, SEED, ERRORS) as simulation:
+        arm, tool, world = simulation.station.arm, simulation.tool, simulation.world
+        take = arm.set_payload
+
+        def noted(payload: Payload) -> None:
+            take(payload)
+            told.append(payload)
+
+        monkeypatch.setattr(arm, "set_payload", noted)
+        task = _task(simulation, config, observer)
+        with suppress(Enough):
+            task.run()
+        weight = task.result(Outcome.INTERRUPTED, "enough").weight
+        assert weight is not None
+        assert abs(weight.mass - tool.mass) < 3.0 * weight.mass_sigma
+        assert weight.mass_sigma < (0.08 if model is ArmModel.UR10 else 0.05)
+        robot, q_hand = RobotModel.of_station(config), world.robot.hand_state()[0]
+        X_base_flange = robot.fk(world.robot.arm_state()[0], q_hand)[0]
+        center = (inverse(X_base_flange) @ world.X_base_tool() @ np.append(tool.center_of_mass, 1.0))[:3]
+        off = weight.center_of_mass - center
+        assert off @ np.linalg.solve(weight.center_covariance, off) < 14.0, "1 in 300"
+        hand = robot.description.hand_payload(q_hand)
+        assert told[0].mass == pytest.approx(hand.mass), "while it weighs"
+        assert told[-1].mass == pytest.approx(hand.mass + weight.mass)
+    assert any("weighs the tool" in text for text in observer.messages)
+    assert observer.fastest["to weigh the tool"] <= config.supervisor.handover_speed
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [SEED, 104])
+def test_the_nail_is_driven_with_a_hammer_that_nobody_has_measured(seed: int) -> None:
+    config = StationConfig()
+    with SimStation.build(config, seed, ERRORS) as simulation:
+        result = _task(simulation, config).run()
+        assert result.outcome is Outcome.FLUSH, result.reason
+        verdict = simulation.judge.verdict(result.estimates)
+        assert verdict.worst().outcome == "flush"
+        assert Stage.WEIGH in result.stage_seconds
+        assert result.weight is not None
+        assert abs(result.weight.mass - simulation.tool.mass) < 3.0 * result.weight.mass_sigma
+
+
+def test_a_weight_that_is_too_uncertain_is_not_struck_with() -> None:
+    config = StationConfig()
+    with SimStation.build(config, SEED, replace(ERRORS, wrench_errors=6.0)) as simulation:
+        observer = Until()
+        task = _task(simulation, config, observer)
+        result = task.run()
+        assert result.outcome is Outcome.WEIGHT_UNKNOWN
+        assert result.stage is Stage.WEIGH
+        assert "on scales" in result.reason
+        assert "nothing opens it by itself" in result.reason
+        assert not result.strikes
+        assert list(observer.fastest) == ["to the handover", "to weigh the tool"], "and back"
+        assert task.holds_tool
+        assert task.give_back()
+
+
+def test_a_stop_while_the_tool_is_weighed_does_not_leave_it_unweighed() -> None:
+    config = StationConfig()
+    with SimStation.build(config, SEED, ERRORS) as simulation:
+        arm = simulation.station.arm
+        assert isinstance(arm, SimArm)
+        observer = Until()
+        observer.after["to weigh the tool"] = arm.protective_stop
+        task = _task(simulation, config, observer)
+        result = task.run()
+        assert result.outcome is Outcome.DEVICE_FAULT
+        assert result.weight is None
+        assert task.resumable
+        arm.make_ready()
+        observer.stage = Stage.VIEW
+        with suppress(Enough):
+            task.resume(confirmed=True)
+        weight = task.result(Outcome.INTERRUPTED, "enough").weight
+        assert weight is not None
+        assert abs(weight.mass - simulation.tool.mass) < 3.0 * weight.mass_sigma
+
+
+def test_without_a_look_an_unknown_face_is_not_struck_with() -> None:
+    config = StationConfig()
+    with SimStation.build(config, SEED, ERRORS) as simulation, raises(UserError, code="user.unknown_face"):
+        HammeringTask(
+            simulation.station,
+            PerfectPerception(simulation.judge),
+            config,
+            measured_grasp(UNKNOWN, config),
+            correction=False,
+        )
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_every_simulated_hammer_is_where_an_unknown_one_may_be(seed: int) -> None:
+    face = draw_hammer(np.random.default_rng([seed, 10])).ee(Category.HAMMER_HEAD).X_tool_ee
+    assert np.linalg.norm(face[:3, 3] - UNKNOWN_FACE[:3, 3]) <= UNKNOWN_FACE_OFF

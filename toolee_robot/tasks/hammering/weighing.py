@@ -1,0 +1,187 @@
+"""The arm weighs a tool of which nobody has said what it weighs: at rest, in several orientations of the flange."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from toolee_robot.arm_data import ARM_DATA
+from toolee_robot.config import StationConfig
+from toolee_robot.control.dynamics.tool_weight import RestReading, ToolWeight, WeighingPrior, rest_reading, weigh
+from toolee_robot.control.planning.transfer import plan_transfer
+from toolee_robot.control.planning.wrist_turns import plan_wrist_turns
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.errors import PlanningError, WeighingError
+from toolee_robot.frames import Array, inverse
+from toolee_robot.hal import Clock
+from toolee_robot.tasks.common.motions import Motions
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.hammering.grasp import Grasp
+from toolee_robot.types import Payload
+
+SETTLE = 0.5
+"""Time at rest before the wrench is read, so that arm, wrist and tool have stopped swinging [s]."""
+LONG, SHORT = 4.0, 2.0
+"""Time over which it is read [s]: where the tool was handed over, with the empty hand and with the tool, whose
+difference tells the mass; and in the other postures."""
+SAME_POSTURE = 0.01
+"""Difference of the joints' positions that turns no weight by anything that counts [rad]: that of a stop at rest."""
+POSTURES = 5
+"""Largest number of postures beside that of the handover."""
+HAND_SHARE, HAND_PLACE = 0.1, 0.01
+"""Standard deviations of what a lab says of its hand: of the mass, as a share of it, and of its centre [m]. Assumed."""
+WHILE_HANDED_OVER = 0.15, 0.03
+"""Change of the wrench's error in the minute of the handover [N, Nm]: that of a CB3 that warms up. Assumed."""
+BESIDE = 0.04
+"""Mass times distance of the tool's centre of mass from the handle's axis as the hand nominally holds it, standard
+deviation [kg m]: 60 mm of a hammer of 0.66 kg, which the hand may hold tilted."""
+LARGEST_SIGMA, LARGEST_SHARE = 0.15, 0.25
+"""Standard deviation of a mass with which nothing is struck: in [kg], and as a share of the mass."""
+LARGEST_MOMENT = 0.08
+"""The same of the tool's moment, mass times centre of mass [kg m]: three of them are 4 % of a wrist joint's 56 Nm."""
+HEAVIER = 2.0
+"""A weighed tool is taken for heavier by so many standard deviations where its swing is planned."""
+
+
+class Weighing:
+    """Weighs the tool of one job.
+
+    Args:
+        motions: The arm and what it carries.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        clock: The station's clock.
+        observer: Receives messages.
+
+    Attributes:
+        weight: What was weighed; None before.
+    """
+
+    def __init__(
+        self, motions: Motions, config: StationConfig, robot: RobotModel, clock: Clock, observer: TaskObserver
+    ) -> None:
+        self.weight: ToolWeight | None = None
+        self._motions, self._config, self._robot = motions, config, robot
+        self._clock, self._observer = clock, observer
+        self._empty: RestReading | None = None
+        self._q: Array | None = None
+
+    def feel_empty_hand(self) -> None:
+        """Read what the arm feels with the empty hand, where it stands: the tool is weighed against it.
+
+        Raises:
+            DeviceError: The arm does not answer, or takes no payload.
+        """
+        motions = self._motions
+        motions.set_payload(self._robot.description.hand_payload(motions.q_hand))
+        self._q, self._empty = motions.q, self._reading(LONG)
+
+    def weigh(self, grasp: Grasp) -> Grasp:
+        """Weigh the tool in the hand: the wrist turns slowly, and the arm feels the tool at rest in between.
+
+        Before, the arm compensates the hand alone; afterwards, also after too uncertain a result, the tool, too.
+        It ends where it last felt the tool; without a result where the tool was handed over.
+
+        Args:
+            grasp: Nominal grasp.
+
+        Returns:
+            The grasp with the tool's mass and centre of mass.
+
+        Raises:
+            WeighingError: The result is none, or too uncertain (`weighing.uncertain`).
+            TooleeError: A motion or a device failed.
+        """
+        assert self._empty is not None, "the empty hand is felt before the handover"
+        motions, config = self._motions, self._config
+        self._to_handover()  # a resumed job stands elsewhere
+        held, prior = [self._reading(LONG)], self._prior(grasp)
+        noise = self._empty.noise[0] * (LONG / SHORT) ** 0.5, self._empty.noise[1] * (LONG / SHORT) ** 0.5
+        turns = plan_wrist_turns(self._robot, config, motions.world(), motions.q, noise, prior, POSTURES)
+        for turn in turns:
+            motions.transfer("to weigh the tool", turn, config.supervisor.handover_speed)
+            held.append(self._reading(SHORT))
+        try:
+            weight = weigh(held, self._empty, config.arm.gravity, prior)
+            p_tool_com = self._told(weight, grasp)
+            self._check(weight)
+        except WeighingError:
+            with suppress(PlanningError):
+                self._to_handover()
+            raise
+        self._observer.message(f"the arm weighs the tool: {in_words(weight)}, in {len(held)} orientations")
+        return replace(grasp, mass=weight.mass, p_tool_com=p_tool_com, to_weigh=False)
+
+    def _told(self, weight: ToolWeight, grasp: Grasp) -> Array:
+        """Tell the arm the tool; returns its centre of mass in the nominal tool, (3,) [m]."""
+        self.weight, q_hand = weight, self._motions.q_hand
+        X_flange_tool = self._robot.X_flange_hand(q_hand) @ grasp.X_hand_tool
+        p_tool_com = (inverse(X_flange_tool) @ np.append(weight.center_of_mass, 1.0))[:3]
+        self._motions.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, weight.mass, p_tool_com))
+        return np.asarray(p_tool_com)
+
+    def _to_handover(self) -> None:
+        motions, config = self._motions, self._config
+        assert self._q is not None, "the empty hand is felt before the handover"
+        if np.max(np.abs(motions.q - self._q)) > SAME_POSTURE:
+            way = plan_transfer(self._robot, config, motions.world(), motions.q, self._q)
+            motions.transfer("to the handover", way, config.supervisor.handover_speed)
+
+    def swung(self, grasp: Grasp) -> Payload:
+        """What is swung, for the plan of a strike; a weighed tool is taken for heavier by its uncertainty.
+
+        Args:
+            grasp: The grasp.
+
+        Returns:
+            Mass of the tool [kg] and its centre of mass in the end effector's frame [m]: of a weighed one where the
+            hand holds it, by the last look.
+        """
+        if self.weight is None:
+            return grasp.swung
+        held = Payload(self.weight.mass + HEAVIER * self.weight.mass_sigma, grasp.p_tool_com)
+        return held.seen_from(inverse(self._motions.X_hand_ee) @ grasp.X_hand_tool)
+
+    def _reading(self, duration: float) -> RestReading:
+        self._clock.sleep(SETTLE)
+        R = self._robot.arm.fk(self._motions.q)[:3, :3]
+        return rest_reading(R, self._motions.wrenches(duration))
+
+    def _prior(self, grasp: Grasp) -> WeighingPrior:
+        q_hand = self._motions.q_hand
+        hand = self._robot.description.hand_payload(q_hand)
+        X_flange_tool = self._robot.X_flange_hand(q_hand) @ grasp.X_hand_tool
+        return WeighingPrior(
+            posture=ARM_DATA[self._config.arm.model].wrench_drift,
+            hand_mass=HAND_SHARE * hand.mass,
+            hand_moment=hand.mass * np.hypot(HAND_SHARE * hand.center_of_mass, HAND_PLACE),
+            time=WHILE_HANDED_OVER,
+            grip=X_flange_tool[:3, 3],
+            handle=X_flange_tool[:3, 2],
+            handle_moment=BESIDE,
+        )
+
+    def _check(self, weight: ToolWeight) -> None:
+        moment = weight.mass * weight.center_sigma
+        if weight.mass_sigma <= min(LARGEST_SIGMA, LARGEST_SHARE * weight.mass) and moment <= LARGEST_MOMENT:
+            return
+        raise WeighingError(
+            f"the arm weighs the tool too inexactly for a strike: {in_words(weight)}. See that nothing touches arm, "
+            "hand and tool, and that no cable pulls; or weigh it on scales, balance it on an edge, and write "
+            "tool.mass and tool.center_of_mass",
+            code="weighing.uncertain",
+        )
+
+
+def in_words(weight: ToolWeight) -> str:
+    """A weight with its standard deviations, for people.
+
+    Args:
+        weight: The weight.
+
+    Returns:
+        The words.
+    """
+    return f"{weight.mass:.2f} ± {weight.mass_sigma:.2f} kg, centre of mass known to {weight.center_sigma * 1e3:.0f} mm"
