@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -38,6 +38,7 @@ class SoftwareRealSense:
         color_model: Distortion of the colour lens, one of the SDK's; None for a D435's.
         color: Pinhole model of the colour camera.
         depth: That of the depth camera, which looks the same way BASELINE to the right.
+        coefficients: Distortion of the colour lens, at most five; not of `color_model` none.
         serial: Serial number.
         fps: Frames per second, on `clock`.
         clock: Clock of the host.
@@ -63,6 +64,7 @@ class SoftwareRealSense:
         color: CameraIntrinsics = COLOR,
         depth: CameraIntrinsics = DEPTH,
         *,
+        coefficients: Sequence[float] = COEFFICIENTS,
         serial: str = SERIAL,
         fps: int = FPS,
         clock: Clock | None = None,
@@ -72,6 +74,7 @@ class SoftwareRealSense:
         self._color, self._depth, self._serial, self._fps = color, depth, serial, fps
         self._clock: Clock = HostClock() if clock is None else clock
         self._see = pictures
+        self._distortion = tuple(coefficients)
         self.clock_offset, self.clock_rate, self.delay = 5000.0, 1.0 + 40e-6, 0.0
         self.frozen = self.repeats = self.silent = False
         self.plugged = True
@@ -111,7 +114,8 @@ class SoftwareRealSense:
         return device
 
     def _coefficients(self, color_model: Any) -> tuple[float, ...]:
-        return (0.0,) * 5 if color_model == self.rs.distortion.none else COEFFICIENTS
+        given = () if color_model == self.rs.distortion.none else self._distortion
+        return (*given, *(0.0,) * (5 - len(given)))
 
     def _video(
         self, kind: Any, uid: int, bpp: int, layout: Any, k: CameraIntrinsics, model: Any, c: tuple[float, ...]

@@ -13,13 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA, picture
 from tests.errors import raises
-from toolee_robot.calibration.intrinsics import (
-    DISTORTED_FLAT,
-    IntrinsicsRecord,
-    calibrate_intrinsics,
-    read_intrinsics,
-    write_intrinsics,
-)
+from toolee_robot.calibration.intrinsics import DISTORTED_FLAT, calibrate_intrinsics
+from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, read_intrinsics, write_intrinsics
 from toolee_robot.calibration.observation import BoardView, find_board
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import transform
@@ -76,6 +71,19 @@ def test_a_distorting_lens_is_noticed() -> None:
     assert record.distorts
     assert record.distortion[0] == pytest.approx(0.06, abs=max(4 * record.sigma_distortion[0], 0.01))
     assert record.intrinsics.fx == pytest.approx(K.fx, abs=max(4 * record.sigma[0], 1.0))
+
+
+def test_corners_that_do_not_fit_are_left_out(tilted: list[BoardView]) -> None:
+    """As those that the edge of the image cuts."""
+    rng, wrong, views = np.random.default_rng(0), 0, []
+    for view in tilted:
+        off = rng.random(len(view.ids)) < 0.03
+        views.append(replace(view, pixels=view.pixels + off[:, None] * rng.choice([-3.0, 3.0], view.pixels.shape)))
+        wrong += int(off.sum())
+    record, clean = _calibrate(views), _calibrate(tilted)
+    assert wrong <= record.left_out <= wrong + 8 + clean.left_out
+    assert record.held_out < 1.2 * clean.held_out
+    assert record.intrinsics.fx == pytest.approx(clean.intrinsics.fx, abs=0.3)
 
 
 def test_what_does_not_determine_them_is_refused(tilted: list[BoardView]) -> None:

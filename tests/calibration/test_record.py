@@ -129,6 +129,18 @@ def test_a_record_does_not_hold_for_other_intrinsics(calibrated: Path, tmp_path:
     assert "cx" not in str(error.value), "only what differs is named"
 
 
+def test_a_record_does_not_hold_for_another_distortion(calibrated: Path, tmp_path: Path) -> None:
+    path = _station(tmp_path, calibrated)
+    before = path.read_text()
+    path.write_text(before.replace("target:", "distortion: [0, 0, 0, 0], target:"))
+    assert load_station(path).camera.distortion == (0, 0, 0, 0), "which is as good as none"
+    path.write_text(before.replace("target:", "distortion: [0.05, 0, 0, 0], target:"))
+    with pytest.raises(ConfigError) as error:
+        load_station(path)
+    assert error.value.code == "config.calibration_intrinsics"
+    assert "camera.distortion null, the file's is [0.05, " in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("change", "code", "words"),
     [

@@ -76,6 +76,41 @@ def test_doctor_ends_by_what_it_found(folder: Path, capsys: pytest.CaptureFixtur
         assert levels["exposure"] == levels["gate"] == "ok"
 
 
+@pytest.mark.realtime(light=True)
+def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of a driver that does not tell it: a recording of another program."""
+    about = folder / "recording.json"
+    about.write_text(json.dumps({n: v for n, v in json.loads(about.read_text()).items() if n != "undistorted"}))
+    config = station(folder.parent / "lab.yaml", folder)
+    doctor = ["camera", "doctor", "--config", str(config), "--seconds", "0.6", "--no-tool", "--json"]
+    show = ["camera", "show", "--config", str(config)]
+    assert run(doctor) == 0
+    (lens,) = (f for f in json.loads(capsys.readouterr().out)["findings"] if f["name"] == "lens")
+    assert lens["level"] == "warn"
+    assert "toolee calibrate intrinsics" in lens["remedy"]
+    assert run(show) == 0
+    shown = capsys.readouterr().out
+    assert "taken for a pinhole" in shown
+    assert "  distortion:  " in shown, "to be filled in"
+    said = yaml.safe_load(config.read_text())
+    said["camera"]["distortion"] = [-0.2, 0.0, 0.0, 0.0]
+    config.write_text(yaml.safe_dump(said))
+    assert run(doctor) == 0
+    (lens,) = (f for f in json.loads(capsys.readouterr().out)["findings"] if f["name"] == "lens")
+    assert lens["level"] == "ok"
+    assert "the station file's, brown conrady: displaces pixels by up to " in lens["message"]
+    assert run([*show, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["distortion"]
+    assert told["coefficients"] == [-0.2, 0.0, 0.0, 0.0]
+    assert 4.0 < told["largest_displacement"] < 9.0
+    said["camera"]["width"] = 128
+    config.write_text(yaml.safe_dump(said))
+    assert run(show) == EXIT_FAILED
+    assert "96x72, those of the station file 128x72" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.realtime
 def test_the_stations_doctor_asks_the_camera_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = station(folder.parent / "lab.yaml", folder)

@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.errors import raises
 from toolee_robot.cli.app import run
 from toolee_robot.config import MEASURED
+from toolee_robot.errors import UserError
 from toolee_robot.stations.interview import questions
 from toolee_robot.stations.open_fields import open_fields, told
 
@@ -67,6 +69,22 @@ def test_the_command_for_the_intrinsics_names_the_mode() -> None:
     del lab["camera"]["fx"], lab["camera"]["height"]
     (entry,) = (entry for entry in open_fields(lab, FILE) if "fx" in entry.names)
     assert entry.source == "toolee camera show --driver realsense --serial 832112070123 --size 640 H"
+
+
+def test_the_lens_is_asked_of_a_driver_that_may_not_tell_it() -> None:
+    lab = yaml.safe_load(LAB.read_text())
+    assert "camera.distortion" not in {q.name for q in questions(lab)}, "a RealSense tells it"
+    lab["camera"]["device"]["driver"] = "ours"
+    (question,) = (q for q in questions(lab) if q.name == "camera.distortion")
+    assert question.offered == "none"
+    assert question.parse("none") is None
+    assert question.parse("[0.1, -0.2, 0.001, 0]") == [0.1, -0.2, 0.001, 0.0]
+    with raises(UserError, "user.answer"):
+        question.parse("0.1 barrel")
+    (entry,) = (entry for entry in open_fields(lab, FILE) if "distortion" in entry.names)
+    assert entry.note, "a job goes without it; the doctor warns"
+    lab["camera"]["intrinsics"] = "intrinsics.json"
+    assert "camera.distortion" not in {q.name for q in questions(lab)}, "the record has it"
 
 
 def test_the_commands_are_commands(capsys: pytest.CaptureFixture[str]) -> None:

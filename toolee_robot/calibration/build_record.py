@@ -22,6 +22,7 @@ def build_record(
     bars: tuple[float, float] | None,
     robot_model: str,
     kinematics: DhCalibration | None,
+    distortion: tuple[float, ...] | None,
     software: str,
     now: datetime,
 ) -> CalibrationRecord:
@@ -35,6 +36,7 @@ def build_record(
         bars: Measured lengths of its scale bars [m], if it was measured so.
         robot_model: Model of the arm.
         kinematics: The arm's factory calibration; None for nominal kinematics.
+        distortion: Distortion that the station file states; None for none.
         software: Version of this software.
         now: Date and time.
 
@@ -83,4 +85,5 @@ def build_record(
         rotations=(calibration.spread.first, calibration.spread.second),
         board_scale=calibration.scale,
         poses=poses,
+        distortion=distortion,
     )

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from itertools import compress
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.observation import BoardView, find_board
-from toolee_robot.calibration.signed import read_signed, write_signed
+from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord
+from toolee_robot.calibration.observation import MIN_CORNERS, BoardView, find_board
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.types import CameraIntrinsics
 
-FORMAT = "toolee camera intrinsics 1"
-"""Name and version of the format."""
 MIN_VIEWS = 10
 """Fewest views of the board."""
 FOCAL_ERROR = 0.003
@@ -26,8 +24,10 @@ CELLS = 4
 """Parts of the image along each edge in which corners are counted."""
 COVERED = 0.6
 """Least share of the parts that have corners: the distortion is extrapolated elsewhere."""
-DISTORTED = 0.3
-"""Displacement of a pixel by the lens from which on images must be undistorted [px]."""
+OUTLIER = 3.4
+"""Multiple of the median error above which a corner does not fit the others: four standard deviations."""
+FITTING = 0.3
+"""Error of a corner that always fits [px]."""
 LARGEST_HELD_OUT = 1.0
 """Reprojection error on held-out views above which the model does not fit [px]."""
 DISTORTED_FLAT = 4.0
@@ -35,53 +35,7 @@ DISTORTED_FLAT = 4.0
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 """Endings of files that are images."""
 _FOLDS = 5
-
-
-@dataclass(frozen=True)
-class IntrinsicsRecord:
-    """Intrinsics, and how far they can be relied on.
-
-    Attributes:
-        format: `FORMAT`.
-        measured_at: Date and time, ISO 8601.
-        software: Version of this software.
-        camera_serial: Serial number of the camera.
-        board: The board, its square as measured.
-        intrinsics: The pinhole model.
-        distortion: k1, k2, p1, p2 of OpenCV's model; they hold for images as the camera gives them.
-        sigma: Standard deviations of fx, fy, cx, cy [px].
-        sigma_distortion: Standard deviations of the distortion.
-        reprojection: Root mean square reprojection error of all views [px].
-        held_out: The same of views that took no part, each by the others of its fifth left out [px].
-        largest_distortion: Largest displacement of a pixel by the lens, in the part of the image that has corners [px].
-        covered: Share of the image's parts that have corners.
-        views: Number of views.
-    """
-
-    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
-    format: str
-    measured_at: str
-    software: str
-    camera_serial: str
-    board: Board
-    intrinsics: CameraIntrinsics
-    distortion: tuple[float, ...]
-    sigma: tuple[float, ...]
-    sigma_distortion: tuple[float, ...]
-    reprojection: float
-    held_out: float
-    largest_distortion: float
-    covered: float
-    views: int
-
-    def __post_init__(self) -> None:
-        if self.format != FORMAT:
-            raise ValueError(f"format {self.format!r}: this software reads {FORMAT!r}")
-
-    @property
-    def distorts(self) -> bool:
-        """Whether images must be undistorted before anything is measured in them."""
-        return self.largest_distortion > DISTORTED
+_ROUNDS = 3
 
 
 def read_views(folder: Path, board: Board) -> tuple[list[BoardView], list[str], tuple[int, int]]:
@@ -133,6 +87,8 @@ def calibrate_intrinsics(
 ) -> IntrinsicsRecord:
     """Calibrate a camera's intrinsics (Zhang, 2000, by OpenCV).
 
+    Corners that do not fit the others, such as those that the image's edge cuts, are left out.
+
     Args:
         views: Views of the board, tilted in different ways, all over the image.
         board: The board with its measured square.
@@ -153,13 +109,15 @@ def calibrate_intrinsics(
         raise UserError(
             f"{len(views)} images show the board: give {MIN_VIEWS} or more, better 30", code="user.intrinsics_few_views"
         )
-    covered = _covered(views, size)
+    covered = len(covered_parts(views, size)) / CELLS**2
     if covered < COVERED:
         raise UserError(
             f"the board was seen in {100 * covered:.0f} % of the image, {100 * COVERED:.0f} % are needed: hold it into "
             "the corners, too",
             code="user.intrinsics_coverage",
         )
+    corners = sum(len(view.ids) for view in views)
+    views = _fitting(views, board, size)
     error, K, distortion, sigma = _fit(views, board, size)
     held_out = _held_out(views, board, size)
     if held_out > LARGEST_HELD_OUT:
@@ -191,38 +149,21 @@ def calibrate_intrinsics(
         largest_distortion=_largest_distortion(views, K, distortion),
         covered=covered,
         views=len(views),
+        left_out=corners - sum(len(view.ids) for view in views),
     )
 
 
-def write_intrinsics(path: Path, record: IntrinsicsRecord) -> str:
-    """Sign and write a record.
+def covered_parts(views: Sequence[BoardView], size: tuple[int, int]) -> set[tuple[int, int]]:
+    """Tell in which parts of the image corners were seen.
 
     Args:
-        path: The file; its folder exists.
-        record: The record.
+        views: Views of the board.
+        size: Width and height of the images [px].
 
     Returns:
-        The signature, hexadecimal.
-
-    Raises:
-        UserError: The file cannot be written.
+        Column and row of each part that has corners, of CELLS x CELLS.
     """
-    return write_signed(path, asdict(record))
-
-
-def read_intrinsics(path: Path) -> IntrinsicsRecord:
-    """Read a record and check its signature.
-
-    Args:
-        path: The file.
-
-    Returns:
-        The record.
-
-    Raises:
-        ConfigError: As `read_signed`.
-    """
-    return read_signed(path, IntrinsicsRecord, "record of intrinsics")
+    return {(int(u * CELLS / size[0]), int(v * CELLS / size[1])) for view in views for u, v in view.pixels}
 
 
 def _fit(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> tuple[float, Array, Array, Array]:
@@ -238,22 +179,38 @@ def _fit(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> tup
     return float(error), np.asarray(K), np.asarray(distortion).ravel()[:4], np.asarray(sigma).ravel()
 
 
+def _fitting(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> list[BoardView]:
+    """The views without corners that do not fit the others; what they pulled aside comes back."""
+    whole, kept = list(views), list(views)
+    for _ in range(_ROUNDS):
+        _, K, distortion, _ = _fit(kept, board, size)
+        errors = [
+            np.linalg.norm(_residuals(view, board, K, distortion, by), axis=1)
+            for view, by in zip(whole, kept, strict=True)
+        ]
+        most = max(FITTING, OUTLIER * float(np.median(np.concatenate(errors))))
+        fits = [BoardView(v.ids[e <= most], v.pixels[e <= most]) for v, e in zip(whole, errors, strict=True)]
+        enough = [len(view.ids) >= MIN_CORNERS for view in fits]
+        whole, kept = (list(compress(some, enough)) for some in (whole, fits))
+    return kept
+
+
+def _residuals(view: BoardView, board: Board, K: Array, distortion: Array, by: BoardView | None = None) -> Array:
+    """Errors of a view's corners with the board where `by`, a part of the view, has it, (N, 2) [px]."""
+    part = view if by is None else by
+    _, rotation, translation = cv2.solvePnP(board.corners[part.ids], part.pixels, K, distortion)
+    pixels, _ = cv2.projectPoints(board.corners[view.ids], rotation, translation, K, distortion)
+    return np.asarray(pixels.reshape(-1, 2) - view.pixels)
+
+
 def _held_out(views: Sequence[BoardView], board: Board, size: tuple[int, int]) -> float:
     squares, count = 0.0, 0
     for fold in range(_FOLDS):
         _, K, distortion, _ = _fit([v for i, v in enumerate(views) if i % _FOLDS != fold], board, size)
         for view in views[fold::_FOLDS]:
-            points = board.corners[view.ids]
-            _, rotation, translation = cv2.solvePnP(points, view.pixels, K, distortion)
-            pixels, _ = cv2.projectPoints(points, rotation, translation, K, distortion)
-            squares += float(np.sum((pixels.reshape(-1, 2) - view.pixels) ** 2))
-            count += len(points)
+            squares += float(np.sum(_residuals(view, board, K, distortion) ** 2))
+            count += len(view.ids)
     return float(np.sqrt(squares / count))
-
-
-def _covered(views: Sequence[BoardView], size: tuple[int, int]) -> float:
-    seen = {(int(u * CELLS / size[0]), int(v * CELLS / size[1])) for view in views for u, v in view.pixels}
-    return len(seen) / CELLS**2
 
 
 def _largest_distortion(views: Sequence[BoardView], K: Array, distortion: Array) -> float:

@@ -105,6 +105,8 @@ class CalibrationRecord:
         board_scale: Factor on the square that the poses themselves tell, and its standard deviation.
         poses: The poses.
         checks: Touch tests.
+        distortion: Distortion by which the images were undistorted, k1, k2, p1, p2 and possibly k3, as the station file
+            stated it; None where it stated none.
     """
 
     __pydantic_config__ = _STRICT
@@ -133,6 +135,7 @@ class CalibrationRecord:
     board_scale: tuple[float, float]
     poses: tuple[RecordedPose, ...]
     checks: tuple[TouchCheck, ...] = ()
+    distortion: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.format != FORMAT:

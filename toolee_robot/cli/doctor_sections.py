@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.config import UPRIGHT_WITHIN, StationConfig
-from toolee_robot.doctor.camera import check_range
+from toolee_robot.doctor.camera import check_lens, check_range
 from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_measured
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time
@@ -179,5 +179,6 @@ class DoctorReport:
             with self.doing("asking the camera"), open_camera(self.config.camera, clock) as camera:
                 self._camera_serial = camera.profile.serial
                 yield from check_camera(camera, clock, self.config)
+                yield check_lens(camera)
         except (UserError, DeviceError) as error:
             yield Finding.of_error("camera", error, "mend it, then look again")

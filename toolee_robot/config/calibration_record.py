@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot.calibration.intrinsics_record import same_distortion
 from toolee_robot.calibration.record import CalibrationRecord, camera_is_elsewhere, half_a_turn_apart, read_record
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import HALF_TURN, BaseFrame
@@ -59,25 +60,37 @@ def take_record(data: dict[str, Any], path: Path) -> tuple[dict[str, Any], Calib
 
 
 def check_record(
-    record: CalibrationRecord, intrinsics: CameraIntrinsics, kinematics: DhCalibration | None, path: Path
+    record: CalibrationRecord,
+    intrinsics: CameraIntrinsics,
+    distortion: tuple[float, ...] | None,
+    kinematics: DhCalibration | None,
+    path: Path,
 ) -> None:
     """Refuse a record that is of another camera model or other kinematics than the station file's.
 
     Args:
         record: The record.
         intrinsics: Pinhole model of the station file's camera.
+        distortion: Distortion that the file states; None for none.
         kinematics: The arm's factory calibration in the station file; None for nominal kinematics.
         path: The station file, for the errors.
 
     Raises:
         ConfigError: They differ: the pose of the camera does not hold with other intrinsics
-            (`config.calibration_intrinsics`) or kinematics (`config.calibration_kinematics`).
+            or another distortion (`config.calibration_intrinsics`) or kinematics (`config.calibration_kinematics`).
     """
     if not record.intrinsics.agrees(intrinsics):
         raise ConfigError(
             f"{path}: the calibration is of a camera with {_differing(record.intrinsics, intrinsics)}: the camera's "
             "pose holds with its own intrinsics only; enter those, or take `calibration` out of the file and calibrate "
             "again",
+            code="config.calibration_intrinsics",
+        )
+    if not same_distortion(record.distortion, distortion):
+        raise ConfigError(
+            f"{path}: the calibration was made with camera.distortion {_of(record.distortion)}, the file's is "
+            f"{_of(distortion)}: the camera's pose holds with images that are undistorted as then only; restore it, or "
+            "take `calibration` out of the file and calibrate again",
             code="config.calibration_intrinsics",
         )
     computed = any(pose.q is not None for pose in record.poses)
@@ -127,6 +140,10 @@ def _told(place: Any, frame: BaseFrame) -> list[float]:
     """A point of `base` in a frame, rounded for people."""
     turned = HALF_TURN[:3, :3] @ place if frame is BaseFrame.PENDANT_BASE else place
     return [0.0 + round(float(x), 2) for x in turned]
+
+
+def _of(distortion: tuple[float, ...] | None) -> str:
+    return "null" if distortion is None else f"{[round(v, 5) for v in distortion]}"
 
 
 def _differing(record: CameraIntrinsics, file: CameraIntrinsics) -> str:

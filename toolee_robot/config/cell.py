@@ -16,6 +16,10 @@ from toolee_robot.types import CameraIntrinsics
 
 BODY_NAMES = ("table", "stand", "block", "camera", "person")
 """Names of the bodies that every station has."""
+COEFFICIENTS = (4, 5)
+"""How many numbers a lens's distortion has: k1, k2, p1, p2 and, where it has one, k3."""
+LARGEST_TANGENTIAL = 0.05
+"""Largest tangential coefficient of a lens: those of real ones are under 0.01."""
 VERTICAL = 1e-6
 """Sine of the angle from the vertical up to which position and target tell no level rows of the image."""
 
@@ -49,6 +53,14 @@ class CameraConfig:
     """Width of the image [px]."""
     height: Count = 424
     """Height of the image [px]."""
+    distortion: tuple[float, ...] | None = None
+    """Distortion of the lens by OpenCV's model: k1, k2, p1, p2 and, where it has one, k3 [1]; all 0 where the driver's
+    images are undistorted, null where the camera tells its own, or nobody knows it."""
+    intrinsics_record: str | None = field(default=None, metadata={IN_FILE: "intrinsics"})
+    """Record of `toolee calibrate intrinsics`, which gives the seven fields above and holds instead of what the camera
+    tells of itself; its place is relative to the station file's."""
+    lens_serial: str | None = field(default=None, metadata={IN_FILE: ""})
+    """Serial number of the camera in that record; null without one."""
     device: CameraDevice | None = None
     """The camera itself, for its driver; null for the simulated one."""
     pose: Rows | None = field(default=None, metadata={IN_FILE: ""})
@@ -62,10 +74,12 @@ class CameraConfig:
                 "target lies on the vertical through position, which leaves open how the image is turned about the "
                 "optical axis: give X_base_camera instead of both"
             )
+        if self.distortion is not None:
+            _check_distortion(self.distortion)
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
-        """The pinhole model of the camera."""
+        """The pinhole model of the undistorted image."""
         return CameraIntrinsics(self.fx, self.fy, self.cx, self.cy, self.width, self.height)
 
     @property
@@ -88,6 +102,16 @@ class CameraConfig:
     def uncalibrated(self) -> CameraConfig:
         """The camera without its calibration: where a person has measured it, and where a simulated one stands."""
         return replace(self, pose=None)
+
+
+def _check_distortion(distortion: tuple[float, ...]) -> None:
+    if len(distortion) not in COEFFICIENTS:
+        raise ValueError(f"distortion has {len(distortion)} numbers: give k1, k2, p1, p2, and k3 where there is one")
+    if max(map(abs, distortion[2:4])) > LARGEST_TANGENTIAL:
+        raise ValueError(
+            f"distortion has p1 {distortion[2]:g} and p2 {distortion[3]:g}, which are under {LARGEST_TANGENTIAL:g} in "
+            "every lens: give the numbers in the order k1, k2, p1, p2, k3"
+        )
 
 
 @dataclass(frozen=True)

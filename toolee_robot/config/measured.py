@@ -7,7 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from toolee_robot.config import intrinsics_record
 from toolee_robot.config.camera_pose import FIELD, LOOK_AT, SECTION
+from toolee_robot.config.intrinsics_record import given_by_intrinsics
 from toolee_robot.config.station import StationConfig, read_station, to_station
 from toolee_robot.config.version import check_current
 from toolee_robot.config.work import SIZES
@@ -95,6 +97,7 @@ def _missing(data: Any) -> list[str]:
     if _field(data, "hand", "model") == MOUNT and "hand.weighed" in missing:
         missing.remove("hand.weighed")  # a mount's data say what it weighs
     unneeded = given_by_nails(_field(data, "work", "nails")) | given_by_pose(_field(data, SECTION, FIELD))
+    unneeded |= given_by_intrinsics(_field(data, SECTION, intrinsics_record.FIELD))
     return [name for name in missing if name not in unneeded]
 
 

@@ -1,4 +1,4 @@
-"""Checks of a camera alone: its stream, its exposure, holes on the tool, its least range against the views."""
+"""Checks of a camera alone: stream, exposure, lens, holes on the tool, least range against the views."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hal import Clock
 from toolee_robot.hardware.cameras import StreamedCamera
+from toolee_robot.hardware.cameras.lens_choice import LensSource
 from toolee_robot.types import RgbdFrame
 
 BRIGHT, DARK = 250, 5
@@ -123,6 +124,29 @@ def check_exposure(frames: Sequence[RgbdFrame], automatic: bool | None) -> Itera
         yield ok("exposure", message)
     if automatic:
         yield warn("auto-exposure", "the camera chooses the exposure of each view", "give camera.device.exposure")
+
+
+def check_lens(camera: StreamedCamera) -> Finding:
+    """Check whether the lens is known, and tell which one holds.
+
+    Args:
+        camera: The camera, open.
+
+    Returns:
+        OK with the lens and how far it displaces pixels; WARN where nobody knows it.
+    """
+    chosen = camera.lens
+    if not chosen.lens.known:
+        return warn(
+            "lens",
+            chosen.words,
+            "measure it by `toolee calibrate intrinsics --station FILE --write`; or, if the driver's images are "
+            "undistorted, give camera.distortion: [0, 0, 0, 0]",
+        )
+    if chosen.source is LensSource.RECORD and chosen.told.known:
+        off = chosen.told.largest_difference(chosen.lens)
+        return ok("lens", f"{chosen.words}; the camera's own is up to {off:.1f} px off")
+    return ok("lens", chosen.words)
 
 
 def check_holes(frame: RgbdFrame, tool: NDArray[np.bool_] | None) -> Finding:

@@ -14,7 +14,7 @@ class RgbdCamera(Device, Protocol):
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
-        """Pinhole model of the colour image, to which the depth is registered."""
+        """Pinhole model of the undistorted colour image, to which the depth is registered."""
 
     def read(self, max_age: float = 0.5) -> RgbdFrame:
         """Return a frame that was exposed after the call began; repeated stamps never count as new frames.

@@ -113,9 +113,10 @@ def _result(record: CalibrationRecord) -> dict[str, str]:
 def _origin(record: CalibrationRecord, signature: str) -> dict[str, str]:
     K, board = record.intrinsics, record.board
     bars = "" if record.bars is None else f", bars {record.bars[0] * 1e3:.2f} and {record.bars[1] * 1e3:.2f} mm"
+    lens = "" if record.distortion is None else f", distortion {[round(v, 5) for v in record.distortion]}"
     kinematics = "factory calibration of the station file" if record.kinematics else "nominal, or poses as given"
     return {
-        "intrinsics": f"{K.width} × {K.height} px, fx {K.fx:.2f}, fy {K.fy:.2f}, cx {K.cx:.2f}, cy {K.cy:.2f}",
+        "intrinsics": f"{K.width} × {K.height} px, fx {K.fx:.2f}, fy {K.fy:.2f}, cx {K.cx:.2f}, cy {K.cy:.2f}{lens}",
         "board": f"{board.columns} × {board.rows} squares of {board.square * 1e3:.3f} mm, {board.dictionary}{bars}",
         "board's fingerprint": board.fingerprint,
         "kinematics": kinematics,

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from toolee_robot.config import CameraConfig, CameraDevice
+from toolee_robot.config import SIMULATED, CameraConfig, CameraDevice
 from toolee_robot.errors import ConfigError, NotReadyError
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras import CameraProfile, CameraStream, RawImages, StreamedCamera
+from toolee_robot.hardware.cameras import CameraProfile, CameraStream, RawImages, StatedLens, StreamedCamera
 from toolee_robot.hardware.cameras.orbbec import OrbbecMode, OrbbecStream
 from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.hardware.cameras.recorded import RecordedStream
@@ -35,8 +35,8 @@ def open_camera(
     Args:
         config: What the station file says of the camera.
         clock: The station's clock, the host's.
-        check_intrinsics: Whether a camera is refused whose intrinsics are not the station file's; not so where they are
-            only now asked for.
+        check_intrinsics: Whether the lens is chosen and checked by what the station file states (`choose_lens`); not so
+            where the camera itself is asked for its intrinsics.
         stream: The camera's stream instead of its driver's, for an emulated camera.
 
     Returns:
@@ -44,7 +44,8 @@ def open_camera(
         camera reports another serial number.
 
     Raises:
-        ConfigError: The station file names no camera, or a driver that is not there, or lacks what the driver needs.
+        ConfigError: The station file names no camera, or a driver that is not there, or lacks what the driver needs, or
+            names a rehearsed record of intrinsics.
     """
     device = config.device
     if device is None:
@@ -54,9 +55,16 @@ def open_camera(
             code="config.camera_device",
         )
     if stream is None:
+        if check_intrinsics and config.lens_serial == SIMULATED:
+            raise ConfigError(
+                f"camera.intrinsics: {config.intrinsics_record} was rehearsed: measure this camera by `toolee "
+                "calibrate intrinsics --station`",
+                code="config.intrinsics_rehearsed",
+            )
         stream = _driver(device.driver)(config, device, clock)
-    expected = config.intrinsics if check_intrinsics else None
-    return StreamedCamera(_OfSerial(stream, device.serial), clock, expected)
+    measured = config.lens_serial is not None
+    stated = StatedLens(config.intrinsics, config.distortion, measured) if check_intrinsics else None
+    return StreamedCamera(_OfSerial(stream, device.serial), clock, stated)
 
 
 def camera_drivers() -> dict[str, str]:

@@ -18,6 +18,7 @@ _SOURCES = {
     "hand": "its name plate, scales, spring balance",
     "camera.device": "its label and data sheet",
     "camera": "tape measure",
+    "camera.distortion": "`toolee calibrate intrinsics --station`, or the driver's documents",
     "scene": "teach pendant, tape measure",
     "work": "ruler, calliper; the wood's kind",
     "person": "how door and switch are wired",

@@ -15,7 +15,9 @@ from toolee_robot.frames import Array, skew
 
 @dataclass(frozen=True)
 class CameraIntrinsics:
-    """Pinhole camera without distortion; pixel centres are at integer coordinates (OpenCV).
+    """Pinhole camera; pixel centres are at integer coordinates (OpenCV).
+
+    It has no distortion: a driver's images are undistorted before they are a frame (`hardware.cameras.StreamedCamera`).
 
     Attributes:
         fx: Focal length along x [px].

@@ -258,6 +258,7 @@ class CameraJob:
             bars=bars,
             robot_model=str(arm.model),
             kinematics=arm.calibration,
+            distortion=self.config.camera.distortion,
             software=toolee_robot.__version__,
             now=datetime.now(UTC),
         )

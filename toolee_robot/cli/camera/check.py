@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CheckCamera(CameraOptions):
-    """Check a camera: rate and clock, exposure, holes on a tool that is held before it, least range for the views.
+    """Check a camera: rate and clock, exposure, lens, holes on a tool that is held before it, least range for views.
 
     Example: toolee camera doctor --config lab.yaml
 
@@ -37,19 +37,26 @@ class CheckCamera(CameraOptions):
     """Do not look for a tool, which takes the networks."""
 
     def run(self) -> int:
-        from toolee_robot.doctor.camera import check_exposure, check_holes, check_range, check_stream, sample_stream
+        from toolee_robot.doctor.camera import (
+            check_exposure,
+            check_holes,
+            check_lens,
+            check_range,
+            check_stream,
+            sample_stream,
+        )
         from toolee_robot.runtime.clock import HostClock
-        from toolee_robot.stations.camera import open_camera
 
         if self.seconds <= 0:
             raise UserError(f"--seconds {self.seconds:g}: give a time above 0", code="user.option")
         console = Console(stderr=self.json, highlight=False)
         config, clock = self.camera(), HostClock()
-        with console.status("listening to the camera"), open_camera(config, clock, check_intrinsics=False) as camera:
+        with console.status("listening to the camera"), self.open(clock) as camera:
             sample = sample_stream(camera, clock, self.seconds)
             findings = [
                 *check_stream(sample, camera),
                 *check_exposure(sample.frames[-5:], camera.profile.auto_exposure),
+                check_lens(camera),
             ]
             if self.config is not None and not camera.intrinsics.agrees(config.intrinsics):
                 findings.append(

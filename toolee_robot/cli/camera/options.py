@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.config import CameraConfig, CameraDevice, load_station
 from toolee_robot.errors import UserError
+
+if TYPE_CHECKING:
+    from toolee_robot.hal import Clock
+    from toolee_robot.hardware.cameras import StreamedCamera
 
 UNKNOWN_RANGE = 1e-3
 """Stands in for the least range of a camera that no station file describes, where nothing asks for it [m]."""
@@ -60,3 +64,18 @@ class CameraOptions:
             raise UserError("--driver without --serial: `toolee camera list` shows them", code="user.option")
         device = CameraDevice(self.driver, self.serial, UNKNOWN_RANGE, self.fps, self.exposure)
         return replace(CameraConfig(device=device), width=self.size[0], height=self.size[1])
+
+    def open(self, clock: Clock) -> StreamedCamera:
+        """The camera, not yet entered: by the station file's lens where it states a distortion, else by its own.
+
+        Args:
+            clock: The station's clock.
+
+        Raises:
+            UserError: As `camera`.
+            ConfigError: As `camera`, and as `stations.camera.open_camera`.
+        """
+        from toolee_robot.stations.camera import open_camera
+
+        config = self.camera()
+        return open_camera(config, clock, check_intrinsics=config.distortion is not None)

@@ -34,7 +34,6 @@ class Record(CameraOptions):
     def run(self) -> int:
         from toolee_robot.hardware.cameras.recording import RecordingWriter
         from toolee_robot.runtime.clock import HostClock
-        from toolee_robot.stations.camera import open_camera
 
         if self.seconds <= 0:
             raise UserError(f"--seconds {self.seconds:g}: give a time above 0", code="user.option")
@@ -42,9 +41,11 @@ class Record(CameraOptions):
             raise UserError(f"--every {self.every:g}: give a time above 0, or leave it out", code="user.option")
         console = Console(stderr=self.json, highlight=False)
         clock, count, stamp, due = HostClock(), 0, 0.0, 0.0
-        with open_camera(self.camera(), clock, check_intrinsics=False) as camera:
-            profile = camera.profile
-            writer = RecordingWriter(self.out, profile.model, profile.serial, profile.fps, camera.intrinsics)
+        with self.open(clock) as camera:
+            profile, known = camera.profile, camera.lens.lens.known
+            writer = RecordingWriter(
+                self.out, profile.model, profile.serial, profile.fps, camera.intrinsics, undistorted=known
+            )
             end = clock.now() + self.seconds
             with writer, console.status("recording"):
                 while clock.now() < end:

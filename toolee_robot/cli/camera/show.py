@@ -16,6 +16,7 @@ from toolee_robot.config import CameraConfig
 
 if TYPE_CHECKING:
     from toolee_robot.hardware.cameras import CameraProfile
+    from toolee_robot.hardware.cameras.lens_choice import ChosenLens
 
 
 @dataclass(frozen=True)
@@ -33,14 +34,13 @@ class Show(CameraOptions):
     def run(self) -> int:
         from toolee_robot.hardware.cameras.picture import write_picture
         from toolee_robot.runtime.clock import HostClock
-        from toolee_robot.stations.camera import open_camera
 
         console = Console(stderr=self.json, highlight=False)
         config, clock = self.camera(), HostClock()
-        with console.status("opening the camera"), open_camera(config, clock, check_intrinsics=False) as camera:
+        with console.status("opening the camera"), self.open(clock) as camera:
             frame = camera.newer(0.0)
             age = clock.now() - frame.stamp
-            profile = camera.profile
+            profile, chosen = camera.profile, camera.lens
         k = frame.intrinsics
         known = float((frame.depth > 0).mean())
         table = Table.grid(padding=(0, 2, 0, 0))
@@ -49,10 +49,8 @@ class Show(CameraOptions):
             "serial": profile.serial,
             "firmware": profile.firmware or "not told",
             "image": f"{k.width}x{k.height} at {profile.fps:g} Hz",
-            "lens": f"{profile.color.model.replace('_', ' ')}, undistorted here"
-            if profile.color.distorts
-            else "pinhole",
-            "depth": "registered by the device" if profile.depth is None else _registered(profile),
+            "lens": chosen.words,
+            "depth": _registered(profile, chosen),
             "exposure": {True: "automatic", False: "fixed", None: "not told"}[profile.auto_exposure],
             "newest frame": f"{age * 1e3:.0f} ms old, depth known for {known:.0%} of it",
         }
@@ -60,33 +58,33 @@ class Show(CameraOptions):
             table.add_row(name, value)
         console.print(table)
         console.print("\nFor the station file:\n")
-        console.print(_station_lines(config, profile), soft_wrap=True, markup=False)
+        console.print(_station_lines(config, profile, chosen), soft_wrap=True, markup=False)
         if self.picture is not None:
             write_picture(self.picture, frame)
             console.print(f"\nWritten: {self.picture}", soft_wrap=True)
         if self.json:
             intrinsics = {"fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height}
-            print(json_line({**facts, "intrinsics": intrinsics, "known_depth": known}), flush=True)
+            lens = chosen.lens
+            told = {
+                "model": lens.model, "coefficients": lens.coefficients, "from": chosen.source,
+                "largest_displacement": lens.largest_displacement() if lens.known else None,
+            }  # fmt: skip
+            print(json_line({**facts, "intrinsics": intrinsics, "distortion": told, "known_depth": known}), flush=True)
         return 0
 
 
-def _registered(profile: CameraProfile) -> str:
-    assert profile.depth is not None
+def _registered(profile: CameraProfile, chosen: ChosenLens) -> str:
+    if profile.depth is None:
+        return "registered by the device" + (", undistorted with the colour" if chosen.lens.distorts else "")
     k = profile.depth.intrinsics
     return f"{k.width}x{k.height}, registered to the colour here"
 
 
-def _station_lines(config: CameraConfig, profile: CameraProfile) -> str:
-    k, device = profile.color.intrinsics, config.device
+def _station_lines(config: CameraConfig, profile: CameraProfile, chosen: ChosenLens) -> str:
+    device = config.device
     assert device is not None
-    lines = [
-        "camera:",
-        f"  fx: {k.fx:.3f}",
-        f"  fy: {k.fy:.3f}",
-        f"  cx: {k.cx:.3f}",
-        f"  cy: {k.cy:.3f}",
-        f"  width: {k.width}",
-        f"  height: {k.height}",
+    lines = ["camera:", *_lens_lines(config, chosen)]
+    lines += [
         "  device:",
         f"    driver: {device.driver}",
         f'    serial: "{profile.serial}"',
@@ -98,3 +96,24 @@ def _station_lines(config: CameraConfig, profile: CameraProfile) -> str:
     if device.folder is not None:
         lines.append(f"    folder: {device.folder}")
     return "\n".join(lines)
+
+
+def _lens_lines(config: CameraConfig, chosen: ChosenLens) -> list[str]:
+    from toolee_robot.hardware.cameras.lens_choice import LensSource
+
+    if chosen.source is LensSource.RECORD:
+        return [f"  intrinsics: {config.intrinsics_record}"]
+    k, distortion = chosen.lens.intrinsics, config.distortion
+    lines = [
+        f"  fx: {k.fx:.3f}",
+        f"  fy: {k.fy:.3f}",
+        f"  cx: {k.cx:.3f}",
+        f"  cy: {k.cy:.3f}",
+        f"  width: {k.width}",
+        f"  height: {k.height}",
+    ]
+    if distortion is not None:
+        lines.append(f"  distortion: {list(distortion)}")
+    elif not chosen.lens.known:
+        lines.append("  distortion:          # by `toolee calibrate intrinsics`; [0, 0, 0, 0] of undistorted images")
+    return lines

@@ -178,7 +178,7 @@ def _told_by_the_camera(file: Path, data: dict[str, Any], console: Console) -> b
     try:
         config = CameraConfig(device=opened, **size)
         with open_camera(config, HostClock(), check_intrinsics=False) as connected:
-            k = connected.intrinsics
+            k, lens = connected.intrinsics, connected.lens
     except TooleeError as error:
         console.print(f"  [dim]the camera does not tell its intrinsics: {escape(str(error))}[/dim]", soft_wrap=True)
         return False
@@ -187,6 +187,7 @@ def _told_by_the_camera(file: Path, data: dict[str, Any], console: Console) -> b
         put(data, ("camera", name), value)
     set_fields(file, ("camera",), told)
     console.print(
-        f"  the camera tells {k.width}x{k.height}, fx {k.fx:.2f}, fy {k.fy:.2f}, cx {k.cx:.2f}, cy {k.cy:.2f}"
+        f"  the camera tells {k.width}x{k.height}, fx {k.fx:.2f}, fy {k.fy:.2f}, cx {k.cx:.2f}, cy {k.cy:.2f}; "
+        f"{lens.words}"
     )
     return True

@@ -5,12 +5,14 @@
 
 A driver is a `CameraStream` (`stream`): it connects, and fetches pairs of raw images with the device's stamps. What
 must hold for every camera is done once, by `StreamedCamera` (`camera`): the frame gate (`frame_gate`), the device's
-clock on the station's (`device_clock`), undistortion (`lens`) and the registration of depth to colour (`registration`).
+clock on the station's (`device_clock`), which lens holds (`lens_choice`), undistortion (`lens`) and the registration of
+depth to colour (`registration`).
 `recorded` plays what `recording` wrote; `realsense`, `orbbec` and `airo` are the drivers.
 """
 
 from toolee_robot.hardware.cameras.camera import StreamedCamera
 from toolee_robot.hardware.cameras.lens import Lens, LensModel
+from toolee_robot.hardware.cameras.lens_choice import StatedLens
 from toolee_robot.hardware.cameras.stream import CameraProfile, CameraStream, RawImages
 
-__all__ = ["CameraProfile", "CameraStream", "Lens", "LensModel", "RawImages", "StreamedCamera"]
+__all__ = ["CameraProfile", "CameraStream", "Lens", "LensModel", "RawImages", "StatedLens", "StreamedCamera"]

@@ -5,7 +5,8 @@
         return AiroStream(lambda: Zed(serial_number=device.serial), device.serial)
 
 The toolkit's images carry no stamps and its interface no serial number: a frame's time is that of its fetching, and the
-serial number is taken on trust. A picture that is frozen is still noticed; one that is late is not. Prefer a driver of
+serial number is taken on trust, and it tells no distortion: the station file states that (`camera.distortion`, or a
+record in `camera.intrinsics`). A picture that is frozen is still noticed; one that is late is not. Prefer a driver of
 this project where there is one. Written for the toolkit's release 2026.10.
 """
 
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.errors import NoAnswerError, words_of
-from toolee_robot.hardware.cameras.lens import Lens
+from toolee_robot.hardware.cameras.lens import Lens, LensModel
 from toolee_robot.hardware.cameras.stream import CameraProfile, RawImages
 from toolee_robot.types import CameraIntrinsics
 
@@ -51,7 +52,7 @@ class AiroStream:
             message = f"{what} ({words_of(error)}): check cable and settings"
             raise NoAnswerError(message, code="no_answer.camera_refuses") from error
         self._camera = camera
-        lens = Lens(CameraIntrinsics(fx, fy, cx, cy, int(width), int(height)))
+        lens = Lens(CameraIntrinsics(fx, fy, cx, cy, int(width), int(height)), LensModel.UNKNOWN)
         return CameraProfile(type(camera).__name__, self._serial, lens, fps)
 
     def fetch(self, timeout: float) -> RawImages | None:  # noqa: ARG002  # the toolkit waits as long as it wants

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from toolee_robot.errors import DeviceError, NoAnswerError, NotReadyError, TooleeError, words_of
+from toolee_robot.errors import DeviceError, NoAnswerError, TooleeError, words_of
 from toolee_robot.hal import Clock
 from toolee_robot.hardware.cameras.frame_gate import FrameGate, Refusal, stale
+from toolee_robot.hardware.cameras.lens_choice import ChosenLens, StatedLens, choose_lens
 from toolee_robot.hardware.cameras.registration import DepthRegistration
 from toolee_robot.hardware.cameras.stream import CameraProfile, CameraStream, RawImages
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
@@ -37,17 +39,18 @@ class StreamedCamera:
     """A camera on its stream; use it in its `with` block.
 
     A thread fetches every pair of images and passes it through the frame gate, so that nothing queues, the clocks are
-    followed and a camera that is gone is noticed; `read` waits for a new one, undistorts its colour and registers its
-    depth. An error of the stream is kept: every `read` raises it until the camera is opened again.
+    followed and a camera that is gone is noticed; `read` waits for a new one, undistorts its colour, and registers its
+    depth, or undistorts it by the same map. An error of the stream is kept: every `read` raises it until the camera is
+    opened again.
 
     Args:
         stream: The camera's driver.
         clock: The station's clock, the host's.
-        expected: Intrinsics that the station file states; None to take what the camera says.
+        stated: What the station file states of the lens; None to take what the camera says.
     """
 
-    def __init__(self, stream: CameraStream, clock: Clock, expected: CameraIntrinsics | None = None) -> None:
-        self._stream, self._clock, self._expected = stream, clock, expected
+    def __init__(self, stream: CameraStream, clock: Clock, stated: StatedLens | None = None) -> None:
+        self._stream, self._clock, self._stated = stream, clock, stated
         self._profile: CameraProfile | None = None
         self._news = threading.Condition()
         self._newest: _Arrived | None = None
@@ -61,7 +64,7 @@ class StreamedCamera:
 
         Raises:
             NoAnswerError: It is not there.
-            NotReadyError: It cannot give what is asked, or its intrinsics are not the station file's.
+            NotReadyError: It cannot give what is asked, or its lens is not the station file's (`choose_lens`).
             StaleDataError: No new frame came.
             DeviceError: What it gives cannot be used.
         """
@@ -69,12 +72,11 @@ class StreamedCamera:
         self._closing.clear()
         profile = self._profile = self._stream.open()
         try:
-            if self._expected is not None:
-                self._check_intrinsics(profile.color.intrinsics, self._expected)
-            self._undistort = profile.color.undistortion() if profile.color.distorts else None
+            chosen = self._lens = choose_lens(profile.color, self._stated)
+            self._undistort = chosen.lens.undistortion() if chosen.lens.distorts else None
             self._register = None
             if profile.depth is not None and profile.X_color_depth is not None:
-                self._register = DepthRegistration(profile.depth, profile.color.intrinsics, profile.X_color_depth)
+                self._register = DepthRegistration(profile.depth, chosen.lens.intrinsics, profile.X_color_depth)
             gate = self._gate = FrameGate(profile)
             name = f"camera {profile.serial}"
             self._thread = threading.Thread(target=self._run, args=(gate,), name=name, daemon=True)
@@ -107,7 +109,17 @@ class StreamedCamera:
         Raises:
             DeviceError: The camera is closed.
         """
-        return self.profile.color.intrinsics
+        return self.lens.lens.intrinsics
+
+    @property
+    def lens(self) -> ChosenLens:
+        """The lens by which the images are undistorted, and where it is from.
+
+        Raises:
+            DeviceError: The camera is closed.
+        """
+        _ = self.profile  # open
+        return self._lens
 
     @property
     def refused(self) -> Counter[Refusal]:
@@ -148,14 +160,34 @@ class StreamedCamera:
         """
         return self._frame(self._wait(np.nextafter(stamp, np.inf), max_age))
 
+    def distorted(self, stamp: float, max_age: float = 0.5) -> tuple[NDArray[np.uint8], float]:
+        """Wait for a colour image after another one, as the lens gives it: for the calibration of the lens.
+
+        Args:
+            stamp: Stamp of the other image, station's clock [s].
+            max_age: Longest wait, and the image's largest age [s].
+
+        Returns:
+            The newest image, (H, W, 3), and its stamp [s].
+
+        Raises:
+            StaleDataError: As `read`.
+            NoAnswerError: As `read`.
+            DeviceError: As `read`.
+        """
+        arrived = self._wait(np.nextafter(stamp, np.inf), max_age)
+        return arrived.images.rgb, arrived.stamp
+
     def _frame(self, arrived: _Arrived) -> RgbdFrame:
         profile, images = self.profile, arrived.images
-        rgb = images.rgb if self._undistort is None else self._undistort(images.rgb)
+        rgb = images.rgb if self._undistort is None else self._undistort.color(images.rgb)
         depth = images.depth.astype(np.float32) * np.float32(profile.depth_scale)
         depth[~np.isfinite(depth)] = 0.0
         if self._register is not None:
             depth = self._register(depth)
-        return RgbdFrame(np.ascontiguousarray(rgb), depth, profile.color.intrinsics, arrived.stamp)
+        elif self._undistort is not None:
+            depth = self._undistort.depth(depth)
+        return RgbdFrame(np.ascontiguousarray(rgb), depth, self._lens.lens.intrinsics, arrived.stamp)
 
     def _wait(self, after: float, max_age: float) -> _Arrived:
         """Wait for a frame whose stamp is not before `after`."""
@@ -198,22 +230,9 @@ class StreamedCamera:
             self._error = error
             self._news.notify_all()
 
-    @staticmethod
-    def _check_intrinsics(found: CameraIntrinsics, expected: CameraIntrinsics) -> None:
-        if not found.agrees(expected):
-            raise NotReadyError(
-                f"the camera's intrinsics are {_text(found)}, the station file's {_text(expected)}: `toolee camera "
-                "show` prints what to enter under camera",
-                code="not_ready.camera_intrinsics",
-            )
-
     def _close(self) -> None:
         self._closing.set()
         if self._thread is not None:
             self._thread.join()
         self._thread, self._profile = None, None
         self._stream.close()
-
-
-def _text(k: CameraIntrinsics) -> str:
-    return f"{k.width}x{k.height}, {k.fx:.2f} {k.fy:.2f} {k.cx:.2f} {k.cy:.2f}"

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from toolee_robot.errors import NotReadyError
 from toolee_robot.frames import Array
@@ -18,17 +19,23 @@ ITERATIONS = 100
 """Most steps to find the direction of a pixel."""
 PRECISION = 1e-3
 """Error of a pixel's direction [px]."""
+COARSE = 24
+"""Steps along each edge of the image in which a lens is looked at as a whole."""
+_PROFILE = 1000
+_OUTSIDE = -16.0
 
 
 class LensModel(StrEnum):
     """What the coefficients of a lens mean.
 
-    NONE: there is no distortion. BROWN_CONRADY: OpenCV's model, k1 k2 p1 p2 k3 (k4 k5 k6), from the true direction to
-    the one in the image. MODIFIED_BROWN_CONRADY: librealsense's, k1 k2 p1 p2 k3, with the tangential terms of the
-    radially distorted direction.
+    NONE: there is no distortion. UNKNOWN: the driver does not tell, and pixels are taken for a pinhole camera's.
+    BROWN_CONRADY: OpenCV's model, k1 k2 p1 p2 k3 (k4 k5 k6), from the true direction to the one in the image.
+    MODIFIED_BROWN_CONRADY: librealsense's, k1 k2 p1 p2 k3, with the tangential terms of the radially distorted
+    direction.
     """
 
     NONE = "none"
+    UNKNOWN = "unknown"
     BROWN_CONRADY = "brown_conrady"
     MODIFIED_BROWN_CONRADY = "modified_brown_conrady"
 
@@ -50,7 +57,44 @@ class Lens:
     @property
     def distorts(self) -> bool:
         """Whether a pixel is elsewhere than a pinhole camera would have it."""
-        return self.model is not LensModel.NONE and any(self.coefficients)
+        return self.known and self.model is not LensModel.NONE and any(self.coefficients)
+
+    @property
+    def known(self) -> bool:
+        """Whether its distortion is known, or that it has none."""
+        return self.model is not LensModel.UNKNOWN
+
+    def largest_displacement(self) -> float:
+        """How far a pixel is from where a pinhole camera with the same intrinsics would have it, at most [px].
+
+        Raises:
+            NotReadyError: The coefficients are no lens's.
+        """
+        return self.largest_difference(Lens(self.intrinsics))
+
+    def largest_difference(self, other: Lens, *, but_for_a_turn: bool = False) -> float:
+        """How far two lenses differ.
+
+        Args:
+            other: Another lens, of images of the same size.
+            but_for_a_turn: Whether the other camera may be turned so that it fits best, as a calibration of its place
+                does.
+
+        Returns:
+            Largest distance of the places of one pixel's two directions in a pinhole image [px].
+
+        Raises:
+            NotReadyError: The coefficients are no lens's.
+        """
+        k = self.intrinsics
+        u, v = np.meshgrid(np.linspace(0, k.width - 1, COARSE + 1), np.linspace(0, k.height - 1, COARSE + 1))
+        mine, theirs = self._directions(u, v), other._directions(u, v)
+        if but_for_a_turn:
+            a, b = (np.stack([*x.reshape(2, -1), np.ones(x[0].size)], axis=1) for x in (mine, theirs))
+            turned = Rotation.align_vectors(a, b)[0].apply(b)
+            theirs = (turned[:, :2] / turned[:, 2:]).T.reshape(mine.shape)
+        off = mine - theirs
+        return float(np.hypot(k.fx * off[0], k.fy * off[1]).max())
 
     def rays(self) -> NDArray[np.float32]:
         """Directions of the pixels.
@@ -61,28 +105,73 @@ class Lens:
         Raises:
             NotReadyError: The coefficients are no lens's.
         """
+        return self._directions(*self._pixels()).astype(np.float32)
+
+    def distort(self, rays: Array) -> Array:
+        """Project directions, the other way round than `rays`.
+
+        Args:
+            rays: x and y of true directions at z = 1, (2, ...), in the camera's frame.
+
+        Returns:
+            Their pixels u and v in the image, (2, ...).
+        """
         k = self.intrinsics
-        u, v = np.meshgrid(np.arange(k.width, dtype=np.float64), np.arange(k.height, dtype=np.float64))
-        image = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy])
-        return (self._solved(image) if self.distorts else image).astype(np.float32)
+        x, y = self._distorted(rays) if self.distorts else rays
+        return np.stack([x * k.fx + k.cx, y * k.fy + k.cy])
 
     def undistortion(self) -> Undistortion:
-        """The map from this lens's image to that of a pinhole camera with the same intrinsics."""
+        """The map from this lens's image to that of a pinhole camera with the same intrinsics.
+
+        Raises:
+            NotReadyError: The coefficients are no lens's.
+        """
+        self.largest_displacement()
+        u, v = self._pixels()
+        k = self.intrinsics
+        true = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy])
+        x, y = self.distort(true).astype(np.float32)
+        # Where the polynomial turns back, far outside of the image that determined it, it tells nothing.
+        unknown = np.hypot(*true) >= self._reach(float(np.hypot(*true).max()))
+        x[unknown] = y[unknown] = _OUTSIDE
+        coarse, fine = cv2.convertMaps(x, y, cv2.CV_16SC2)
+        nearest, _ = cv2.convertMaps(x, y, cv2.CV_16SC2, nninterpolation=True)
+        return Undistortion(coarse, fine, nearest)
+
+    def _pixels(self) -> tuple[Array, Array]:
         k = self.intrinsics
         u, v = np.meshgrid(np.arange(k.width, dtype=np.float64), np.arange(k.height, dtype=np.float64))
-        true = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy])
-        if self.distorts:
-            true = self._distorted(true)
-        x = (true[0] * k.fx + k.cx).astype(np.float32)
-        y = (true[1] * k.fy + k.cy).astype(np.float32)
-        return Undistortion(*cv2.convertMaps(x, y, cv2.CV_16SC2))
+        return u, v
+
+    def _directions(self, u: Array, v: Array) -> Array:
+        k = self.intrinsics
+        image = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy])
+        return self._solved(image) if self.distorts else image
+
+    def _reach(self, farthest: float) -> float:
+        """Distance from the axis at z = 1 up to which the distorted distance grows with the true one."""
+        r = np.linspace(0.0, farthest, _PROFILE)
+        if not self.distorts:
+            return np.inf
+        falls = np.flatnonzero(np.diff(r * self._radial(r * r)) <= 0)
+        return float(r[falls[0]]) if falls.size else np.inf
+
+    def _radial(self, r2: Array) -> Array:
+        """Factor on the distance from the axis, of its square at z = 1."""
+        k1, k2, _, _, k3, k4, k5, k6 = self._eight
+        radial: Array = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        return radial
+
+    @property
+    def _eight(self) -> tuple[float, ...]:
+        return (*self.coefficients, *(0.0,) * (8 - len(self.coefficients)))
 
     def _distorted(self, x: Array) -> Array:
-        """Directions in the image of true directions, (2, H, W) at z = 1."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.coefficients, *(0.0,) * (8 - len(self.coefficients)))
+        """Directions in the image of true directions, (2, ...) at z = 1."""
+        p1, p2 = self._eight[2:4]
         a, b = x
         r2 = a * a + b * b
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        radial = self._radial(r2)
         c, d = (a * radial, b * radial) if self.model is LensModel.MODIFIED_BROWN_CONRADY else (a, b)
         return np.stack(
             [
@@ -92,27 +181,30 @@ class Lens:
         )
 
     def _solved(self, image: Array) -> Array:
-        """True directions of directions in the image, (2, H, W) at z = 1, by fixed-point iteration."""
+        """True directions of directions in the image, (2, ...) at z = 1, by fixed-point iteration."""
         true = image.copy()
-        for _ in range(ITERATIONS):
-            off = image - self._distorted(true)
-            true += off
-            if np.abs(off).max() < PRECISION / self.intrinsics.fx:
-                return true
+        with np.errstate(over="ignore", invalid="ignore"):  # where it does not converge
+            for _ in range(ITERATIONS):
+                off = image - self._distorted(true)
+                true += off
+                if np.abs(off).max() < PRECISION / self.intrinsics.fx:
+                    return true
         message = "the lens distorts so much that its pixels have no direction: its coefficients are wrong"
         raise NotReadyError(message, code="not_ready.camera_lens")
 
 
 @dataclass(frozen=True)
 class Undistortion:
-    """A map that undistorts colour images; see `Lens.undistortion`."""
+    """Maps that undistort images of one lens; see `Lens.undistortion`."""
 
     coarse: NDArray[Any]
     """OpenCV's fixed-point map, whole pixels, (H, W, 2)."""
     fine: NDArray[Any]
     """OpenCV's fixed-point map, fractions, (H, W)."""
+    nearest: NDArray[Any]
+    """OpenCV's fixed-point map to the nearest pixel, (H, W, 2)."""
 
-    def __call__(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def color(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Undistort a colour image.
 
         Args:
@@ -122,3 +214,16 @@ class Undistortion:
             The image of the pinhole camera, (H, W, 3), interpolated linearly; black outside.
         """
         return np.asarray(cv2.remap(rgb, self.coarse, self.fine, cv2.INTER_LINEAR), np.uint8)
+
+    def depth(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Undistort a depth image that was taken through the same lens.
+
+        Args:
+            depth: The image, (H, W) [m]; 0 where unknown.
+
+        Returns:
+            The image of the pinhole camera, (H, W) [m]: the nearest pixel's depth, so that none arises between two
+            surfaces; 0 where it is unknown, and outside.
+        """
+        nearest = cv2.remap(depth, self.nearest, None, cv2.INTER_NEAREST)  # type: ignore[call-overload]
+        return np.asarray(nearest, np.float32)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from toolee_robot.errors import NoAnswerError
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras.lens import Lens
+from toolee_robot.hardware.cameras.lens import Lens, LensModel
 from toolee_robot.hardware.cameras.recording import Recording, open_recording
 from toolee_robot.hardware.cameras.stream import CameraProfile, RawImages
 
@@ -37,7 +37,7 @@ class RecordedStream:
         return CameraProfile(
             f"recording of {recording.model}",
             recording.serial,
-            Lens(recording.intrinsics),
+            Lens(recording.intrinsics, LensModel.NONE if recording.undistorted else LensModel.UNKNOWN),
             recording.fps,
             depth_scale=recording.depth_scale,
             warm_up=0,

@@ -2,7 +2,7 @@
 
 `rgb/000000.png` and `depth/000000.png` are the images of frame 0, undistorted and registered; `scene_camera.json` has
 for each frame `cam_K` [px], `depth_scale` [mm per unit of the depth image] and `stamp` [s]; `recording.json` says which
-camera it was.
+camera it was, and whether its lens was known, without which the images are not undistorted.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
+RECORDING = "recording.json"
+"""The file that says which camera it was."""
 DEPTH_UNIT = 1e-4
 """Unit of recorded depths [m]; 16 bits then reach to 6.55 m, and what is farther is unknown."""
 
@@ -40,6 +42,8 @@ class Recording:
     """Pinhole model of all images."""
     depth_scale: float
     """Metres per unit of the depth images."""
+    undistorted: bool
+    """Whether the images are known to be free of distortion."""
     stamps: tuple[float, ...]
     """Time of each frame on the clock of the recording [s], ascending."""
 
@@ -75,12 +79,22 @@ class RecordingWriter:
         serial: Its serial number.
         fps: Its frames per second.
         intrinsics: Pinhole model of all frames.
+        undistorted: Whether the frames are known to be free of distortion.
     """
 
-    def __init__(self, folder: Path, model: str, serial: str, fps: float, intrinsics: CameraIntrinsics) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        model: str,
+        serial: str,
+        fps: float,
+        intrinsics: CameraIntrinsics,
+        *,
+        undistorted: bool = True,
+    ) -> None:
         self._folder, self._intrinsics = folder, intrinsics
         size = {"width": intrinsics.width, "height": intrinsics.height}
-        self._camera = {"model": model, "serial": serial, "fps": fps, **size}
+        self._camera = {"model": model, "serial": serial, "fps": fps, **size, "undistorted": undistorted}
         self._frames: dict[str, dict[str, Any]] = {}
 
     def __enter__(self) -> Self:
@@ -99,7 +113,7 @@ class RecordingWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        write_atomic(self._folder / "recording.json", json.dumps(self._camera, indent=1).encode())
+        write_atomic(self._folder / RECORDING, json.dumps(self._camera, indent=1).encode())
         write_atomic(self._folder / "scene_camera.json", json.dumps(self._frames, indent=1).encode())
 
     def add(self, frame: RgbdFrame) -> None:
@@ -136,7 +150,7 @@ def open_recording(folder: Path) -> Recording:
     Raises:
         UserError: The folder is no recording; the message names the file.
     """
-    camera, frames = _read(folder / "recording.json"), _read(folder / "scene_camera.json")
+    camera, frames = _read(folder / RECORDING), _read(folder / "scene_camera.json")
     try:
         entries = [frames[str(number)] for number in range(len(frames))]
         if not entries:
@@ -149,6 +163,7 @@ def open_recording(folder: Path) -> Recording:
             float(camera["fps"]),
             CameraIntrinsics(fx, fy, cx, cy, int(camera["width"]), int(camera["height"])),
             float(entries[0]["depth_scale"]) / 1e3,
+            bool(camera.get("undistorted", False)),
             tuple(float(entry["stamp"]) for entry in entries),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -1,4 +1,4 @@
-"""Benchmark of the registration: its time, and its error on synthetic scenes whose true depth is known."""
+"""Benchmark of registration and undistortion: times, and errors on synthetic scenes whose true depth is known."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ COLORS = {
     "640x480": CameraIntrinsics(460.0, 460.0, 320.0, 240.0, 640, 480),
 }
 """Colour cameras, by size."""
+UNDISTORTED = Lens(CameraIntrinsics(910.0, 910.0, 640.0, 360.0, 1280, 720), LensModel.BROWN_CONRADY, (0.1, -0.2, 0, 0))
+"""A colour camera whose images, with a depth of the same lens, are undistorted."""
 OBLIQUE = 0.1
 """Slope of a surface above which its depth tells the error of a pixel's place; its depth changes by this share per unit
 of direction."""
@@ -47,6 +49,28 @@ class RegistrationFigures:
     """Mean of these errors, positive outwards [px]."""
     holes: float
     """Share of the pixels that both cameras see and that got no depth."""
+
+
+def undistortion_time(seed: int = 0, repeats: int = 30) -> float:
+    """Measure the undistortion of a colour image and its depth.
+
+    Args:
+        seed: Seed of the images.
+        repeats: Number of timed pairs.
+
+    Returns:
+        Median time of a pair of UNDISTORTED's size in one thread [ms].
+    """
+    rng, k = np.random.default_rng(seed), UNDISTORTED.intrinsics
+    rgb = rng.integers(0, 255, (k.height, k.width, 3)).astype(np.uint8)
+    depth = rng.random((k.height, k.width), np.float32)
+    undistort, times = UNDISTORTED.undistortion(), []
+    for _ in range(repeats + 1):
+        begin = time.perf_counter()
+        undistort.color(rgb)
+        undistort.depth(depth)
+        times.append(time.perf_counter() - begin)
+    return 1e3 * float(np.median(times[1:]))
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ class CameraProfile:
     Attributes:
         model: Name of the model.
         serial: Serial number, as the device reports it.
-        color: Lens of the colour images.
+        color: Lens of the colour images; its model is `LensModel.UNKNOWN` where the driver cannot tell.
         fps: Frames per second.
-        depth: Lens of the depth images; None where the device registers them to the undistorted colour image itself.
+        depth: Lens of the depth images; None where they are registered to the colour images, whose lens they share.
         X_color_depth: Pose of the depth camera in the colour camera, (4, 4) [m]; None with `depth`.
         depth_scale: Metres per unit of the depth images.
         auto_exposure: Whether the device sets the exposure by itself; None where it cannot say.

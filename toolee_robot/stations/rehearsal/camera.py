@@ -17,7 +17,7 @@ from toolee_robot.config import CameraConfig, CameraDevice, StationConfig
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras import CameraProfile, CameraStream, Lens, RawImages
+from toolee_robot.hardware.cameras import CameraProfile, CameraStream, Lens, LensModel, RawImages
 from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream, sdk
 from toolee_robot.render.scene import Rendering
 from toolee_robot.render.sensors.color_camera import Photo, photograph
@@ -27,6 +27,7 @@ from toolee_robot.sim_backend.devices.software_realsense import BASELINE, Pictur
 from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
 from toolee_robot.stations.camera import REALSENSE
+from toolee_robot.stations.rehearsal.lens import EmulatedLens, lens_of
 from toolee_robot.tools import Tool
 
 STANDS = 3e-4
@@ -37,7 +38,8 @@ MILLIMETRE = 1e-3
 class SeenScene:
     """What the emulated camera sees; frames come while the scene stands still, which is when a job looks.
 
-    Nothing has a depth that is nearer than the station file's `camera.device.least_range`.
+    Nothing has a depth that is nearer than the station file's `camera.device.least_range`. Colour is seen through the
+    lens that the file states; so is depth where it is from the same place. A stereo module's depth has no distortion.
 
     Args:
         config: The cell as it is.
@@ -63,8 +65,11 @@ class SeenScene:
         self._state, self._intrinsics = state, config.camera.intrinsics
         self._least_range = config.camera.device.least_range
         visuals = SceneVisuals(config, tool, seed, lambda: self._seen, boards)
+        distorts = lens_of(config.camera).distorts
+        self._lens = EmulatedLens(config.camera) if distorts else None
+        color = config.camera if self._lens is None else self._lens.rendered
         aside = replace(config.camera, pose=rows(config.camera.X_base_camera @ X_color_depth))
-        views = [config.camera] if np.array_equal(X_color_depth, np.eye(4)) else [config.camera, aside]
+        views = [color] if np.array_equal(X_color_depth, np.eye(4)) else [color, aside]
         self._cameras = [SimCamera(visuals, clock, view, seed) for view in views]
         self._rng = np.random.default_rng([seed, 2])
         self._renderings: list[Rendering] = []
@@ -78,7 +83,8 @@ class SeenScene:
             return None
         if not self._renderings or _way(self._seen, now) > STANDS:
             self._seen = now
-            self._renderings = [camera.render() for camera in self._cameras]
+            rendered, *others = (camera.render() for camera in self._cameras)
+            self._renderings = [rendered if self._lens is None else self._lens(rendered), *others]
         color, depth = self._renderings[0], self._renderings[-1]
         metres = measure_depth(
             depth.depth, depth.cos_incidence, depth.shininess, self._intrinsics, DepthNoise(), self._rng
@@ -103,13 +109,13 @@ class SceneStream:
     """A `CameraStream` on a scene, for cameras whose SDK has no software device.
 
     Attributes:
-        scene: What is seen; depth and colour from one place.
+        pictures: What is seen, depth and colour from one place; None while nothing comes.
         config: The camera in the station file.
         device: Its `camera.device`.
         clock: The station's clock.
     """
 
-    scene: SeenScene
+    pictures: Callable[[], Pictures | None]
     config: CameraConfig
     device: CameraDevice
     clock: Clock
@@ -118,7 +124,8 @@ class SceneStream:
         """Begin."""
         self._due = self.clock.now()
         model = f"emulated {self.device.driver}"
-        lens = Lens(self.config.intrinsics)
+        # A driver that does not tell its lens: the station file has to.
+        lens = Lens(self.config.intrinsics, LensModel.UNKNOWN if lens_of(self.config).distorts else LensModel.NONE)
         return CameraProfile(model, self.device.serial, lens, float(self.device.fps), depth_scale=MILLIMETRE)
 
     def fetch(self, timeout: float) -> RawImages | None:
@@ -135,7 +142,7 @@ class SceneStream:
             self._due = max(self._due + 1.0 / self.device.fps, self.clock.now())
             self.clock.sleep(self._due - self.clock.now())
             exposed = self.clock.now()
-            if (seen := self.scene.pictures()) is not None:
+            if (seen := self.pictures()) is not None:
                 return RawImages(*seen, exposed, exposed)
         return None
 
@@ -145,24 +152,14 @@ class SceneStream:
 
 @contextmanager
 def emulated_stream(
-    measured: StationConfig,
-    true: StationConfig,
-    tool: Tool,
-    seed: int,
-    state: Callable[[], SceneState],
-    clock: Clock,
-    boards: Sequence[PlacedBoard] = (),
+    camera: CameraConfig, clock: Clock, see: Callable[[Array], Callable[[], Pictures | None]]
 ) -> Iterator[CameraStream]:
     """Emulate the camera that a station file names.
 
     Args:
-        measured: What the station file says; it names a camera.
-        true: The cell as it is.
-        tool: The tool.
-        seed: Seed of room and noise.
-        state: Returns the poses of everything visible now.
+        camera: What the station file says; it names a device. The emulated device tells the same intrinsics.
         clock: The station's clock.
-        boards: Calibration boards in the cell.
+        see: Returns what the camera sees, given the pose of the depth camera in the colour camera, (4, 4) [m].
 
     Yields:
         The stream for the station's camera: the RealSense driver's own, or one on the scene.
@@ -170,15 +167,23 @@ def emulated_stream(
     Raises:
         UserError: The RealSense SDK is not installed.
     """
-    device, k = measured.camera.device, measured.camera.intrinsics
+    device, k = camera.device, camera.intrinsics
     assert device is not None, "a job needs one"
     if device.driver != REALSENSE:
-        yield SceneStream(SeenScene(true, tool, seed, state, clock, np.eye(4), boards), measured.camera, device, clock)
+        yield SceneStream(see(np.eye(4)), camera, device, clock)
         return
     rs = sdk()
-    scene = SeenScene(true, tool, seed, state, clock, transform(p=[BASELINE, 0.0, 0.0]), boards)
+    coefficients = lens_of(camera).coefficients
     with SoftwareRealSense(
-        rs, rs.distortion.none, k, k, serial=device.serial, fps=device.fps, clock=clock, pictures=scene.pictures
+        rs,
+        rs.distortion.brown_conrady if coefficients else rs.distortion.none,
+        k,
+        k,
+        coefficients=coefficients,
+        serial=device.serial,
+        fps=device.fps,
+        clock=clock,
+        pictures=see(transform(p=[BASELINE, 0.0, 0.0])),
     ) as emulated:
         mode = RealSenseMode(k.width, k.height, device.fps, device.exposure)
         yield RealSenseStream(device.serial, mode, emulated.devices)

@@ -20,11 +20,13 @@ from toolee_robot.errors import (
     StaleDataError,
     UserError,
 )
+from toolee_robot.frames import Array
 from toolee_robot.hal import Station
 from toolee_robot.robots import MOUNT
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.runtime.cpu_load import CpuLoad
+from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge
 from toolee_robot.sim_backend.remote.world import RemoteWorld
@@ -32,7 +34,7 @@ from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.stations.driven_hand import SWITCH_INTERVAL
 from toolee_robot.stations.hand import WIRED_HANDS, emulated_hand
 from toolee_robot.stations.lab import LabStation, Purpose
-from toolee_robot.stations.rehearsal.camera import emulated_stream
+from toolee_robot.stations.rehearsal.camera import SeenScene, emulated_stream
 from toolee_robot.stations.rehearsal.hand import FingerCoupling
 from toolee_robot.stations.rehearsal.person import RehearsedPerson
 from toolee_robot.tools import Tool
@@ -128,17 +130,12 @@ class EmulatedLab:
             stack.enter_context(world)
             self._set_up_robot(world)
             hand = self._emulated_hand(world, stack)
-            stream = stack.enter_context(
-                emulated_stream(
-                    config,
-                    cell.true,
-                    cell.tool,
-                    cell.seed,
-                    lambda: world.call("scene"),
-                    clock,
-                    cell.options.boards,
-                )
-            )
+
+            def see(X_color_depth: Array) -> Callable[[], Pictures | None]:
+                state, boards = (lambda: world.call("scene")), cell.options.boards
+                return SeenScene(cell.true, cell.tool, cell.seed, state, clock, X_color_depth, boards).pictures
+
+            stream = stack.enter_context(emulated_stream(config.camera, clock, see))
             lab = stack.enter_context(
                 LabStation(
                     replace(config, arm=replace(config.arm, host=host), hand=hand),

@@ -1,0 +1,148 @@
+"""A camera with a distorting lens, from end to end: a rendered board is distorted, and undistorted by the driver."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.calibration.board import SHEETS
+from toolee_robot.calibration.observation import find_board
+from toolee_robot.calibration.record import rows
+from toolee_robot.cli.app import run
+from toolee_robot.config import CameraConfig, CameraDevice, load_lab_station
+from toolee_robot.frames import Array, transform
+from toolee_robot.hardware.cameras.lens_choice import LensSource
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.devices.software_realsense import Pictures
+from toolee_robot.sim_backend.options import PlacedBoard
+from toolee_robot.sim_backend.visuals.board import BoardVisuals
+from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+from toolee_robot.stations.camera import REALSENSE, open_camera
+from toolee_robot.stations.rehearsal.camera import emulated_stream
+from toolee_robot.stations.rehearsal.lens import EmulatedLens, lens_of
+
+BOARD = SHEETS["a3"].board
+WEAK = (-0.0125, 1e-3, 3e-4, -2e-4)
+STRONG = (0.1, -0.02, -4e-4, 3e-4, 0.002)
+"""Displace the pixels of the corners by 5 and by 29 px."""
+EXACT = 0.2
+"""Largest distance of a corner from where a pinhole camera has it, after undistortion [px]."""
+
+
+def camera(distortion: tuple[float, ...] | None, driver: str) -> CameraConfig:
+    device = CameraDevice(driver, "832112070123", 0.2)
+    return CameraConfig(
+        fx=383.2, fy=383.2, cx=319.1, cy=241.6, width=640, height=480, distortion=distortion, device=device
+    )
+
+
+class Scene:
+    """A board that fills the image, seen through a lens, with a little noise."""
+
+    def __init__(self, config: CameraConfig) -> None:
+        R = Rotation.from_rotvec([0.15, -0.1, 0.02])
+        self.X_camera_board = transform(R, [0.003, 0.002, 0.262] - R.as_matrix() @ BOARD.center)
+        placed = PlacedBoard(BOARD, config.X_base_camera @ self.X_camera_board, on_flange=False)
+        self._visuals, self._config = BoardVisuals(placed), config
+        self._rng = np.random.default_rng(0)
+
+    def visual_bodies(self) -> list[VisualBody]:
+        return list(self._visuals.bodies(np.eye(4)))
+
+    def seen(self, X_color_depth: Array) -> Scene:
+        lens = EmulatedLens(self._config) if lens_of(self._config).distorts else None
+        rendering = SimCamera(self, HostClock(), self._config if lens is None else lens.rendered).render()
+        color = rendering if lens is None else lens(rendering)
+        self.rgb, self.depth = color.rgb, color.depth
+        if not np.array_equal(X_color_depth, np.eye(4)):  # a stereo module, whose depth has no distortion
+            aside = replace(self._config, pose=rows(self._config.X_base_camera @ X_color_depth))
+            self.depth = SimCamera(self, HostClock(), aside).render().depth
+        return self
+
+    def __call__(self) -> Pictures:
+        rgb = np.clip(self.rgb + self._rng.integers(-2, 3, self.rgb.shape), 0, 255).astype(np.uint8)
+        depth = np.rint(self.depth * 1e3 + self._rng.integers(-1, 2, self.depth.shape))
+        return rgb, np.where(self.depth > 0, depth, 0).clip(0, 65535).astype(np.uint16)
+
+
+def corners(rgb: NDArray[np.uint8]) -> dict[int, Array]:
+    """Places of the board's corners in an image, by number [px]."""
+    view = find_board(rgb, BOARD, 8.0)
+    assert view is not None
+    return dict(zip(view.ids.tolist(), view.pixels, strict=True))
+
+
+def apart(some: dict[int, Array], others: dict[int, Array]) -> Array:
+    """Distances of the corners that are in both images [px]."""
+    both = sorted(some.keys() & others.keys())
+    assert len(both) >= 0.9 * len(BOARD.corners)
+    return np.array([np.linalg.norm(some[name] - others[name]) for name in both])
+
+
+@pytest.mark.realtime(light=True)
+@pytest.mark.parametrize("driver", [REALSENSE, "recorded"])
+@pytest.mark.parametrize(
+    ("distortion", "most", "least"), [(WEAK, 5.0, 1.0), (STRONG, 29.0, 8.0)], ids=["weak", "strong"]
+)
+def test_corners_are_where_a_pinhole_camera_has_them(
+    driver: str, distortion: tuple[float, ...], most: float, least: float
+) -> None:
+    """Through librealsense's software device, which tells the lens, and a driver that does not."""
+    if driver == REALSENSE:
+        pytest.importorskip("pyrealsense2", exc_type=ImportError)
+    config, clock = camera(distortion, driver), HostClock()
+    scene = Scene(config)
+    with emulated_stream(config, clock, scene.seen) as stream, open_camera(config, clock, stream=stream) as opened:
+        frame = opened.read(2.0)
+        raw, _ = opened.distorted(0.0)
+        displacement = opened.lens.lens.largest_displacement()
+    assert frame.intrinsics.agrees(config.intrinsics)
+    rendering = SimCamera(scene, clock, camera(None, driver)).render()
+    both = (frame.depth > 0) & (rendering.depth > 0)
+    assert both.mean() > 0.8
+    assert np.mean(np.abs(frame.depth - rendering.depth)[both] < 0.01) > 0.98, "depth is undistorted, too"
+    pinhole = corners(rendering.rgb)
+    off = apart(corners(frame.rgb), pinhole)
+    assert off.max() < EXACT
+    assert displacement == pytest.approx(most, abs=1.0)
+    lens = lens_of(config)
+    k = config.intrinsics
+    distorted = {n: lens.distort(k.rays(pixel)[:2]) for n, pixel in pinhole.items()}
+    assert apart(corners(raw), distorted).max() < EXACT, "without undistortion they are off by the displacement"
+    assert apart(corners(raw), pinhole).max() > least
+
+
+@pytest.mark.realtime
+@pytest.mark.nightly
+def test_a_rehearsed_lens_is_measured_and_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From a file without a calibration to the record in it, through librealsense's software device."""
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)
+    said = yaml.safe_load((Path(__file__).parents[2] / "examples" / "lab.yaml").read_text())
+    del said["calibration"]
+    path = tmp_path / "rehearsal.yaml"
+    path.write_text(yaml.safe_dump(said))
+    out = str(tmp_path / "intrinsics.json")
+    command = ["calibrate", "intrinsics", "--station", str(path), "--rehearse", "--write", "--out", out, "--json"]
+    assert run(command) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert 2.0 < told["largest_distortion"] < 9.0
+    assert told["true_error_px"] < 1.0, "of a lens that displaces pixels by 4 to 8 px"
+    config = load_lab_station(path).camera
+    assert config.distortion == tuple(told["distortion"])
+    scene = Scene(config)
+    with (
+        emulated_stream(config, clock := HostClock(), scene.seen) as stream,
+        open_camera(config, clock, stream=stream) as opened,
+    ):
+        assert opened.lens.source is LensSource.RECORD
+        frame = opened.read(2.0)
+    pinhole = SimCamera(scene, clock, replace(config, distortion=None)).render()
+    assert apart(corners(frame.rgb), corners(pinhole.rgb)).max() < EXACT

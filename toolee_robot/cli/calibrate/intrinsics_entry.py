@@ -1,0 +1,105 @@
+"""The camera of a station file whose intrinsics are measured, and the entry of their record in the file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, read_intrinsics
+from toolee_robot.config import SIMULATED, CameraConfig, read_station
+from toolee_robot.config.intrinsics_record import FIELD, PINHOLE, SECTION
+from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.runtime.yaml_edit import set_fields
+from toolee_robot.runtime.yaml_files import to_record
+from toolee_robot.stations.camera import WITH_MODE
+
+NOMINAL_FOCAL = 0.72
+"""Focal length of a rehearsed camera of which the file says none yet, in widths of the image."""
+
+
+def camera_of(path: Path) -> CameraConfig:
+    """Read which camera a station file names, whatever the file says of its intrinsics.
+
+    Args:
+        path: The station file.
+
+    Returns:
+        The camera: its device and size, its pinhole as far as the file tells it, and no distortion.
+
+    Raises:
+        ConfigError: The file cannot be read, names no device (`config.camera_device`), or leaves out the size that the
+            driver asks the device for (`config.unmeasured`).
+    """
+    camera = _camera(path)
+    kept = {name: camera[name] for name in ("device", *PINHOLE) if camera.get(name) is not None}
+    if isinstance(name := camera.get(FIELD), str):
+        known = read_intrinsics(path.parent / name).intrinsics
+        kept = {**{field: getattr(known, field) for field in PINHOLE}, **kept}
+    if not isinstance(device := kept.get("device"), dict):
+        raise ConfigError(
+            f"{path}: camera.device is missing: give camera.device.driver, .serial and .least_range; `toolee camera "
+            "list` shows the cameras of this computer",
+            code="config.camera_device",
+        )
+    if "width" not in kept or "height" not in kept:
+        if device.get("driver") in WITH_MODE:
+            raise ConfigError(
+                f"{path}: give camera.width and camera.height, a size that the camera has: intrinsics hold for one "
+                "size",
+                code="config.unmeasured",
+            )
+    elif not kept.keys() >= {*PINHOLE}:
+        width, height = float(kept["width"]), float(kept["height"])
+        focal = NOMINAL_FOCAL * width
+        kept = {"fx": focal, "fy": focal, "cx": (width - 1) / 2, "cy": (height - 1) / 2, **kept}
+    return to_record(kept, path, CameraConfig, "station's camera")
+
+
+def check_entry(path: Path, *, rehearsed: bool) -> None:
+    """Refuse, before anything is measured, what could not be entered, or must not.
+
+    Args:
+        path: The station file.
+        rehearsed: Whether the camera is emulated.
+
+    Raises:
+        UserError: The file names a calibration of the camera's place, which holds with the intrinsics of then only
+            (`user.calibration_is_older`), or a record of a real camera, which a rehearsed one would replace
+            (`user.calibration_is_real`).
+    """
+    if read_station(path).get("calibration"):
+        raise UserError(
+            f"{path} names a calibration of the camera's place, which holds with the intrinsics of then only: take its "
+            "section `calibration` out, measure the intrinsics, then calibrate the place again",
+            code="user.calibration_is_older",
+        )
+    name = _camera(path).get(FIELD)
+    if rehearsed and isinstance(name, str) and read_intrinsics(path.parent / name).camera_serial != SIMULATED:
+        raise UserError(
+            f"{path} names the intrinsics of a real camera, whose place a rehearsed record would take. Rehearse with a "
+            "copy of the file, or without --write",
+            code="user.calibration_is_real",
+        )
+
+
+def enter(path: Path, record_file: Path, record: IntrinsicsRecord) -> None:
+    """Enter a record in a station file, and correct the numbers that the file gives, too.
+
+    Args:
+        path: The station file.
+        record_file: The record's file.
+        record: The record.
+
+    Raises:
+        ConfigError: The file has a layout that is not edited here (`config.not_editable`).
+    """
+    known = {name: getattr(record.intrinsics, name) for name in PINHOLE} | {"distortion": list(record.distortion)}
+    given = {name: value for name, value in known.items() if _camera(path).get(name) is not None}
+    set_fields(path, (SECTION,), {FIELD: os.path.relpath(record_file, path.parent), **given})
+
+
+def _camera(path: Path) -> dict[str, Any]:
+    data = read_station(path)
+    camera = data.get(SECTION) if isinstance(data, dict) else None
+    return camera if isinstance(camera, dict) else {}
