@@ -7,21 +7,14 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
+from tests.runtime.processes import alive
 from toolee_robot.hardware.ur.servo_benchmark import cpu_time
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive, is_virtual
 
 pytestmark = pytest.mark.skipif(not is_virtual(), reason="a machine of one's own needs none of it")
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def test_every_core_has_one_of_the_lowest_priority_until_the_end() -> None:

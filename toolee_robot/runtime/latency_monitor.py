@@ -29,12 +29,14 @@ STALL: Final = 0.005
 STALL_LIMIT: Final = 0.02
 """Duration above which a stall excuses a failure, which is then tried again and reported [s]. It is below the driver's
 tightest bound, 24 ms for the age of a UR10's data (three readings at 125 Hz)."""
+ORPHAN_CHECK: Final = 0.5
+"""Time between two looks at whether the process that started the monitor is still there [s]."""
 
 
 class LatencyMonitor:
     """Context in which a separate process measures stalls with one thread per core that repeatedly sleeps.
 
-    A stall is the time by which a thread oversleeps.
+    A stall is the time by which a thread oversleeps. The process ends with the one that started it, however that ends.
 
     Args:
         pause: Duration of a sleep [s].
@@ -52,7 +54,8 @@ class LatencyMonitor:
             self._longest, self._count = _shared(fd)
             self._longest[:] = -1.0
             self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__, str(fd), str(self._pause), *map(str, cores)], pass_fds=(fd,)
+                [sys.executable, "-m", __name__, str(fd), str(os.getpid()), str(self._pause), *map(str, cores)],
+                pass_fds=(fd,),
             )
         finally:
             os.close(fd)
@@ -91,7 +94,7 @@ def _shared(fd: int) -> Array:
     return np.frombuffer(mmap.mmap(fd, 0)).reshape(2, -1)
 
 
-def _watch(fd: int, pause: float, cores: list[int]) -> None:
+def _watch(fd: int, parent: int, pause: float, cores: list[int]) -> None:
     longest, count = _shared(fd)
     gc.disable()
     with suppress(OSError):  # not permitted, in which case the measured software is not permitted either
@@ -114,8 +117,9 @@ def _watch(fd: int, pause: float, cores: list[int]) -> None:
     for i in range(len(cores)):
         threading.Thread(target=sleep, args=(i,), daemon=True).start()
     with suppress(KeyboardInterrupt):
-        threading.Event().wait()
+        while os.getppid() == parent:
+            time.sleep(ORPHAN_CHECK)
 
 
 if __name__ == "__main__":
-    _watch(int(sys.argv[1]), float(sys.argv[2]), [int(core) for core in sys.argv[3:]])
+    _watch(int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), [int(core) for core in sys.argv[4:]])
