@@ -11,7 +11,11 @@ import pytest
 import yaml
 
 from tests.errors import raises
+from toolee_robot.cli.app import run
 from toolee_robot.config import StationConfig, ToolData, load_lab_station, with_setup
+from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.planning.views import plan_handover
+from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import ConfigError
 from toolee_robot.stations.interview import NONE, put, questions
 from toolee_robot.stations.lab import check_purpose
@@ -94,3 +98,28 @@ def test_a_rehearsal_leaves_untold_what_the_file_does(tmp_path: Path) -> None:
     assert (told.mass, told.center_of_mass) == (None, None)
     assert told == replace(whole, mass=None, center_of_mass=None)
     assert StationConfig().tool is None
+
+
+def test_the_handover_leaves_room_for_a_tool_of_which_nothing_is_known() -> None:
+    """10 cm lower than usual the forearm stands where such a tool may be, were nothing allowed for it."""
+    usual = StationConfig()
+    x, y, z = usual.scene.handover_position
+    config = replace(usual, scene=replace(usual.scene, handover_position=(x, y, z - 0.1)))
+    robot = RobotModel.of_station(config)
+    q_open, q_closed = robot.description.hand_open, robot.description.hand_closed
+    grasp = measured_grasp(ToolData(**NOTHING), config)
+    empty = CollisionWorld(robot, config, q_open)
+    held = CollisionWorld(robot, config, q_closed, grasp.X_hand_ee, tool_off=UNKNOWN_FACE_OFF)
+    home = np.array(config.scene.home)
+    way = plan_handover(robot, config, empty, home, q_open, tool_off=UNKNOWN_FACE_OFF)
+    assert held.closest(way.q[-1], 0.1).distance > 0.0
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize("ablation", ["normal_only", "position_only", "mask_centroid"])
+def test_what_believes_where_the_face_nominally_is_is_refused(
+    ablation: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--config", str(LAB.with_name("unknown_hammer.yaml")), "--ablation", ablation, "--out", str(tmp_path)]
+    assert run(["hammer", *options]) == 2
+    assert "tool.face_normal" in " ".join(capsys.readouterr().err.split())

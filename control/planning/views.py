@@ -35,7 +35,13 @@ _HEAD_HALF = 0.10  # [m] from the EE along the handle: the middle of what must b
 
 
 def plan_handover(
-    robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, q_hand: Array
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    q_start: Array,
+    q_hand: Array,
+    *,
+    tool_off: float = 0.0,
 ) -> Trajectory:
     """Plan a motion of the open palm to the handover position, facing the person.
 
@@ -47,6 +53,7 @@ def plan_handover(
         world: Collision model with the empty hand.
         q_start: Present joint positions of the arm, at rest, (6,) [rad].
         q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+        tool_off: How far the tool that comes may lie from where a tool is expected, in every direction [m].
 
     Returns:
         The trajectory, at rest at both ends.
@@ -77,7 +84,7 @@ def plan_handover(
     # The posture must also be collision-free with a tool in the hand.
     X_tool_ee = frame_from_axes(z=np.array([1.0, 0, 0]), x=np.array([0, 0, -1.0]), p=[0.05, 0, 0.20])
     X_hand_ee = robot.description.hand.grasp.X_hand_tool(0.016) @ X_tool_ee
-    with_tool = CollisionWorld(robot, config, q_hand, X_hand_ee)
+    with_tool = CollisionWorld(robot, config, q_hand, X_hand_ee, tool_off=tool_off)
     sigma = smallest_singular_value(robot.arm.fk_jacobian(q)[1])
     cost = np.max(np.abs(q - home), axis=-1) + 0.5 * np.abs(turns[turn]) - 2 * np.minimum(sigma, 0.15)
     failure: PlanningError | None = None

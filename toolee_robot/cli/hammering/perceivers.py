@@ -22,6 +22,10 @@ SURFACE = 20_000
 """Number of points on the tool's surface that a registration uses."""
 
 
+BELIEVES_NOMINAL = (Ablation.POSITION_ONLY, Ablation.NORMAL_ONLY, Ablation.MASK_CENTROID)
+"""What takes the face's nominal place or direction for the true one."""
+
+
 def job_networks(paper_weights: Path | None = None, device: str = "cpu") -> ToolPerception:
     """Load the networks of a job.
 
@@ -56,8 +60,15 @@ def job_perceiver(
         The perception, and the configuration of the job.
 
     Raises:
-        UserError: `ICP` without the tool's shape, which only a simulation has; code `user.no_tool_shape`.
+        UserError: `ICP` without the tool's shape, which only a simulation has; code `user.no_tool_shape`. What believes
+            a part of the face's nominal pose, of a tool whose face nobody has measured; code `user.unknown_face`.
     """
+    if opened.grasp.ee_off and ablation in BELIEVES_NOMINAL:
+        raise UserError(
+            f"--ablation {ablation} believes a part of the face's nominal pose, and the tool's face is not known: give "
+            "tool.face and tool.face_normal, or leave the option out",
+            code="user.unknown_face",
+        )
     if perception is None:
         assert opened.truth is not None, "the command refuses it"
         return PerfectPerception(opened.truth), opened.config

@@ -14,8 +14,8 @@ QUESTION = "Look at the robot. r: resume the job, t: take the hammer out of the 
 QUESTION_LAST = "The job cannot go on. t: take the hammer out of the hand, q: quit? "
 FIRM = "Is somebody holding the hammer firmly? The hand opens. y: yes, n: no? "
 """The questions."""
-ASKED_AFTER = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR, Outcome.TOOL_LOST)
-"""Outcomes that leave the arm where it stopped."""
+ASKED_AFTER = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR, Outcome.TOOL_LOST, Outcome.WEIGHT_UNKNOWN)
+"""Outcomes that leave the arm where it stopped, or at the handover with a tool whose weight is not known."""
 
 
 def after_stop(
