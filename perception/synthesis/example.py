@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
 from toolee_robot.perception.dataset.records import Example
 from toolee_robot.perception.dataset.spec import CONFIGS, SPLITS, DatasetSpec
@@ -185,7 +186,18 @@ def examples_of(
 
     Yields:
         The examples.
+
+    Raises:
+        UserError: The specification names files and no folder is given, or the other way round; or the folder has
+            others (`user.other_surroundings`).
     """
+    if bool(spec.surroundings) != (surroundings is not None):
+        names = ", ".join(name for name, _ in spec.surroundings) or "no panoramas"
+        raise UserError(
+            f"the data set is made with {names}, and the folder of them is {surroundings}: give `surroundings` exactly "
+            "where the specification names files",
+            code="user.other_surroundings",
+        )
     series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue, spec.sensor)
     if spec.renderer == "mitsuba":
         around = Surroundings() if surroundings is None else read_surroundings(surroundings, spec.surroundings)

@@ -17,7 +17,7 @@ from toolee_robot.calibration.intrinsics import DISTORTED_FLAT, calibrate_intrin
 from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, read_intrinsics, write_intrinsics
 from toolee_robot.calibration.observation import BoardView, find_board
 from toolee_robot.errors import ConfigError, UserError
-from toolee_robot.frames import transform
+from toolee_robot.frames import Array, transform
 
 SIZE = (CAMERA.width, CAMERA.height)
 K = CAMERA.intrinsics
@@ -97,6 +97,49 @@ def test_what_does_not_determine_them_is_refused(tilted: list[BoardView]) -> Non
     shaken = [replace(view, pixels=view.pixels + rng.normal(0.0, 2.5, view.pixels.shape)) for view in tilted * 8]
     with raises(UserError, "user.intrinsics_misfit"):
         _calibrate(shaken)
+
+
+def _through(projection: Callable[[Array], Array], edge: float) -> list[BoardView]:
+    """Views through a lens that is no polynomial's, three of four in the middle of the image.
+
+    Args:
+        projection: Distance from the image's middle of an angle from the axis [rad], in focal lengths.
+        edge: Angle in the middle of the image's shorter sides [rad].
+    """
+    rng, views = np.random.default_rng(7), list[BoardView]()
+    focal = 0.5 * SIZE[0] / float(projection(np.array(edge)))
+    while len(views) < 40:
+        R = Rotation.from_rotvec([*rng.uniform(-0.7, 0.7, 2), 0.0]) * Rotation.from_rotvec([0, 0, rng.uniform(-1, 1)])
+        angle = edge * (rng.uniform(0.7, 1.1) if len(views) % 4 == 0 else rng.uniform(0.0, 0.3))
+        around = rng.uniform(0.0, 2 * np.pi)
+        toward = np.array([np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)])
+        R = Rotation.align_vectors([toward], [[0.0, 0.0, 1.0]])[0] * R
+        points = (BOARD.corners - BOARD.center) @ R.as_matrix().T + rng.uniform(0.5, 0.8) * toward
+        r = np.hypot(points[:, 0], points[:, 1])
+        theta = np.arctan2(r, points[:, 2])
+        pixels = focal * (projection(theta) / r)[:, None] * points[:, :2] + np.array(SIZE) / 2
+        pixels += rng.normal(0.0, 0.1, pixels.shape)
+        seen = (theta < 1.5) & np.all((pixels > 0) & (pixels < np.array(SIZE) - 1), axis=1)
+        if seen.sum() >= 12:
+            views.append(BoardView(np.flatnonzero(seen), pixels[seen]))
+    return views
+
+
+def _bent(theta: Array) -> Array:
+    """A pinhole camera's up to 0.45 rad, a fisheye's beyond."""
+    return np.asarray(np.tan(np.minimum(theta, 0.45)) + 0.6 * np.maximum(theta - 0.45, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("projection", "edge", "words"), [(_bent, 0.8, "do not fit the others"), (np.sin, 1.3, "took no part")]
+)
+def test_a_lens_that_four_numbers_do_not_describe_is_refused(
+    projection: Callable[[Array], Array], edge: float, words: str
+) -> None:
+    """Also where what does not fit, left out, leaves a middle that does."""
+    with raises(UserError, "user.intrinsics_misfit") as error:
+        _calibrate(_through(projection, edge))
+    assert words in str(error.value)
 
 
 def test_a_record_of_intrinsics_is_signed(tilted: list[BoardView], tmp_path_factory: pytest.TempPathFactory) -> None:

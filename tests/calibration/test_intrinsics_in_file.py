@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA, picture
 from tests.errors import raises
-from tests.hardware.cameras.toy_recording import toy_recording
+from tests.hardware.cameras.toy_recording import say_undistorted, toy_recording
 from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, read_intrinsics, write_intrinsics
 from toolee_robot.cli.app import EXIT_USER, run
+from toolee_robot.cli.calibrate.intrinsics_entry import camera_of
 from toolee_robot.config import SIMULATED, load_lab_station, load_station
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import transform
@@ -136,14 +137,79 @@ def test_write_enters_the_record_and_corrects_what_the_file_gives(
     camera = load_lab_station(path).camera
     assert (camera.intrinsics, camera.distortion) == (found.intrinsics, found.distortion)
     assert run(command) == 0, "measured again"
+    altered = tmp_path / "of the lens.json"
+    altered.write_text(altered.read_text().replace(SERIAL, "F1370001"))
+    with raises(ConfigError, "config.calibration_altered"):
+        load_lab_station(path)
+    assert run(command) == 0, "an altered record is replaced"
+    assert load_lab_station(path).camera.intrinsics == read_intrinsics(altered).intrinsics
+
+
+def test_a_lost_record_does_not_keep_the_camera_from_being_measured_again(tmp_path: Path) -> None:
+    path = lab(tmp_path, width=640, height=480)
+    assert camera_of(path).fx == 383.2, "the record's"
+    (tmp_path / "intrinsics.json").unlink()
+    camera = camera_of(path)
+    assert (camera.width, camera.height) == (640, 480)
+    assert camera.device is not None
+    path = lab(tmp_path)
+    (tmp_path / "intrinsics.json").unlink()
+    with raises(ConfigError, "config.unmeasured") as error:
+        camera_of(path)
+    assert "give camera.width and camera.height" in str(error.value)
+    assert "intrinsics.json" in str(error.value), "which gave them"
+
+
+@pytest.mark.parametrize("typed", [{"fx": 400.1}, {"cy": 241.6}, {"distortion": list(DISTORTION)}])
+def test_a_rehearsal_writes_over_no_number_of_a_real_camera(
+    typed: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = yaml.safe_load(LAB.read_text())
+    del said["calibration"]
+    said["camera"] = {name: value for name, value in said["camera"].items() if name not in PINHOLE}
+    said["camera"] |= {"width": 640, "height": 480, **typed}
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(said))
+    before = path.read_bytes()
+    out = tmp_path / "intrinsics.json"
+    assert (
+        run(["calibrate", "intrinsics", "--station", str(path), "--rehearse", "--write", "--out", str(out)])
+        == EXIT_USER
+    )
+    told = " ".join(capsys.readouterr().err.split())
+    assert f"gives camera.{next(iter(typed))}: a rehearsal's would take their place" in told
+    assert path.read_bytes() == before
+    assert not out.exists(), "nothing was measured"
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_rehearsal_replaces_no_record_of_a_real_camera(
+    lost: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = lab(tmp_path, width=640, height=480)
+    path.write_text(yaml.safe_dump({n: v for n, v in yaml.safe_load(path.read_text()).items() if n != "calibration"}))
+    if lost:
+        (tmp_path / "intrinsics.json").unlink()
+    command = ["calibrate", "intrinsics", "--station", str(path), "--rehearse", "--write"]
+    assert run([*command, "--out", str(tmp_path / "other.json")]) == EXIT_USER
+    assert "a copy of the file without camera.intrinsics" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "other.json").exists()
 
 
 def test_images_that_were_undistorted_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy_recording(tmp_path / "r", 2)
     for images in (tmp_path / "r", tmp_path / "r" / "rgb"):
         options = ["--images", str(images), "--camera-serial", "7", "--bars-mm", "360", "257"]
-        assert run(["calibrate", "intrinsics", *options]) == EXIT_USER
-        assert "whose images are undistorted" in " ".join(capsys.readouterr().err.split())
+        for undistorted, words in (
+            (True, "whose images are undistorted"),
+            (None, "add `undistorted: false` to its recording.json"),
+            (False, "images"),
+        ):
+            say_undistorted(tmp_path / "r", undistorted)
+            assert run(["calibrate", "intrinsics", *options]) == EXIT_USER
+            told = " ".join(capsys.readouterr().err.split())
+            assert words in told
+            assert ("is a recording" in told) == (undistorted is not False), "raw images are looked at"
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA, draw_session, picture
+from tests.hardware.cameras.toy_recording import say_undistorted, toy_recording
 from toolee_robot.calibration.observation import find_board
 from toolee_robot.calibration.record import read_record, write_record
 from toolee_robot.calibration.touch_check import see_corner
@@ -184,6 +185,27 @@ def test_joints_in_degrees_are_noticed(tmp_path: Path, capsys: pytest.CaptureFix
     code = run(["calibrate", "camera", "--images", str(tmp_path), "--bars-mm", *BARS])
     assert code == 2
     assert "looks like degrees" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("place", ["beside", "rgb"])
+def test_a_recording_whose_lens_was_not_known_is_refused(
+    place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = tmp_path / "frames"
+    toy_recording(recording, 1)
+    say_undistorted(recording, False)
+    session = recording if place == "beside" else tmp_path
+    draw_session(session, 8)
+    if place == "rgb":  # poses.json elsewhere names its images
+        data = json.loads((session / "poses.json").read_text())
+        data["poses"][0]["image"] = "frames/rgb/000000.png"
+        (session / "poses.json").write_text(json.dumps(data))
+    command = ["calibrate", "camera", "--images", str(session), "--bars-mm", *BARS, "--out", str(tmp_path / "out")]
+    assert run(command) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "says `undistorted: false`" in told
+    assert "toolee calibrate intrinsics --station" in told
+    assert not (tmp_path / "out").exists()
 
 
 def test_poses_in_the_other_frame_of_the_base_are_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

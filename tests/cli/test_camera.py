@@ -10,7 +10,9 @@ import cv2
 import pytest
 import yaml
 
-from tests.hardware.cameras.toy_recording import INTRINSICS, SERIAL, toy_recording
+from tests.hardware.cameras.toy_recording import INTRINSICS, SERIAL, say_undistorted, toy_recording
+from toolee_robot.calibration.board import SHEETS
+from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, write_intrinsics
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
 from toolee_robot.hardware.cameras.recording import open_recording
 
@@ -80,9 +82,8 @@ def test_doctor_ends_by_what_it_found(folder: Path, capsys: pytest.CaptureFixtur
 def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As of a driver that does not tell it: a recording of another program."""
-    about = folder / "recording.json"
-    about.write_text(json.dumps({n: v for n, v in json.loads(about.read_text()).items() if n != "undistorted"}))
+    """As of a driver that does not tell it: a recording of a camera whose lens was not known."""
+    say_undistorted(folder, False)
     config = station(folder.parent / "lab.yaml", folder)
     doctor = ["camera", "doctor", "--config", str(config), "--seconds", "0.6", "--no-tool", "--json"]
     show = ["camera", "show", "--config", str(config)]
@@ -109,6 +110,85 @@ def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
     config.write_text(yaml.safe_dump(said))
     assert run(show) == EXIT_FAILED
     assert "96x72, those of the station file 128x72" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.realtime(light=True)
+@pytest.mark.parametrize("measured", [True, False], ids=["record", "typed"])
+def test_a_recording_is_not_undistorted_again_by_the_lens_of_then(
+    measured: bool, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, out = station(folder.parent / "lab.yaml", folder), folder.parent / "again"
+    said, lens = yaml.safe_load(config.read_text()), (-0.2, 0.0, 0.0, 0.0)
+    if measured:
+        record = IntrinsicsRecord(
+            FORMAT, "2026-11-28T00:00:00+00:00", "0", SERIAL, SHEETS["a3"].board, INTRINSICS, lens, (0.1,) * 4,
+            (1e-4,) * 4, 0.1, 0.1, 5.0, 0.9, 30,
+        )  # fmt: skip
+        write_intrinsics(folder.parent / "intrinsics.json", record)
+        said["camera"]["intrinsics"] = "intrinsics.json"
+    else:
+        said["camera"]["distortion"] = list(lens)
+    config.write_text(yaml.safe_dump(said))
+    assert run(["camera", "show", "--config", str(config)]) == 0
+    shown = capsys.readouterr().out
+    assert "undistorted when it was recorded" in shown
+    entered = yaml.safe_load(shown[shown.index("camera:") :])["camera"]
+    assert entered["intrinsics"] == "intrinsics.json" if measured else entered["distortion"] == list(lens)
+    assert run(["camera", "record", "--config", str(config), "--out", str(out), "--seconds", "0.5"]) == 0
+    played, again = open_recording(folder), open_recording(out)
+    assert again.undistorted is True
+    originals = {played.read(n)[0].tobytes() for n in range(len(played.stamps))}
+    assert {again.read(n)[0].tobytes() for n in range(len(again.stamps))} <= originals, "pixel by pixel"
+    said["camera"] = {**said["camera"], "fx": INTRINSICS.fx + 0.1}
+    if not measured:
+        config.write_text(yaml.safe_dump(said))
+        assert run(["camera", "show", "--config", str(config)]) == EXIT_FAILED
+        assert "record again" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.realtime(light=True)
+def test_a_recording_that_does_not_say_whether_it_is_undistorted_takes_no_lens(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As those of an earlier version, some of which were."""
+    say_undistorted(folder, None)
+    config, out = station(folder.parent / "lab.yaml", folder), folder.parent / "again"
+    assert run(["camera", "doctor", "--config", str(config), "--seconds", "0.6", "--no-tool", "--json"]) == 0
+    (lens,) = (f for f in json.loads(capsys.readouterr().out)["findings"] if f["name"] == "lens")
+    assert lens["level"] == "warn"
+    assert "recording.json" in lens["remedy"]
+    assert run(["camera", "record", "--config", str(config), "--out", str(out), "--seconds", "0.5"]) == 0
+    assert open_recording(out).undistorted is None, "recorded again it does not say, either"
+    said = yaml.safe_load(config.read_text())
+    said["camera"]["distortion"] = [-0.2, 0.0, 0.0, 0.0]
+    config.write_text(yaml.safe_dump(said))
+    show = ["camera", "show", "--config", str(config)]
+    capsys.readouterr()
+    assert run(show) == EXIT_FAILED
+    assert "add `undistorted: true` or `false`" in " ".join(capsys.readouterr().err.split())
+    for undistorted, words in (
+        (True, "undistorted when it was recorded"),
+        (False, "the station file's, brown conrady"),
+    ):
+        say_undistorted(folder, undistorted)
+        assert run(show) == 0
+        assert words in capsys.readouterr().out
+
+
+@pytest.mark.realtime(light=True)
+@pytest.mark.parametrize("undistorted", [True, None])
+def test_a_lens_is_not_measured_on_a_recording_that_may_be_undistorted(
+    undistorted: bool | None, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    say_undistorted(folder, undistorted)
+    config = station(folder.parent / "lab.yaml", folder)
+    before = config.read_text()
+    options = ["--bars-mm", "360", "257", "--out", str(folder.parent / "i.json"), "--write"]
+    assert run(["calibrate", "intrinsics", "--station", str(config), *options]) == EXIT_USER
+    told = " ".join(capsys.readouterr().err.split())
+    assert "camera.device is a recording" in told
+    assert ("add `undistorted: false`" in told) == (undistorted is None)
+    assert config.read_text() == before
 
 
 @pytest.mark.realtime

@@ -26,6 +26,8 @@ COVERED = 0.6
 """Least share of the parts that have corners: the distortion is extrapolated elsewhere."""
 OUTLIER = 3.4
 """Multiple of the median error above which a corner does not fit the others: four standard deviations."""
+LARGEST_LEFT_OUT = 0.1
+"""Share of the corners that do not fit the others above which it is the model that does not fit. Assumed."""
 FITTING = 0.3
 """Error of a corner that always fits [px]."""
 LARGEST_HELD_OUT = 1.0
@@ -34,6 +36,7 @@ DISTORTED_FLAT = 4.0
 """Tolerance of `find_board` for images of a distorting lens [px]."""
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 """Endings of files that are images."""
+_MISFIT = "a bent board, motion while the image was taken, or a lens that four numbers do not describe"
 _FOLDS = 5
 _ROUNDS = 3
 
@@ -103,7 +106,7 @@ def calibrate_intrinsics(
     Raises:
         UserError: There are too few views (`user.intrinsics_few_views`), they leave out most of the image
             (`user.intrinsics_coverage`) or do not determine the focal length (`user.intrinsics_undetermined`), or the
-            model does not fit held-out views (`user.intrinsics_misfit`).
+            model does not fit held-out views, or too many corners (`user.intrinsics_misfit`).
     """
     if len(views) < MIN_VIEWS:
         raise UserError(
@@ -118,12 +121,19 @@ def calibrate_intrinsics(
         )
     corners = sum(len(view.ids) for view in views)
     views = _fitting(views, board, size)
+    left_out = corners - sum(len(view.ids) for view in views)
+    covered = len(covered_parts(views, size)) / CELLS**2
+    if left_out > LARGEST_LEFT_OUT * corners or covered < COVERED or len(views) < MIN_VIEWS:
+        raise UserError(
+            f"{left_out} of {corners} corners do not fit the others; {len(views)} views remain, on {100 * covered:.0f} "
+            f"% of the image: {_MISFIT}",
+            code="user.intrinsics_misfit",
+        )
     error, K, distortion, sigma = _fit(views, board, size)
     held_out = _held_out(views, board, size)
     if held_out > LARGEST_HELD_OUT:
         raise UserError(
-            f"views that took no part are {held_out:.2f} px off: a bent board, motion while the image was taken, or a "
-            "lens that four numbers do not describe",
+            f"views that took no part are {held_out:.2f} px off: {_MISFIT}",
             code="user.intrinsics_misfit",
         )
     relative = float(max(sigma[0] / K[0, 0], sigma[1] / K[1, 1]))
@@ -149,7 +159,7 @@ def calibrate_intrinsics(
         largest_distortion=_largest_distortion(views, K, distortion),
         covered=covered,
         views=len(views),
-        left_out=corners - sum(len(view.ids) for view in views),
+        left_out=left_out,
     )
 
 
@@ -192,6 +202,8 @@ def _fitting(views: Sequence[BoardView], board: Board, size: tuple[int, int]) ->
         fits = [BoardView(v.ids[e <= most], v.pixels[e <= most]) for v, e in zip(whole, errors, strict=True)]
         enough = [len(view.ids) >= MIN_CORNERS for view in fits]
         whole, kept = (list(compress(some, enough)) for some in (whole, fits))
+        if len(kept) < MIN_VIEWS:
+            break
     return kept
 
 

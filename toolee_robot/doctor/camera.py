@@ -136,6 +136,13 @@ def check_lens(camera: StreamedCamera) -> Finding:
         OK with the lens and how far it displaces pixels; WARN where nobody knows it.
     """
     chosen = camera.lens
+    if camera.profile.undistorted is None and not chosen.lens.known:
+        return warn(
+            "lens",
+            chosen.words,
+            "the recording does not say whether its images are undistorted: record again, or add `undistorted: true` "
+            "or `false` to its recording.json",
+        )
     if not chosen.lens.known:
         return warn(
             "lens",

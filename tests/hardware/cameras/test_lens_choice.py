@@ -70,3 +70,25 @@ def test_a_record_holds_unless_it_is_another_cameras(told: Lens) -> None:
     assert chosen.lens.intrinsics == measured.intrinsics
     with raises(NotReadyError, "not_ready.camera_distortion"):
         choose_lens(told, replace(measured, intrinsics=replace(PINHOLE, fx=480.0, fy=480.0)))
+
+
+RECORD = StatedLens(PINHOLE, COEFFICIENTS[:4], measured=True)
+
+
+@pytest.mark.parametrize("stated", [None, StatedLens(PINHOLE), StatedLens(PINHOLE, COEFFICIENTS), RECORD])
+def test_images_that_are_undistorted_are_not_undistorted_again(stated: StatedLens | None) -> None:
+    """As a recording's, which the station's own lens undistorted."""
+    chosen = choose_lens(Lens(PINHOLE), stated, undistorted=True)
+    assert (chosen.lens, chosen.source) == (Lens(PINHOLE), LensSource.RECORDING)
+    assert chosen.words == "undistorted when it was recorded"
+    if stated is not None:
+        with raises(NotReadyError, "not_ready.camera_intrinsics"):
+            choose_lens(Lens(PINHOLE), replace(stated, intrinsics=replace(PINHOLE, fx=390.1)), undistorted=True)
+
+
+def test_where_nobody_knows_whether_images_are_undistorted_no_lens_is_applied() -> None:
+    for stated in (None, StatedLens(PINHOLE), StatedLens(PINHOLE, (0.0,) * 4)):
+        assert not choose_lens(UNKNOWN, stated, undistorted=None).lens.distorts
+    for stated in (StatedLens(PINHOLE, COEFFICIENTS), RECORD):
+        with raises(NotReadyError, "not_ready.camera_undistorted"):
+            choose_lens(UNKNOWN, stated, undistorted=None)

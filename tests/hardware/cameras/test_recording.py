@@ -51,7 +51,9 @@ def test_a_folder_is_not_written_over(tmp_path: Path) -> None:
         pass
 
 
-@pytest.mark.parametrize("damage", ["no folder", "no json", "no frames", "no stamp", "no image", "other size"])
+@pytest.mark.parametrize(
+    "damage", ["no folder", "no json", "no frames", "no stamp", "no image", "other size", "a word"]
+)
 def test_what_is_no_recording_is_refused(tmp_path: Path, damage: str) -> None:
     folder = tmp_path / "r"
     toy_recording(folder, 2)
@@ -68,6 +70,9 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, damage: str) -> None:
         cameras.write_text(json.dumps(entries))
     elif damage == "no image":
         (folder / "depth" / "000001.png").unlink()
+    elif damage == "a word":
+        camera = json.loads((folder / "recording.json").read_text())
+        (folder / "recording.json").write_text(json.dumps(camera | {"undistorted": "no"}))
     else:
         camera = json.loads((folder / "recording.json").read_text())
         (folder / "recording.json").write_text(json.dumps(camera | {"width": 95}))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 
-from toolee_robot.hardware.cameras.recording import RecordingWriter
+from toolee_robot.hardware.cameras.recording import RECORDING, RecordingWriter
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 INTRINSICS = CameraIntrinsics(90.25, 91.5, 47.125, 35.0, 96, 72)
@@ -32,3 +33,9 @@ def toy_recording(folder: Path, count: int = 60, level: int = 120) -> list[RgbdF
         for frame in frames:
             writer.add(frame)
     return frames
+
+
+def say_undistorted(folder: Path, undistorted: bool | None) -> None:
+    """Let a recording say whether its images are undistorted; None: not at all, as one of an earlier version."""
+    about = {n: v for n, v in json.loads((folder / RECORDING).read_text()).items() if n != "undistorted"}
+    (folder / RECORDING).write_text(json.dumps(about if undistorted is None else {**about, "undistorted": undistorted}))

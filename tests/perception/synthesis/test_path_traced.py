@@ -18,7 +18,7 @@ from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.reserved import refuse_test_set
 from toolee_robot.perception.dataset.scene_reader import load
 from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
-from toolee_robot.perception.synthesis.example import Series, render_example
+from toolee_robot.perception.synthesis.example import Series, examples_of, render_example
 
 pytestmark = pytest.mark.sim(seconds=40)
 
@@ -76,6 +76,14 @@ def test_interrupted_and_again_it_has_the_same_bytes(made: Path, tmp_path: Path)
 def test_other_surroundings_are_another_data_set(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert generate(made / "set") == 2
     assert "holds another data set (other surroundings)" in capsys.readouterr().err
+
+
+def test_pictures_without_the_surroundings_that_they_name_are_refused(tmp_path: Path) -> None:
+    files = (("room.hdr", "ab"),)
+    for named, folder in ((files, None), ((), tmp_path)):
+        spec = DatasetSpec("hard", 4, 3, 1.0, renderer="mitsuba", surroundings=named)
+        with raises(UserError, "user.other_surroundings"):
+            next(examples_of(spec, "test", 0, 1, surroundings=folder))
 
 
 @pytest.mark.parametrize(

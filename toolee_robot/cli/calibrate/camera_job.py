@@ -19,6 +19,7 @@ from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.calibration.record import CalibrationRecord, write_record
 from toolee_robot.calibration.session import Seen, Session, observe, read_session, write_session
+from toolee_robot.cli.calibrate.recorded_images import check_undistorted
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
@@ -175,10 +176,13 @@ class CameraJob:
             measured_camera: Whether the station tells where the camera was measured by hand.
 
         Raises:
-            TooleeError: The calibration was refused.
+            TooleeError: The calibration was refused; or the images are of a recording whose lens was not known
+                (`user.calibration_distorted`).
         """
         board = SHEETS[self.sheet].board.measured(*bars)
         session = read_session(images)
+        for place in {images, *((images / pose.image).parent for pose in session.poses)}:
+            check_undistorted(place)
         expected = self.config.camera.uncalibrated.X_base_camera[:3, 3] if measured_camera else None
         if expected is None:
             self._note("without --config nobody tells where the camera is: a half turn of the base is not noticed")

@@ -16,10 +16,14 @@ from toolee_robot.stations.camera import WITH_MODE
 
 NOMINAL_FOCAL = 0.72
 """Focal length of a rehearsed camera of which the file says none yet, in widths of the image."""
+NUMBERS = ("fx", "fy", "cx", "cy", "distortion")
+"""Fields of the section that a measurement changes; the size stays."""
 
 
 def camera_of(path: Path) -> CameraConfig:
     """Read which camera a station file names, whatever the file says of its intrinsics.
+
+    A record that was lost or altered is passed over: this measurement replaces it.
 
     Args:
         path: The station file.
@@ -33,9 +37,13 @@ def camera_of(path: Path) -> CameraConfig:
     """
     camera = _camera(path)
     kept = {name: camera[name] for name in ("device", *PINHOLE) if camera.get(name) is not None}
+    lost = ""
     if isinstance(name := camera.get(FIELD), str):
-        known = read_intrinsics(path.parent / name).intrinsics
-        kept = {**{field: getattr(known, field) for field in PINHOLE}, **kept}
+        try:
+            known = read_intrinsics(path.parent / name).intrinsics
+            kept = {**{field: getattr(known, field) for field in PINHOLE}, **kept}
+        except ConfigError as error:
+            lost = f"; the record in camera.{FIELD} does not give them any more ({error})"
     if not isinstance(device := kept.get("device"), dict):
         raise ConfigError(
             f"{path}: camera.device is missing: give camera.device.driver, .serial and .least_range; `toolee camera "
@@ -46,7 +54,7 @@ def camera_of(path: Path) -> CameraConfig:
         if device.get("driver") in WITH_MODE:
             raise ConfigError(
                 f"{path}: give camera.width and camera.height, a size that the camera has: intrinsics hold for one "
-                "size",
+                f"size{lost}",
                 code="config.unmeasured",
             )
     elif not kept.keys() >= {*PINHOLE}:
@@ -65,8 +73,8 @@ def check_entry(path: Path, *, rehearsed: bool) -> None:
 
     Raises:
         UserError: The file names a calibration of the camera's place, which holds with the intrinsics of then only
-            (`user.calibration_is_older`), or a record of a real camera, which a rehearsed one would replace
-            (`user.calibration_is_real`).
+            (`user.calibration_is_older`), or numbers or a record of a real camera, which rehearsed ones would replace
+            (`user.calibration_is_real`); a record that cannot be read may be one.
     """
     if read_station(path).get("calibration"):
         raise UserError(
@@ -74,11 +82,18 @@ def check_entry(path: Path, *, rehearsed: bool) -> None:
             "section `calibration` out, measure the intrinsics, then calibrate the place again",
             code="user.calibration_is_older",
         )
-    name = _camera(path).get(FIELD)
-    if rehearsed and isinstance(name, str) and read_intrinsics(path.parent / name).camera_serial != SIMULATED:
+    camera = _camera(path)
+    name = camera.get(FIELD)
+    if rehearsed and (typed := [number for number in NUMBERS if camera.get(number) is not None]):
         raise UserError(
-            f"{path} names the intrinsics of a real camera, whose place a rehearsed record would take. Rehearse with a "
-            "copy of the file, or without --write",
+            f"{path} gives {', '.join(f'camera.{number}' for number in typed)}: a rehearsal's would take their place. "
+            "Rehearse without --write, or with a copy of the file from which you take them out",
+            code="user.calibration_is_real",
+        )
+    if rehearsed and isinstance(name, str) and not _rehearsed(path.parent / name):
+        raise UserError(
+            f"{path} names the intrinsics of a real camera, or a record that cannot be read, whose place a rehearsed "
+            "record would take. Rehearse without --write, or with a copy of the file without camera.intrinsics",
             code="user.calibration_is_real",
         )
 
@@ -97,6 +112,13 @@ def enter(path: Path, record_file: Path, record: IntrinsicsRecord) -> None:
     known = {name: getattr(record.intrinsics, name) for name in PINHOLE} | {"distortion": list(record.distortion)}
     given = {name: value for name, value in known.items() if _camera(path).get(name) is not None}
     set_fields(path, (SECTION,), {FIELD: os.path.relpath(record_file, path.parent), **given})
+
+
+def _rehearsed(record_file: Path) -> bool:
+    try:
+        return read_intrinsics(record_file).camera_serial == SIMULATED
+    except ConfigError:
+        return False
 
 
 def _camera(path: Path) -> dict[str, Any]:

@@ -18,12 +18,13 @@ from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.intrinsics import calibrate_intrinsics, read_views
 from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, write_intrinsics
 from toolee_robot.calibration.observation import BoardView
+from toolee_robot.cli.calibrate.recorded_images import check_raw
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import SIMULATED, CameraConfig
 from toolee_robot.errors import StaleDataError, UserError
 from toolee_robot.hal import Clock
 from toolee_robot.hardware.cameras import StatedLens, StreamedCamera
-from toolee_robot.hardware.cameras.recording import RECORDING, open_recording
+from toolee_robot.hardware.cameras.recording import recording_of
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.stations.rehearsal.camera import emulated_stream
@@ -62,10 +63,11 @@ class IntrinsicsJob:
             serial: Serial number of the camera.
 
         Raises:
-            UserError: As `calibrate_intrinsics` and `read_views`; or the images are undistorted
+            UserError: As `calibrate_intrinsics` and `read_views`; or the images are undistorted, or may be
                 (`user.intrinsics_undistorted`).
         """
-        _check_raw(images)
+        if (recording := recording_of(images)) is not None:
+            check_raw(str(images), recording.undistorted)
         board = SHEETS[self.sheet].board.measured(*bars)
         views, unseen, size = read_views(images, board)
         if unseen:
@@ -82,10 +84,12 @@ class IntrinsicsJob:
 
         Raises:
             DeviceError: The camera failed.
-            UserError: As `calibrate_intrinsics`.
+            UserError: As `calibrate_intrinsics`; or the camera is a recording whose images are undistorted, or may be
+                (`user.intrinsics_undistorted`).
         """
         board, clock = SHEETS[self.sheet].board.measured(*bars), HostClock()
         with open_camera(camera, clock, check_intrinsics=False) as opened:
+            check_raw("camera.device", opened.profile.undistorted)
             self._collect(opened, clock, board, count, opened.profile.serial)
 
     def rehearse(self, camera: CameraConfig, count: int, seed: int, factor: float) -> None:
@@ -236,14 +240,3 @@ class IntrinsicsJob:
 
     def _note(self, text: str) -> None:
         self.console.print(f"  [yellow]{escape(text)}[/yellow]", soft_wrap=True)
-
-
-def _check_raw(images: Path) -> None:
-    """Refuse a recording's images, whose distortion was taken out."""
-    for folder in (images, images.parent):
-        if (folder / RECORDING).exists() and open_recording(folder).undistorted:
-            raise UserError(
-                f"{images} is of a recording by `toolee camera record`, whose images are undistorted: let --station "
-                "take them, or give images as the lens gives them",
-                code="user.intrinsics_undistorted",
-            )

@@ -42,9 +42,11 @@ class Record(CameraOptions):
         console = Console(stderr=self.json, highlight=False)
         clock, count, stamp, due = HostClock(), 0, 0.0, 0.0
         with self.open(clock) as camera:
-            profile, known = camera.profile, camera.lens.lens.known
+            profile = camera.profile
+            # What is played and does not say whether it is undistorted does not say so afterwards, either.
+            undistorted = camera.lens.lens.known or profile.undistorted
             writer = RecordingWriter(
-                self.out, profile.model, profile.serial, profile.fps, camera.intrinsics, undistorted=known
+                self.out, profile.model, profile.serial, profile.fps, camera.intrinsics, undistorted=undistorted
             )
             end = clock.now() + self.seconds
             with writer, console.status("recording"):

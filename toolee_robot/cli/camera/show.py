@@ -101,7 +101,8 @@ def _station_lines(config: CameraConfig, profile: CameraProfile, chosen: ChosenL
 def _lens_lines(config: CameraConfig, chosen: ChosenLens) -> list[str]:
     from toolee_robot.hardware.cameras.lens_choice import LensSource
 
-    if chosen.source is LensSource.RECORD:
+    recorded = chosen.source is LensSource.RECORDING and config.intrinsics_record is not None
+    if chosen.source is LensSource.RECORD or recorded:
         return [f"  intrinsics: {config.intrinsics_record}"]
     k, distortion = chosen.lens.intrinsics, config.distortion
     lines = [

@@ -72,7 +72,7 @@ class StreamedCamera:
         self._closing.clear()
         profile = self._profile = self._stream.open()
         try:
-            chosen = self._lens = choose_lens(profile.color, self._stated)
+            chosen = self._lens = choose_lens(profile.color, self._stated, undistorted=profile.undistorted)
             self._undistort = chosen.lens.undistortion() if chosen.lens.distorts else None
             self._register = None
             if profile.depth is not None and profile.X_color_depth is not None:

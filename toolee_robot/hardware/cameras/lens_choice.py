@@ -22,6 +22,7 @@ class LensSource(StrEnum):
     CAMERA = "the camera's own"
     FILE = "the station file's"
     RECORD = "measured by `toolee calibrate intrinsics`"
+    RECORDING = "undistorted when it was recorded"
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,8 @@ class ChosenLens:
         """The lens in words, such as "the camera's own, brown conrady: displaces pixels by up to 5.2 px"."""
         if not self.lens.known:
             return "distortion not known: taken for a pinhole camera's"
+        if self.source is LensSource.RECORDING:
+            return str(self.source)
         if not self.lens.distorts:
             return f"{self.source}: no distortion"
         name = self.lens.model.replace("_", " ")
@@ -74,27 +77,30 @@ class ChosenLens:
         )
 
 
-def choose_lens(told: Lens, stated: StatedLens | None) -> ChosenLens:
+def choose_lens(told: Lens, stated: StatedLens | None, *, undistorted: bool | None = False) -> ChosenLens:
     """Choose the lens that holds.
 
     A record of `toolee calibrate intrinsics` holds, since it was measured on this camera's images; without one the
-    camera's own; where the camera tells no coefficients, those that the station file has. What contradicts each other
-    is refused.
+    camera's own; where the camera tells no coefficients, those that the station file has. None is applied to images
+    that were undistorted before, and the file's pinhole model must be theirs. What contradicts each other is refused.
 
     Args:
         told: What the camera tells.
         stated: What the station file states; None for nothing.
+        undistorted: `CameraProfile.undistorted`.
 
     Returns:
         The lens.
 
     Raises:
         NotReadyError: The images have another size than the file says (`not_ready.camera_size`), the pinhole model is
-            another one (`not_ready.camera_intrinsics`), or the lens is (`not_ready.camera_distortion`); or the
+            another one (`not_ready.camera_intrinsics`), or the lens is (`not_ready.camera_distortion`); or the file
+            states a distortion, and nobody knows whether it was taken out (`not_ready.camera_undistorted`); or the
             coefficients are no lens's (`not_ready.camera_lens`).
     """
+    own = LensSource.RECORDING if undistorted else LensSource.CAMERA
     if stated is None:
-        return ChosenLens(told, LensSource.CAMERA, told)
+        return ChosenLens(told, own, told)
     mine, theirs = told.intrinsics, stated.intrinsics
     if (mine.width, mine.height) != (theirs.width, theirs.height):
         raise NotReadyError(
@@ -102,6 +108,20 @@ def choose_lens(told: Lens, stated: StatedLens | None) -> ChosenLens:
             "it was calibrated, or enter what `toolee camera show` prints",
             code="not_ready.camera_size",
         )
+    if undistorted is None and stated.lens.distorts:
+        raise NotReadyError(
+            "the station file states a distortion, and the recording does not say whether it was taken out of its "
+            "images: record again, or add `undistorted: true` or `false` to its recording.json",
+            code="not_ready.camera_undistorted",
+        )
+    if undistorted:
+        if not mine.agrees(theirs):
+            raise NotReadyError(
+                f"the recording was undistorted to the intrinsics {_text(mine)}, the station file's are "
+                f"{_text(theirs)}: record again with this file, or play it with the one of then",
+                code="not_ready.camera_intrinsics",
+            )
+        return ChosenLens(told, own, told)
     if stated.measured or (stated.distortion is not None and not told.known):
         _check_near(told, stated)
         return ChosenLens(stated.lens, LensSource.RECORD if stated.measured else LensSource.FILE, told)

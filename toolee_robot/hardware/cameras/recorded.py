@@ -41,6 +41,7 @@ class RecordedStream:
             recording.fps,
             depth_scale=recording.depth_scale,
             warm_up=0,
+            undistorted=recording.undistorted,
         )
 
     def fetch(self, timeout: float) -> RawImages | None:

@@ -2,7 +2,8 @@
 
 `rgb/000000.png` and `depth/000000.png` are the images of frame 0, undistorted and registered; `scene_camera.json` has
 for each frame `cam_K` [px], `depth_scale` [mm per unit of the depth image] and `stamp` [s]; `recording.json` says which
-camera it was, and whether its lens was known, without which the images are not undistorted.
+camera it was, and whether its lens was known, without which the images are not undistorted (`undistorted`; where it is
+missing, nobody knows).
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ class Recording:
     """Pinhole model of all images."""
     depth_scale: float
     """Metres per unit of the depth images."""
-    undistorted: bool
-    """Whether the images are known to be free of distortion."""
+    undistorted: bool | None
+    """Whether the images are undistorted; None where the recording does not say."""
     stamps: tuple[float, ...]
     """Time of each frame on the clock of the recording [s], ascending."""
 
@@ -79,7 +80,7 @@ class RecordingWriter:
         serial: Its serial number.
         fps: Its frames per second.
         intrinsics: Pinhole model of all frames.
-        undistorted: Whether the frames are known to be free of distortion.
+        undistorted: Whether the frames are undistorted; None where nobody knows.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class RecordingWriter:
         fps: float,
         intrinsics: CameraIntrinsics,
         *,
-        undistorted: bool = True,
+        undistorted: bool | None = True,
     ) -> None:
         self._folder, self._intrinsics = folder, intrinsics
         size = {"width": intrinsics.width, "height": intrinsics.height}
@@ -155,6 +156,9 @@ def open_recording(folder: Path) -> Recording:
         entries = [frames[str(number)] for number in range(len(frames))]
         if not entries:
             raise UserError(f"{folder} holds no frame: record again", code="user.camera_recording")
+        undistorted = camera.get("undistorted")
+        if undistorted is not None and not isinstance(undistorted, bool):
+            raise ValueError(f"undistorted: {undistorted!r}")
         fx, _, cx, _, fy, cy = (float(value) for value in entries[0]["cam_K"][:6])
         return Recording(
             folder,
@@ -163,12 +167,29 @@ def open_recording(folder: Path) -> Recording:
             float(camera["fps"]),
             CameraIntrinsics(fx, fy, cx, cy, int(camera["width"]), int(camera["height"])),
             float(entries[0]["depth_scale"]) / 1e3,
-            bool(camera.get("undistorted", False)),
+            undistorted,
             tuple(float(entry["stamp"]) for entry in entries),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         message = f"{folder} is no recording by `toolee camera record` ({error!r}): record again"
         raise UserError(message, code="user.camera_recording") from error
+
+
+def recording_of(images: Path) -> Recording | None:
+    """Find the recording that a folder of images is, or is part of.
+
+    Args:
+        images: The folder.
+
+    Returns:
+        The recording; None where the images are of none.
+
+    Raises:
+        UserError: As `open_recording`.
+    """
+    folder = images.resolve()
+    found = next((place for place in (folder, folder.parent) if (place / RECORDING).exists()), None)
+    return None if found is None else open_recording(found)
 
 
 def _read(path: Path) -> Any:

@@ -31,6 +31,8 @@ class CameraProfile:
         firmware: Its version; empty where unknown.
         warm_up: Pairs of images after opening that do not count: until the exposure has settled and the least delay of
             the images was seen.
+        undistorted: Whether the lens's distortion was taken out of the images before, as in a recording, so that no
+            station file's lens is applied to them; None where nobody knows.
     """
 
     model: str
@@ -43,6 +45,7 @@ class CameraProfile:
     auto_exposure: bool | None = None
     firmware: str = ""
     warm_up: int = WARM_UP
+    undistorted: bool | None = False
 
 
 @dataclass(frozen=True, eq=False)
