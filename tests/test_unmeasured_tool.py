@@ -107,7 +107,7 @@ def test_the_handover_leaves_room_for_a_tool_of_which_nothing_is_known() -> None
     config = replace(usual, scene=replace(usual.scene, handover_position=(x, y, z - 0.1)))
     robot = RobotModel.of_station(config)
     q_open, q_closed = robot.description.hand_open, robot.description.hand_closed
-    grasp = measured_grasp(ToolData(**NOTHING), config)
+    grasp = measured_grasp(ToolData("old hammer", None, None, None, None, None), config)
     empty = CollisionWorld(robot, config, q_open)
     held = CollisionWorld(robot, config, q_closed, grasp.X_hand_ee, tool_off=UNKNOWN_FACE_OFF)
     home = np.array(config.scene.home)
