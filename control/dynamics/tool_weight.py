@@ -9,7 +9,7 @@ offset stays. All of it is one linear least-squares problem with Gaussian priors
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,11 @@ BATCHES = 8
 """Number of parts of a reading whose means tell its noise: longer than the noise's correlation."""
 LEAST_NOISE = 0.01, 0.001
 """Least standard deviation of a mean: force [N] and torque [Nm]; a simulated arm may have none."""
+USUAL_CONTRADICTION, LARGEST_CONTRADICTION = 1.2, 3.0
+"""Difference of the mass with and without the reading of the empty hand, in its standard deviations: from the first on
+the result is less certain, over the second there is none."""
+_NOTHING = 200.0, 100.0
+"""Change of the wrench's error with which the reading of the empty hand tells nothing [N, Nm]."""
 _WIDE = np.array([20.0, 6.0, 6.0, 6.0, *(200.0,) * 3, *(100.0,) * 3])
 """Standard deviations of the priors that say nothing: mass [kg] and moments [kg m] of the tool, offset [N, Nm]."""
 
@@ -54,7 +59,7 @@ class WeighingPrior:
         posture: Change of the wrench's error from posture to posture, per axis: force [N] and torque [Nm].
         hand_mass: Error of the hand's mass that the arm compensates [kg].
         hand_moment: Error of its mass times its centre of mass, axes of the flange, (3,) [kg m].
-        time: Change of the wrench's error while the tool is handed over, per axis: force [N] and torque [Nm].
+        time: Change of the wrench's error since the empty hand was felt, per axis: force [N] and torque [Nm].
         grip: A point of the handle's axis, flange frame, (3,) [m].
         handle: Direction of that axis, flange frame, (3,), of length 1.
         handle_moment: Mass times distance of the centre of mass from it [kg m].
@@ -117,12 +122,13 @@ def weigh(held: Sequence[RestReading], empty: RestReading, gravity: Array, prior
         prior: What is known before.
 
     Returns:
-        The weight. Where the readings contradict each other by more than they should, its standard deviations are as
-        much larger.
+        The weight. Where the readings contradict each other by more than they should, or those with the tool the one
+        without it, its standard deviations are as much larger.
 
     Raises:
         WeighingError: There are too few readings, or gravity has nearly the same direction in the flange in all of
-            them (`weighing.orientations`); or the mass is no mass (`weighing.not_held`).
+            them (`weighing.orientations`); the mass against the empty hand is not that by turning the tool
+            (`weighing.uncertain`); or the mass is no mass (`weighing.not_held`).
     """
     directions = np.array([reading.R_base_flange.T @ gravity for reading in held]) / np.linalg.norm(gravity)
     turn = float(np.arccos(np.clip((directions @ directions.T).min(), -1.0, 1.0))) if len(held) else 0.0
@@ -133,20 +139,22 @@ def weigh(held: Sequence[RestReading], empty: RestReading, gravity: Array, prior
             "weigh the tool on scales and write tool.mass and tool.center_of_mass",
             code="weighing.orientations",
         )
-    readings = [*held, empty]
-    # The noise is the same in all: what the parts of each tell of it is pooled.
-    density = np.mean([np.square(reading.noise) * reading.count for reading in readings], axis=0)
-    noises = np.sqrt([density / reading.count for reading in readings])
-    wrenches = np.concatenate([_in_flange(reading) for reading in readings])
-    rows, sigma = _equations([reading.R_base_flange for reading in held], gravity, noises, prior)
-    known = _known(prior)
-    information = rows.T @ (rows / sigma[:, None] ** 2) + known.T @ known
-    solution = np.linalg.solve(information, rows.T @ (wrenches / sigma**2))
-    misfit = np.sum(((wrenches - rows @ solution) / sigma) ** 2) + np.sum((known @ solution) ** 2)
-    freedom = len(wrenches) - _FLAT
-    covariance = np.linalg.inv(information)[:4, :4] * max(1.0, float(misfit) / freedom)
-    mass, moment = float(solution[0]), solution[1:4]
+    mean, covariance, misfit = _solved(held, empty, gravity, prior)
+    # The mass comes almost wholly from the two readings in one posture; the others know it less well without `empty`.
+    mean_of_held, covariance_of_held, misfit_of_held = _solved(held, empty, gravity, replace(prior, time=_NOTHING))
+    apart = mean[0] - mean_of_held[0]
+    expected = misfit_of_held * (covariance_of_held[0, 0] - covariance[0, 0])
+    contradiction = float(apart / np.sqrt(max(expected, 1e-12)))
+    covariance = covariance * misfit * max(1.0, (contradiction / USUAL_CONTRADICTION) ** 2)
+    mass, moment = float(mean[0]), mean[1:4]
     mass_sigma = float(np.sqrt(covariance[0, 0]))
+    if abs(contradiction) > LARGEST_CONTRADICTION:
+        raise WeighingError(
+            f"the arm feels a tool of {mass:.2f} kg against the empty hand, and of {mean_of_held[0]:.2f} kg by turning "
+            "it: one of the two is wrong. See that nothing touched arm and hand while the hand was empty and since, "
+            "and that hand.weighed is right; or weigh the tool on scales and write tool.mass and tool.center_of_mass",
+            code="weighing.uncertain",
+        )
     if not mass > 2.0 * mass_sigma:
         raise WeighingError(
             f"the arm feels a tool of {mass:.2f} ± {mass_sigma:.2f} kg, which may be none: see whether the hand holds "
@@ -176,6 +184,25 @@ def expected_covariance(
     known = _known(prior)
     information = rows.T @ (rows / sigma[:, None] ** 2) + known.T @ known
     return np.asarray(np.linalg.inv(information)[:4, :4])
+
+
+def _solved(
+    held: Sequence[RestReading], empty: RestReading, gravity: Array, prior: WeighingPrior
+) -> tuple[Array, Array, float]:
+    """Mass and moments of the tool, (4,), their covariance, (4, 4), and the misfit's share of variance, at least 1."""
+    readings = [*held, empty]
+    # The noise is the same in all: what the parts of each tell of it is pooled.
+    density = np.mean([np.square(reading.noise) * reading.count for reading in readings], axis=0)
+    noises = np.sqrt([density / reading.count for reading in readings])
+    wrenches = np.concatenate([_in_flange(reading) for reading in readings])
+    rows, sigma = _equations([reading.R_base_flange for reading in held], gravity, noises, prior)
+    known = _known(prior)
+    information = rows.T @ (rows / sigma[:, None] ** 2) + known.T @ known
+    solution = np.linalg.solve(information, rows.T @ (wrenches / sigma**2))
+    misfit = np.sum(((wrenches - rows @ solution) / sigma) ** 2) + np.sum((known @ solution) ** 2)
+    freedom = len(wrenches) - _FLAT
+    covariance = np.asarray(np.linalg.inv(information)[:4, :4], dtype=np.float64)
+    return np.asarray(solution[:4], dtype=np.float64), covariance, max(1.0, float(misfit) / freedom)
 
 
 # The unknowns: mass and moments of the tool (4), the offset (6), and, with priors of their own, the error of the hand's

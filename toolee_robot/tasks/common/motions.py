@@ -67,6 +67,7 @@ class Motions:
         tool_off: How far the tool may be from where `X_hand_ee` has it, beyond what its envelope allows for [m].
         payload: What the flange carries; None before it was set.
         noise: Readings of the force at rest, one a cycle, (N, 3) [N]; None before they were taken.
+        readied: How often `begin` was called: at the job's begin and after every reset.
     """
 
     q: Array
@@ -86,6 +87,7 @@ class Motions:
         self.tool_off = 0.0
         self.payload: Payload | None = None
         self.noise: Array | None = None
+        self.readied = 0
         self._zeroed: Array | None = None
         self._q_hand_seen: Array = np.zeros(len(robot.description.hand_joints))
         self.person = PersonProof(station.person)
@@ -103,6 +105,7 @@ class Motions:
         """
         self.q = self.arm.state().q_commanded
         self._zeroed = None  # a reset may have undone it
+        self.readied += 1
 
     @property
     def q_hand(self) -> Array:

@@ -159,9 +159,7 @@ class Handover:
     def _go_there(self) -> None:
         q_hand = self._motions.q_hand
         world = CollisionWorld(self._robot, self._config, q_hand)
-        way = plan_handover(
-            self._robot, self._config, world, self._motions.q, q_hand, tool_off=self._motions.tool_off
-        )
+        way = plan_handover(self._robot, self._config, world, self._motions.q, q_hand, tool_off=self._motions.tool_off)
         self._motions.transfer("to the handover", way)
 
     def clear_person(self, prompt: str) -> None:

@@ -19,7 +19,7 @@ from toolee_robot.hal import Clock
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.hammering.grasp import Grasp
-from toolee_robot.types import Payload
+from toolee_robot.types import ArmModel, Payload
 
 SETTLE = 0.5
 """Time at rest before the wrench is read, so that arm, wrist and tool have stopped swinging [s]."""
@@ -32,8 +32,11 @@ POSTURES = 5
 """Largest number of postures beside that of the handover."""
 HAND_SHARE, HAND_PLACE = 0.1, 0.01
 """Standard deviations of what a lab says of its hand: of the mass, as a share of it, and of its centre [m]. Assumed."""
-WHILE_HANDED_OVER = 0.15, 0.03
-"""Change of the wrench's error in the minute of the handover [N, Nm]: that of a CB3 that warms up. Assumed."""
+SINCE_EMPTY = 1.3, 0.2
+"""Change of the wrench since the empty hand was felt, beside the tool [N, Nm]: hand and cables are touched in between,
+and what presses on the arm with 3 N in one of the two readings must not pass for a certain mass. Assumed."""
+WARM_UP = 600.0
+"""Time in which the wrench's error changes by as much as from posture to posture [s]. Assumed, as the simulated arm."""
 BESIDE = 0.04
 """Mass times distance of the tool's centre of mass from the handle's axis as the hand nominally holds it, standard
 deviation [kg m]: 60 mm of a hammer of 0.66 kg, which the hand may hold tilted."""
@@ -66,6 +69,7 @@ class Weighing:
         self._motions, self._config, self._robot = motions, config, robot
         self._clock, self._observer = clock, observer
         self._empty: RestReading | None = None
+        self._felt_at, self._readied = -np.inf, 0
         self._q: Array | None = None
 
     def feel_empty_hand(self) -> None:
@@ -77,23 +81,48 @@ class Weighing:
         motions = self._motions
         motions.set_payload(self._robot.description.hand_payload(motions.q_hand))
         self._q, self._empty = motions.q, self._reading(LONG)
+        self._felt_at, self._readied = self._clock.now(), motions.readied
 
     def weigh(self, grasp: Grasp) -> Grasp:
         """Weigh the tool in the hand: the wrist turns slowly, and the arm feels the tool at rest in between.
 
-        Before, the arm compensates the hand alone; afterwards, also after too uncertain a result, the tool, too.
-        It ends where it last felt the tool; without a result where the tool was handed over.
+        Before, the arm compensates the hand alone; with a result, also one that is refused, the tool, too. Without a
+        result (`weighing.orientations`, `weighing.not_held`, readings that contradict each other, no motion, a tool
+        that the arm cannot carry) it stays told the hand alone. It ends where it last felt the tool, and where it
+        refuses, at the place of the handover, or where it stood if there is no way there.
 
         Args:
-            grasp: Nominal grasp.
+            grasp: Nominal grasp, with the mass for which the job was planned.
 
         Returns:
             The grasp with the tool's mass and centre of mass.
 
         Raises:
-            WeighingError: The result is none, or too uncertain (`weighing.uncertain`).
-            TooleeError: A motion or a device failed.
+            WeighingError: There is no result, or it is too uncertain (`weighing.uncertain`), or more than the job was
+                planned for (`weighing.too_heavy`), or there is no safe motion to weigh it (`weighing.no_motion`).
+            TooleeError: A device failed, the tool was lost, or a person is near.
         """
+        try:
+            try:
+                weight, count = self._felt(grasp)
+            except PlanningError as error:
+                raise WeighingError(
+                    f"the tool cannot be weighed where it was handed over: {error}. Clear the space around it, or "
+                    "weigh the tool on scales and write tool.mass and tool.center_of_mass",
+                    code="weighing.no_motion",
+                ) from error
+            p_tool_com = self._told(weight, grasp)
+            self._check(weight, grasp.mass)
+        except WeighingError as error:
+            self._observer.message(str(error))  # a motion or a device may fail on the way back
+            with suppress(PlanningError):
+                self._to_handover()
+            raise
+        self._observer.message(f"the arm weighs the tool: {in_words(weight)}, in {count} orientations")
+        return replace(grasp, mass=weight.mass, p_tool_com=p_tool_com, to_weigh=False)
+
+    def _felt(self, grasp: Grasp) -> tuple[ToolWeight, int]:
+        """The tool's weight, and in how many orientations it was felt."""
         assert self._empty is not None, "the empty hand is felt before the handover"
         motions, config = self._motions, self._config
         self._to_handover()  # a resumed job stands elsewhere
@@ -103,23 +132,21 @@ class Weighing:
         for turn in turns:
             motions.transfer("to weigh the tool", turn, config.supervisor.handover_speed)
             held.append(self._reading(SHORT))
-        try:
-            weight = weigh(held, self._empty, config.arm.gravity, prior)
-            p_tool_com = self._told(weight, grasp)
-            self._check(weight)
-        except WeighingError:
-            with suppress(PlanningError):
-                self._to_handover()
-            raise
-        self._observer.message(f"the arm weighs the tool: {in_words(weight)}, in {len(held)} orientations")
-        return replace(grasp, mass=weight.mass, p_tool_com=p_tool_com, to_weigh=False)
+        return weigh(held, self._empty, config.arm.gravity, prior), len(held)
 
     def _told(self, weight: ToolWeight, grasp: Grasp) -> Array:
         """Tell the arm the tool; returns its centre of mass in the nominal tool, (3,) [m]."""
-        self.weight, q_hand = weight, self._motions.q_hand
+        q_hand = self._motions.q_hand
         X_flange_tool = self._robot.X_flange_hand(q_hand) @ grasp.X_hand_tool
         p_tool_com = (inverse(X_flange_tool) @ np.append(weight.center_of_mass, 1.0))[:3]
-        self._motions.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, weight.mass, p_tool_com))
+        try:
+            self._motions.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, weight.mass, p_tool_com))
+        except PlanningError as error:
+            raise WeighingError(
+                f"the arm weighs the tool: {in_words(weight)}, and cannot carry it: {error}. Use a lighter hammer",
+                code="weighing.too_heavy",
+            ) from error
+        self.weight = weight
         return np.asarray(p_tool_com)
 
     def _to_handover(self) -> None:
@@ -157,22 +184,46 @@ class Weighing:
             posture=ARM_DATA[self._config.arm.model].wrench_drift,
             hand_mass=HAND_SHARE * hand.mass,
             hand_moment=hand.mass * np.hypot(HAND_SHARE * hand.center_of_mass, HAND_PLACE),
-            time=WHILE_HANDED_OVER,
+            time=since_empty(
+                self._config.arm.model, self._clock.now() - self._felt_at, self._motions.readied != self._readied
+            ),
             grip=X_flange_tool[:3, 3],
             handle=X_flange_tool[:3, 2],
             handle_moment=BESIDE,
         )
 
-    def _check(self, weight: ToolWeight) -> None:
+    def _check(self, weight: ToolWeight, planned: float) -> None:
+        """Refuse a weight that is too uncertain, or more than was planned for [kg]."""
         moment = weight.mass * weight.center_sigma
-        if weight.mass_sigma <= min(LARGEST_SIGMA, LARGEST_SHARE * weight.mass) and moment <= LARGEST_MOMENT:
-            return
-        raise WeighingError(
-            f"the arm weighs the tool too inexactly for a strike: {in_words(weight)}. See that nothing touches arm, "
-            "hand and tool, and that no cable pulls; or weigh it on scales, balance it on an edge, and write "
-            "tool.mass and tool.center_of_mass",
-            code="weighing.uncertain",
-        )
+        if weight.mass_sigma > min(LARGEST_SIGMA, LARGEST_SHARE * weight.mass) or moment > LARGEST_MOMENT:
+            raise WeighingError(
+                f"the arm weighs the tool too inexactly for a strike: {in_words(weight)}. See that nothing touches "
+                "arm, hand and tool, and that no cable pulls; or weigh it on scales, balance it on an edge, and write "
+                "tool.mass and tool.center_of_mass",
+                code="weighing.uncertain",
+            )
+        if weight.mass > planned:
+            raise WeighingError(
+                f"the arm weighs the tool: {in_words(weight)}; the job is planned for {planned:.1f} kg at most. Use a "
+                "lighter hammer; or weigh it on scales and write tool.mass and tool.center_of_mass",
+                code="weighing.too_heavy",
+            )
+
+
+def since_empty(model: ArmModel, age: float, reset: bool) -> tuple[float, float]:
+    """How far the reading of the empty hand is believed.
+
+    Args:
+        model: Model of the arm.
+        age: Time since it was taken [s].
+        reset: Whether the arm was stopped and reset since, which may have changed the error as a posture does.
+
+    Returns:
+        Standard deviation of the wrench's change since, per axis: force [N] and torque [Nm].
+    """
+    share = age / WARM_UP + float(reset)
+    force, torque = (now + share * drift for now, drift in zip(SINCE_EMPTY, ARM_DATA[model].wrench_drift, strict=True))
+    return force, torque
 
 
 def in_words(weight: ToolWeight) -> str:
