@@ -181,9 +181,7 @@ def expected_covariance(
     """
     noises = np.tile(noise, (len(Rs_base_flange) + 1, 1))
     rows, sigma = _equations(Rs_base_flange, gravity, noises, prior)
-    known = _known(prior)
-    information = rows.T @ (rows / sigma[:, None] ** 2) + known.T @ known
-    return np.asarray(np.linalg.inv(information)[:4, :4])
+    return _covariance(rows, sigma, _known(prior))[:4, :4]
 
 
 def _solved(
@@ -197,12 +195,16 @@ def _solved(
     wrenches = np.concatenate([_in_flange(reading) for reading in readings])
     rows, sigma = _equations([reading.R_base_flange for reading in held], gravity, noises, prior)
     known = _known(prior)
-    information = rows.T @ (rows / sigma[:, None] ** 2) + known.T @ known
-    solution = np.linalg.solve(information, rows.T @ (wrenches / sigma**2))
+    covariance = _covariance(rows, sigma, known)
+    solution = covariance @ rows.T @ (wrenches / sigma**2)
     misfit = np.sum(((wrenches - rows @ solution) / sigma) ** 2) + np.sum((known @ solution) ** 2)
     freedom = len(wrenches) - _FLAT
-    covariance = np.asarray(np.linalg.inv(information)[:4, :4], dtype=np.float64)
-    return np.asarray(solution[:4], dtype=np.float64), covariance, max(1.0, float(misfit) / freedom)
+    return np.asarray(solution[:4], dtype=np.float64), covariance[:4, :4], max(1.0, float(misfit) / freedom)
+
+
+def _covariance(rows: Array, sigma: Array, known: Array) -> Array:
+    """Covariance of the unknowns by the readings' equations and what is known, (20, 20)."""
+    return np.asarray(np.linalg.inv(rows.T @ (rows / sigma[:, None] ** 2) + known.T @ known), dtype=np.float64)
 
 
 # The unknowns: mass and moments of the tool (4), the offset (6), and, with priors of their own, the error of the hand's

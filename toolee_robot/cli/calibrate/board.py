@@ -9,6 +9,12 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+BARS_MISSING = (
+    "--bars-mm is missing: measure the two scale bars on your print and give their lengths in millimetres; no printer "
+    "keeps the scale"
+)
+"""Why views of a print that nobody has measured are refused."""
+
 
 @dataclass(frozen=True)
 class PrintBoard:

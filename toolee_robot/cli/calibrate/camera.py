@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from toolee_robot.cli.calibrate.board import BARS_MISSING
 from toolee_robot.cli.options import Flag
 from toolee_robot.config import SIMULATED, StationConfig, load_lab_station, load_station
 from toolee_robot.errors import UserError
@@ -134,11 +135,7 @@ class Camera:
                 "--bars-mm without --images or --station: the simulated lab measures its own print", code="user.option"
             )
         if real and self.bars_mm is None:
-            raise UserError(
-                "--bars-mm is missing: measure the two scale bars on your print and give their lengths in "
-                "millimetres; no printer keeps the scale",
-                code="user.board_scale_unknown",
-            )
+            raise UserError(BARS_MISSING, code="user.board_scale_unknown")
         if real and self.images is None and (self.plate_distance is None or self.plate_mass is None):
             raise UserError(
                 "--plate-distance and --plate-mass are missing: measure how far the print is from the flange, and "

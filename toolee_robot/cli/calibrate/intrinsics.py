@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from toolee_robot.cli.calibrate.board import BARS_MISSING
 from toolee_robot.cli.options import Flag
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor
@@ -113,11 +114,7 @@ class Intrinsics:
         if self.rehearse and self.bars_mm is not None:
             raise UserError("--bars-mm with --rehearse: the emulated person measures the print", code="user.option")
         if not self.rehearse and self.bars_mm is None:
-            raise UserError(
-                "--bars-mm is missing: measure the two scale bars on your print and give their lengths in "
-                "millimetres; no printer keeps the scale",
-                code="user.board_scale_unknown",
-            )
+            raise UserError(BARS_MISSING, code="user.board_scale_unknown")
         if self.write and self.station is None:
             raise UserError("--write needs --station: the station file to write to", code="user.option")
         if not MIN_COUNT <= self.views <= 200 or self.seed < 0:
