@@ -8,38 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.calibration.record import rows
 from toolee_robot.config import CameraConfig, CameraDevice, StationConfig
-from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Clock
 from toolee_robot.hardware.cameras import CameraProfile, CameraStream, Lens, LensModel, RawImages
 from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream, sdk
-from toolee_robot.render.scene import Rendering
-from toolee_robot.render.sensors.color_camera import Photo, photograph
-from toolee_robot.render.sensors.depth_camera import measure_depth
-from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, Pictures, SoftwareRealSense
 from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
 from toolee_robot.stations.camera import REALSENSE
+from toolee_robot.stations.rehearsal.color_and_depth import MILLIMETRE, ColorAndDepth
 from toolee_robot.stations.rehearsal.lens import EmulatedLens, lens_of
 from toolee_robot.tools import Tool
 
 STANDS = 3e-4
 """Way of every body between two frames up to which the scene stands still [m]."""
-MILLIMETRE = 1e-3
 
 
 class SeenScene:
     """What the emulated camera sees; frames come while the scene stands still, which is when a job looks.
 
-    Nothing has a depth that is nearer than the station file's `camera.device.least_range`. Colour is seen through the
-    lens that the file states; so is depth where it is from the same place. A stereo module's depth has no distortion.
+    Nothing has a depth that is nearer than the station file's `camera.device.least_range`. The lens is the file's.
 
     Args:
         config: The cell as it is.
@@ -62,17 +55,11 @@ class SeenScene:
         boards: Sequence[PlacedBoard] = (),
     ) -> None:
         assert config.camera.device is not None, "a job needs one"
-        self._state, self._intrinsics = state, config.camera.intrinsics
-        self._least_range = config.camera.device.least_range
+        camera, self._state, self._least_range = config.camera, state, config.camera.device.least_range
         visuals = SceneVisuals(config, tool, seed, lambda: self._seen, boards)
-        distorts = lens_of(config.camera).distorts
-        self._lens = EmulatedLens(config.camera) if distorts else None
-        color = config.camera if self._lens is None else self._lens.rendered
-        aside = replace(config.camera, pose=rows(config.camera.X_base_camera @ X_color_depth))
-        views = [color] if np.array_equal(X_color_depth, np.eye(4)) else [color, aside]
-        self._cameras = [SimCamera(visuals, clock, view, seed) for view in views]
-        self._rng = np.random.default_rng([seed, 2])
-        self._renderings: list[Rendering] = []
+        lens = EmulatedLens(camera) if lens_of(camera).distorts else None
+        rng = np.random.default_rng([seed, 2])
+        self._cameras = ColorAndDepth(visuals, camera, lens, X_color_depth, clock, seed, rng)
         self._seen = self._last = state()
 
     def pictures(self) -> Pictures | None:
@@ -81,17 +68,10 @@ class SeenScene:
         self._last = now
         if _way(last, now) > STANDS:
             return None
-        if not self._renderings or _way(self._seen, now) > STANDS:
+        if not self._cameras.has_looked or _way(self._seen, now) > STANDS:
             self._seen = now
-            rendered, *others = (camera.render() for camera in self._cameras)
-            self._renderings = [rendered if self._lens is None else self._lens(rendered), *others]
-        color, depth = self._renderings[0], self._renderings[-1]
-        metres = measure_depth(
-            depth.depth, depth.cos_incidence, depth.shininess, self._intrinsics, DepthNoise(), self._rng
-        )
-        metres[metres < self._least_range] = 0.0
-        millimetres = np.rint(np.nan_to_num(metres) / MILLIMETRE).clip(0, 2**16 - 1).astype(np.uint16)
-        return photograph(color.rgb, Photo(), self._rng), millimetres
+            self._cameras.look()
+        return self._cameras.take(self._least_range)
 
 
 def _way(before: SceneState, now: SceneState) -> float:

@@ -9,19 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board, Sheet
-from toolee_robot.calibration.record import rows
 from toolee_robot.config import CameraConfig
-from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Clock
-from toolee_robot.render.scene import Rendering
-from toolee_robot.render.sensors.color_camera import Photo, photograph
-from toolee_robot.render.sensors.depth_camera import measure_depth
-from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals.board import BoardVisuals
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+from toolee_robot.stations.rehearsal.color_and_depth import ColorAndDepth
 from toolee_robot.stations.rehearsal.lens import EmulatedLens
 from toolee_robot.stations.simulated_board import PRINT_SCALE, RULE
 
@@ -39,7 +34,6 @@ TILT = float(np.deg2rad(45.0))
 """Largest tilt of the board."""
 WIDTH = (0.35, 0.6)
 """Width of the board in the image, as a share of its width."""
-MILLIMETRE = 1e-3
 
 
 def drawn_camera(camera: CameraConfig, rng: np.random.Generator) -> CameraConfig:
@@ -80,7 +74,6 @@ class HeldBoard:
         x, y = (float(length + self._rng.normal(0.0, RULE)) for length in self.board.size)
         self.bars = (x, y)
         self._camera, self._seed, self._clock = camera, seed, clock
-        self._lens = EmulatedLens(camera, FINER)
         self._shown = 0
 
     def seen_from(self, X_color_depth: Array) -> Callable[[], Pictures | None]:
@@ -92,31 +85,22 @@ class HeldBoard:
         Returns:
             What colour and depth camera see.
         """
-        aside = replace(self._camera, pose=rows(self._camera.X_base_camera @ X_color_depth))
-        views = [self._lens.rendered] if np.array_equal(X_color_depth, np.eye(4)) else [self._lens.rendered, aside]
-        cameras = [SimCamera(self, self._clock, view, self._seed) for view in views]
+        lens = EmulatedLens(self._camera, FINER)
+        cameras = ColorAndDepth(self, self._camera, lens, X_color_depth, self._clock, self._seed, self._rng)
         return lambda: self._pictures(cameras)
 
     def visual_bodies(self) -> Sequence[VisualBody]:
         """The board."""
         return list(self._held.bodies(np.eye(4)))
 
-    def _pictures(self, cameras: Sequence[SimCamera]) -> Pictures:
+    def _pictures(self, cameras: ColorAndDepth) -> Pictures:
         if self._shown % HELD == 0:
-            placed = PlacedBoard(self.board, self._camera.X_base_camera @ self._pose(), on_flange=False)
+            X_camera_board = held_pose(self.board, self._camera, self._rng)
+            placed = PlacedBoard(self.board, self._camera.X_base_camera @ X_camera_board, on_flange=False)
             self._held = BoardVisuals(placed)
-            rendered, *others = (camera.render() for camera in cameras)
-            self._seen: list[Rendering] = [self._lens(rendered), *others]
+            cameras.look()
         self._shown += 1
-        color, deep = self._seen[0], self._seen[-1]
-        metres = measure_depth(
-            deep.depth, deep.cos_incidence, deep.shininess, self._camera.intrinsics, DepthNoise(), self._rng
-        )
-        millimetres = np.rint(np.nan_to_num(metres) / MILLIMETRE).clip(0, 2**16 - 1).astype(np.uint16)
-        return photograph(color.rgb, Photo(), self._rng), millimetres
-
-    def _pose(self) -> Array:
-        return held_pose(self.board, self._camera, self._rng)
+        return cameras.take()
 
 
 def held_pose(board: Board, camera: CameraConfig, rng: np.random.Generator) -> Array:
