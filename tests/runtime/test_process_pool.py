@@ -7,6 +7,8 @@ import sys
 import time
 from pathlib import Path
 
+from tests.runtime.processes import alive
+
 PARENT = """
 import os, time
 from toolee_robot.runtime.process_pool import WorkerPool
@@ -24,17 +26,9 @@ def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         worker = int(parent.stdout.readline())
-        assert _runs(worker)
+        assert alive(worker)
         parent.kill()
     deadline = time.monotonic() + 30
-    while _runs(worker) and time.monotonic() < deadline:
+    while alive(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not _runs(worker)
-
-
-def _runs(pid: int) -> bool:
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
+    assert not alive(worker)
