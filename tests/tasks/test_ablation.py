@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.errors import raises
 from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
+from toolee_robot.tasks.hammering.learnt_grasp import LEAST_JOBS, learn_shift
 from toolee_robot.types import (
     CameraError,
     CameraIntrinsics,
@@ -60,6 +65,39 @@ def test_the_rest_of_the_pose_is_nominal(ablation: Ablation | None, place: Array
     np.testing.assert_array_equal(X[:3, 3], place[:3, 3])
     np.testing.assert_allclose(X[:3, :3], turn[:3, :3], atol=1e-12)
     assert (config.task.views == 1) == (ablation is Ablation.ONE_VIEW)
+
+
+def _run(folder: Path, X_hand_ee: Array, hand: str = "inspire") -> None:
+    folder.mkdir(parents=True)
+    summary = {"hand": hand, "looks": [{"X_hand_ee": X_hand_ee.tolist()}], "nominal_X_hand_ee": NOMINAL.tolist()}
+    (folder / "summary.json").write_text(json.dumps(summary))
+
+
+def test_a_job_believes_where_the_hand_moved_earlier_tools_in_the_mean(tmp_path: Path) -> None:
+    """Fingers that close move every tool by 8 mm and 0.1 rad; hand-overs scatter about that."""
+    shift = transform(Rotation.from_rotvec([0.0, 0.0, 0.1]), [0.0, 0.008, 0.0])
+    for i in range(12):
+        by = 1 if i % 2 else -1
+        scatter = transform(Rotation.from_rotvec([0.05 * by, 0.0, 0.0]), [0.02 * by, 0.0, 0.0])
+        _run(tmp_path / "trials" / f"run{i}", shift @ scatter @ NOMINAL)
+    _run(tmp_path / "trials" / "other", SEEN, hand="shadow")
+    learnt = learn_shift(tmp_path, "inspire")
+    assert learnt.jobs == 12
+    assert learnt.spread == pytest.approx((0.02, 0.05), rel=0.01)
+    perceiver, _ = ablated(Ablation.LEARNT_GRASP, Sees(), StationConfig(), NOMINAL, shift=learnt)
+    np.testing.assert_allclose(perceiver.fuse([], []).X_hand_ee, shift @ NOMINAL, atol=1e-4)
+
+
+def test_a_mean_of_too_few_jobs_is_refused(tmp_path: Path) -> None:
+    for i in range(LEAST_JOBS - 1):
+        _run(tmp_path / f"run{i}", SEEN)
+    with raises(UserError, code="user.too_few_runs"):
+        learn_shift(tmp_path, "inspire")
+    _run(tmp_path / "last", SEEN)
+    assert learn_shift(tmp_path, "inspire").jobs == LEAST_JOBS
+    (tmp_path / "last" / "summary.json").write_text("{")
+    with raises(UserError, code="user.unreadable_run"):
+        learn_shift(tmp_path, "inspire")
 
 
 class SeesTwo(Sees):

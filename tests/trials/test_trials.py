@@ -82,6 +82,27 @@ def test_every_arm_has_the_same_seeds_and_its_own_options(tmp_path: Path) -> Non
     assert finished(PLAN, tmp_path) == records
 
 
+def test_seeds_that_are_left_out_are_made_up_for() -> None:
+    plan = replace(PLAN, arms=(Arm.FULL,), left_out=(41, 43))
+    assert [trial.seed for trial in plan.jobs()] == [40, 42, 44]
+    assert plan.hash != PLAN.hash
+    assert replace(plan, arms=PLAN.arms, left_out=()).hash == PLAN.hash
+    for wrong in (39, 45):
+        with pytest.raises(ValueError, match=f"left_out: {wrong}"):
+            replace(plan, left_out=(41, wrong))
+
+
+def test_the_learnt_grasp_needs_earlier_jobs(tmp_path: Path) -> None:
+    plan = replace(PLAN, arms=(Arm.FULL, Arm.LEARNT_GRASP), learnt_from="earlier")
+    asked = Asked()
+    run_trials(plan, tmp_path, 1, quietly, asked)
+    given = [(option(one, "--ablation"), option(one, "--learnt-from")) for one in asked.options]
+    assert given == [(None, None), ("learnt_grasp", "earlier")] * 3
+    for arms, folder in ((plan.arms, ""), ((Arm.FULL,), "earlier")):
+        with pytest.raises(ValueError, match="learnt_from"):
+            replace(plan, arms=arms, learnt_from=folder)
+
+
 @pytest.mark.parametrize("after", [0, 1, 4])
 @pytest.mark.parametrize("torn", ["", '{"trial": {"arm": "fu'])
 def test_a_run_that_was_ended_goes_on_where_it_stopped(tmp_path: Path, after: int, torn: str) -> None:

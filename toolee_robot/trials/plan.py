@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from itertools import product
+from itertools import count, islice, product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -42,6 +42,8 @@ class Arm(StrEnum):
     """They register the tool's own shape, which they are told, to the cloud (iterative closest point)."""
     PAPER = "paper"
     """They estimate poses by the paper's estimator."""
+    LEARNT_GRASP = "learnt_grasp"
+    """They believe the nominal pose of the tool in the hand, moved as the hand moved earlier tools in the mean."""
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -55,10 +57,13 @@ class Arm(StrEnum):
 
 OWN = frozenset(
     {"--seed", "--json", "--out", "--errors", "--exact", "--ablation", "--no-correction"}
-    | {"--setup", "--paper-weights", "--sensor"}
+    | {"--setup", "--paper-weights", "--learnt-from", "--sensor"}
 )
 """Options of `toolee hammer` that the plan's other fields say."""
-LATER = frozenset({"sweep", "attended", "instructions", "tools", "nails", "woods", "sensors", "paper_weights"})
+LATER = frozenset(
+    {"sweep", "attended", "instructions", "tools", "nails", "woods", "sensors", "paper_weights"}
+    | {"learnt_from", "left_out"}
+)
 """Fields that count in the hash only where they say something: plans that were begun before have none of them."""
 Name = Annotated[str, Field(min_length=1, max_length=60)]
 
@@ -135,7 +140,7 @@ class TrialPlan:
     first_seed: Annotated[int, Field(ge=0)]
     """The first seed; on a robot the number of the first repetition, such as 1."""
     trials: Count
-    """Number of seeds, one after the other; on a robot of repetitions."""
+    """Number of seeds, one after the other but for those `left_out`; on a robot of repetitions."""
     arms: Annotated[tuple[Arm, ...], Field(min_length=1)] = (Arm.FULL,)
     """Arms, compared with the first one."""
     errors: Literal["nominal", "exact"] | dict[str, NotNegative] = "nominal"
@@ -162,6 +167,10 @@ class TrialPlan:
     camera."""
     paper_weights: Annotated[str, Field(max_length=1000)] = ""
     """Folder of a training of the paper's estimator, for the arm `paper`, from where the trials are run."""
+    learnt_from: Annotated[str, Field(max_length=1000)] = ""
+    """Folder of earlier jobs with the same hand, for the arm `learnt_grasp`, from where the trials are run."""
+    left_out: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    """Seeds that are left out, such as those that draw a tool which an earlier seed of the plan has."""
 
     def __post_init__(self) -> None:
         if self.sweep and self.errors == "exact":
@@ -173,6 +182,13 @@ class TrialPlan:
                 "paper_weights: the arm `paper` needs the folder of a training of the paper's estimator, and no other "
                 "arm does; without them `toolee hammer --ablation paper` tells how it is trained"
             )
+        if (Arm.LEARNT_GRASP in self.arms) != bool(self.learnt_from):
+            raise ValueError(
+                "learnt_from: the arm `learnt_grasp` needs the folder of earlier jobs with the same hand, and no other "
+                "arm does"
+            )
+        if never := sorted(set(self.left_out) - set(range(self.first_seed, self.seeds[-1]))):
+            raise ValueError(f"left_out: {', '.join(map(str, never))} would not come in this plan")
         given = {option.split("=")[0].replace("_", "-") for option in self.options if option.startswith("--")}
         if wrong := sorted(given & (OWN | ({"--nail"} if self.nails else set()))):
             raise ValueError(f"options: {', '.join(wrong)} is said by the plan's other fields")
@@ -193,6 +209,12 @@ class TrialPlan:
             raise ValueError("sensors: each one once")
         if not self.led and self.instructions:
             raise ValueError("instructions: nobody reads them in a simulation")
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds, in their order; on a robot the numbers of the repetitions."""
+        left_out = frozenset(self.left_out)
+        return tuple(islice((seed for seed in count(self.first_seed) if seed not in left_out), self.trials))
 
     @property
     def on_robot(self) -> bool:
@@ -218,7 +240,7 @@ class TrialPlan:
         """
         swept: list[tuple[str | None, float | None]]
         swept = [(None, None), *((error, size) for error, sizes in self.sweep.items() for size in sizes)]
-        for seed in range(self.first_seed, self.first_seed + self.trials):
+        for seed in self.seeds:
             for error, size in swept:
                 for tool, nail, wood, sensor in self._conditions():
                     for arm in self.arms:

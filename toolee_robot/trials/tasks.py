@@ -58,7 +58,7 @@ def task_of(plan: TrialPlan, trial: Trial, folder: Path) -> Task:
     """
     command = (
         *(() if plan.on_robot else ("--seed", str(trial.seed))),
-        *trial.arm.options, *_paper_weights(plan, trial),
+        *trial.arm.options, *_needed(plan, trial),
         *_errors(plan, trial, folder), *_setup(plan, trial, folder),
         *(() if trial.sensor is None else ("--sensor", trial.sensor)), *plan.options,
     )  # fmt: skip
@@ -127,8 +127,10 @@ def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
         )
 
 
-def _paper_weights(plan: TrialPlan, trial: Trial) -> tuple[str, ...]:
-    """Options for the paper's estimator."""
+def _needed(plan: TrialPlan, trial: Trial) -> tuple[str, ...]:
+    """Options for what an arm alone needs."""
+    if trial.arm is Arm.LEARNT_GRASP:
+        return ("--learnt-from", plan.learnt_from)
     return ("--paper-weights", plan.paper_weights) if trial.arm is Arm.PAPER else ()
 
 

@@ -125,13 +125,18 @@ class Hammer:
     perfect_perception: Flag = False
     """For tests and ablations only: poses from the simulation's ground truth instead of the camera."""
     ablation: Annotated[
-        Literal["position_only", "normal_only", "one_view", "mask_centroid", "icp", "paper"] | None,
-        tyro.conf.arg(metavar="position_only|normal_only|one_view|mask_centroid|icp|paper", help_behavior_hint=""),
+        Literal["position_only", "normal_only", "one_view", "mask_centroid", "icp", "paper", "learnt_grasp"] | None,
+        tyro.conf.arg(
+            metavar="position_only|normal_only|one_view|mask_centroid|icp|paper|learnt_grasp", help_behavior_hint=""
+        ),
     ] = None
-    """For trials only: believe only the estimated position, or orientation, of the face; look once only; or take the
-    mask's centroid, a registration of the tool's own shape (ICP), or the paper's estimator for the face's pose."""
+    """For trials only: believe only the estimated position, or orientation, of the face; look once only; or take for
+    the face's pose the mask's centroid, a registration of the tool's own shape (ICP), what the paper's estimator says,
+    or where the hand has moved earlier tools in the mean."""
     paper_weights: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """With --ablation paper: the folder of its training, which docs/how-to/run_trials.md tells."""
+    learnt_from: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """With --ablation learnt_grasp: the folder of earlier jobs with this hand, ten or more."""
 
     def run(self) -> int:
         if not 0 <= self.seed < 2**31:
@@ -147,6 +152,12 @@ class Hammer:
                 code="user.option",
             )
         self._check_paper()
+        if (self.ablation == "learnt_grasp") != (self.learnt_from is not None):
+            raise UserError(
+                "--ablation learnt_grasp and --learnt-from DIR, the folder of earlier jobs, go together: give both or "
+                "none",
+                code="user.option",
+            )
         if self.perfect_perception and self.no_correction:
             raise UserError(
                 "--perfect-perception with --no-correction changes nothing: leave one out", code="user.option"
@@ -171,6 +182,7 @@ class Hammer:
             job = HammerJob(
                 source, correction=not self.no_correction, perfect_perception=self.perfect_perception, ask=ask,
                 view=self.view, nails=nails, device=self.device, paper_weights=self.paper_weights,
+                learnt_from=self.learnt_from,
                 ablation=None if self.ablation is None else Ablation(self.ablation),
             )  # fmt: skip
             report = job.run(folder.path, console)

@@ -65,6 +65,7 @@ class HammerJob:
         perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
         ablation: What perception leaves out; None for nothing.
         paper_weights: Folder of a training of the paper's estimator, for `Ablation.PAPER`.
+        learnt_from: Folder with the runs of earlier jobs, for `Ablation.LEARNT_GRASP`.
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
         view: Whether a page in the browser shows the job, too.
         nails: Names of the nails to drive; empty for all.
@@ -76,6 +77,7 @@ class HammerJob:
     perfect_perception: bool = False
     ablation: Ablation | None = None
     paper_weights: Path | None = None
+    learnt_from: Path | None = None
     ask: Callable[[str], str] | None = None
     view: bool = False
     nails: tuple[str, ...] = ()
@@ -116,7 +118,7 @@ class HammerJob:
             if opened.shape is not None:
                 recorder.attach("tool.glb", "model/gltf-binary", tool_model(opened.shape))
             keeper = RecordingObserver(recorder, station, opened.config)
-            perceiver, config = job_perceiver(self.ablation, perception, opened)
+            perceiver, config = job_perceiver(self.ablation, perception, opened, self.learnt_from)
             task = HammeringTask(
                 station, perceiver, config, opened.grasp,
                 correction=self.correction,
@@ -268,6 +270,7 @@ class HammerJob:
             "version": code_version(),
             "strike_log": [{"nail": nail.name, **asdict(s)} for nail in result.nails for s in nail.strikes],
             "strike_truth": [asdict(truth) for truth in truths],
+            "nominal_X_hand_ee": opened.grasp.X_hand_ee.tolist(),
             "looks": [
                 {
                     "stamp": stamp,

@@ -17,13 +17,14 @@ from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
+from toolee_robot.tasks.hammering.learnt_grasp import learn_shift
 
 SURFACE = 20_000
 """Number of points on the tool's surface that a registration uses."""
 
 
-BELIEVES_NOMINAL = (Ablation.POSITION_ONLY, Ablation.NORMAL_ONLY, Ablation.MASK_CENTROID)
-"""What takes the face's nominal place or direction for the true one."""
+BELIEVES_NOMINAL = (Ablation.POSITION_ONLY, Ablation.NORMAL_ONLY, Ablation.MASK_CENTROID, Ablation.LEARNT_GRASP)
+"""What takes the face's nominal place or direction for the true one, or begins with it."""
 
 
 def job_networks(paper_weights: Path | None = None, device: str = "cpu") -> ToolPerception:
@@ -47,7 +48,10 @@ def job_networks(paper_weights: Path | None = None, device: str = "cpu") -> Tool
 
 
 def job_perceiver(
-    ablation: Ablation | None, perception: ToolPerception | None, opened: Opened
+    ablation: Ablation | None,
+    perception: ToolPerception | None,
+    opened: Opened,
+    learnt_from: Path | None = None,
 ) -> tuple[Perceiver, StationConfig]:
     """Build the perception of a job.
 
@@ -55,13 +59,15 @@ def job_perceiver(
         ablation: What it leaves out or does instead; None for nothing.
         perception: The networks; None for the simulation's ground truth.
         opened: The station.
+        learnt_from: Folder with the runs of earlier jobs, for `Ablation.LEARNT_GRASP`.
 
     Returns:
         The perception, and the configuration of the job.
 
     Raises:
         UserError: `ICP` without the tool's shape, which only a simulation has; code `user.no_tool_shape`. What believes
-            a part of the face's nominal pose, of a tool whose face nobody has measured; code `user.unknown_face`.
+            a part of the face's nominal pose, of a tool whose face nobody has measured; code `user.unknown_face`. As of
+            `learn_shift`.
     """
     if opened.grasp.ee_off and ablation in BELIEVES_NOMINAL:
         raise UserError(
@@ -72,12 +78,14 @@ def job_perceiver(
     if perception is None:
         assert opened.truth is not None, "the command refuses it"
         return PerfectPerception(opened.truth), opened.config
-    pose_of = None
+    pose_of, shift = None, None
+    if learnt_from is not None:
+        shift = learn_shift(learnt_from, str(opened.config.hand.model))
     if ablation is Ablation.MASK_CENTROID:
         pose_of = partial(classical.pose_of, classical.centroid_pose)
     elif ablation is Ablation.ICP:
         pose_of = partial(classical.pose_of, classical.registration(_surface(opened)))
-    return ablated(ablation, perception, opened.config, opened.grasp.X_hand_ee, pose_of)
+    return ablated(ablation, perception, opened.config, opened.grasp.X_hand_ee, pose_of, shift)
 
 
 def _surface(opened: Opened) -> Array:

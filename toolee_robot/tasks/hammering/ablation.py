@@ -12,6 +12,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.tasks.common.look import Perceiver
+from toolee_robot.tasks.hammering.learnt_grasp import LearntShift
 from toolee_robot.types import CameraError, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 
@@ -30,6 +31,8 @@ class Ablation(StrEnum):
     """The pose network: the tool's own shape is registered to the cloud (iterative closest point)."""
     PAPER = "paper"
     """The pose network: the paper's estimator takes its place."""
+    LEARNT_GRASP = "learnt_grasp"
+    """The estimated pose: the nominal one is believed, moved as closing fingers moved earlier tools in the mean."""
 
 
 PoseOf = Callable[[RgbdFrame, Detection, Array], Array | None]
@@ -90,6 +93,25 @@ class PartlyNominal(Wrapped):
         return replace(fused, X_hand_ee=transform(turn[:3, :3], place[:3, 3]))
 
 
+class Believed(Wrapped):
+    """A perceiver whose fused pose is one that was believed before it looked.
+
+    Args:
+        perceiver: The whole perception.
+        X_hand_ee: The pose of the end effector in the hand that is believed, (4, 4).
+    """
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
+        Xs_camera_hand: Sequence[Array],
+        category: Category | None = None,
+        camera: CameraError | None = None,
+    ) -> InHandEstimate:
+        """See `Perceiver`; the pose is the believed one."""
+        return replace(super().fuse(estimates_per_frame, Xs_camera_hand, category, camera), X_hand_ee=self._nominal)
+
+
 class OtherPoses(Wrapped):
     """A perceiver that detects what another one does, and estimates each pose in another way.
 
@@ -125,6 +147,7 @@ def ablated(
     config: StationConfig,
     X_hand_ee: Array,
     pose_of: PoseOf | None = None,
+    shift: LearntShift | None = None,
 ) -> tuple[Perceiver, StationConfig]:
     """Leave out a part of perception, or replace it.
 
@@ -134,6 +157,7 @@ def ablated(
         config: Configuration of the station.
         X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
         pose_of: What estimates poses instead of the network; for `MASK_CENTROID` and `ICP`.
+        shift: How the hand moves tools as it closes; for `LEARNT_GRASP`.
 
     Returns:
         Perception and configuration of the job.
@@ -142,4 +166,6 @@ def ablated(
         return perceiver, replace(config, task=replace(config.task, views=1, views_again=1))
     if ablation in (Ablation.POSITION_ONLY, Ablation.NORMAL_ONLY):
         return PartlyNominal(perceiver, X_hand_ee, position=ablation is Ablation.POSITION_ONLY), config
+    if shift is not None:
+        return Believed(perceiver, shift.X_hand @ X_hand_ee), config
     return perceiver if pose_of is None else OtherPoses(perceiver, X_hand_ee, pose_of), config
