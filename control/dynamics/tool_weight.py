@@ -1,9 +1,10 @@
 """Mass and centre of mass of a held tool, from the wrench that the arm feels at rest in several orientations.
 
 The wrench has an offset that turns with the flange and changes a little from posture to posture, and the arm
-compensates a payload of the hand that may be wrong. One reading is taken with the empty hand, in the posture of the
-first one with the tool: their difference is the tool alone. The others turn the tool's weight in the flange, while the
-offset stays. All of it is one linear least-squares problem with Gaussian priors.
+compensates a payload of the hand that may be wrong. Readings with the empty hand are taken in the first of the postures
+with the tool, where the difference is the tool alone, and where the wrist is turned, which tells how wrong the hand's
+payload is. The others turn the tool's weight in the flange, while the offset stays. All of it is one linear
+least-squares problem with Gaussian priors.
 """
 
 from __future__ import annotations
@@ -59,7 +60,10 @@ class WeighingPrior:
         posture: Change of the wrench's error from posture to posture, per axis: force [N] and torque [Nm].
         hand_mass: Error of the hand's mass that the arm compensates [kg].
         hand_moment: Error of its mass times its centre of mass, axes of the flange, (3,) [kg m].
-        time: Change of the wrench's error since the empty hand was felt, per axis: force [N] and torque [Nm].
+        time: Change of the wrench's error since the empty hand was felt, the same in all postures, per axis of `base`:
+            force [N] and torque [Nm].
+        pressed: What touches the arm in one of the readings of a pair, with and without the tool, per axis: force [N]
+            and torque [Nm].
         grip: A point of the handle's axis, flange frame, (3,) [m].
         handle: Direction of that axis, flange frame, (3,), of length 1.
         handle_moment: Mass times distance of the centre of mass from it [kg m].
@@ -69,6 +73,7 @@ class WeighingPrior:
     hand_mass: float
     hand_moment: Array
     time: tuple[float, float]
+    pressed: tuple[float, float]
     grip: Array
     handle: Array
     handle_moment: float
@@ -112,17 +117,19 @@ def rest_reading(R_base_flange: Array, wrenches: Array) -> RestReading:
     return RestReading(R_base_flange, wrenches.mean(axis=0), _pair(variance), len(wrenches))
 
 
-def weigh(held: Sequence[RestReading], empty: RestReading, gravity: Array, prior: WeighingPrior) -> ToolWeight:
+def weigh(
+    held: Sequence[RestReading], empty: Sequence[RestReading], gravity: Array, prior: WeighingPrior
+) -> ToolWeight:
     """Compute mass and centre of mass of a tool.
 
     Args:
-        held: Readings with the tool, the first in the posture of `empty`.
-        empty: Reading with the empty hand.
+        held: Readings with the tool, the first of them in the postures of `empty`.
+        empty: Readings with the empty hand, one or more.
         gravity: Acceleration of free fall in `base`, (3,) [m/s^2].
         prior: What is known before.
 
     Returns:
-        The weight. Where the readings contradict each other by more than they should, or those with the tool the one
+        The weight. Where the readings contradict each other by more than they should, or those with the tool those
         without it, its standard deviations are as much larger.
 
     Raises:
@@ -140,8 +147,9 @@ def weigh(held: Sequence[RestReading], empty: RestReading, gravity: Array, prior
             code="weighing.orientations",
         )
     mean, covariance, misfit = _solved(held, empty, gravity, prior)
-    # The mass comes almost wholly from the two readings in one posture; the others know it less well without `empty`.
-    mean_of_held, covariance_of_held, misfit_of_held = _solved(held, empty, gravity, replace(prior, time=_NOTHING))
+    # The mass comes mostly from the pairs of readings in one posture; turning the tool tells it less well.
+    turned = replace(prior, time=_NOTHING, pressed=_NOTHING)
+    mean_of_held, covariance_of_held, misfit_of_held = _solved(held, empty, gravity, turned)
     apart = mean[0] - mean_of_held[0]
     expected = misfit_of_held * (covariance_of_held[0, 0] - covariance[0, 0])
     contradiction = float(apart / np.sqrt(max(expected, 1e-12)))
@@ -166,12 +174,13 @@ def weigh(held: Sequence[RestReading], empty: RestReading, gravity: Array, prior
 
 
 def expected_covariance(
-    Rs_base_flange: Sequence[Array], gravity: Array, noise: tuple[float, float], prior: WeighingPrior
+    Rs_base_flange: Sequence[Array], empty: int, gravity: Array, noise: tuple[float, float], prior: WeighingPrior
 ) -> Array:
     """Predict how well orientations would tell a tool's weight.
 
     Args:
-        Rs_base_flange: Orientations of the flange, (3, 3) each; in the first one there is a reading without the tool.
+        Rs_base_flange: Orientations of the flange, (3, 3) each.
+        empty: In how many of the first of them there is a reading without the tool, too.
         gravity: Acceleration of free fall in `base`, (3,) [m/s^2].
         noise: Standard deviation of a reading's mean, per axis: force [N] and torque [Nm].
         prior: What is known before.
@@ -179,22 +188,22 @@ def expected_covariance(
     Returns:
         Covariance of mass [kg] and moments [kg m] of the tool, (4, 4).
     """
-    noises = np.tile(noise, (len(Rs_base_flange) + 1, 1))
-    rows, sigma = _equations(Rs_base_flange, gravity, noises, prior)
-    return _covariance(rows, sigma, _known(prior))[:4, :4]
+    noises = np.tile(noise, (len(Rs_base_flange) + empty, 1))
+    rows, sigma = _equations(Rs_base_flange, empty, gravity, noises, prior)
+    return _covariance(rows, sigma, _known(prior, empty))[:4, :4]
 
 
 def _solved(
-    held: Sequence[RestReading], empty: RestReading, gravity: Array, prior: WeighingPrior
+    held: Sequence[RestReading], empty: Sequence[RestReading], gravity: Array, prior: WeighingPrior
 ) -> tuple[Array, Array, float]:
     """Mass and moments of the tool, (4,), their covariance, (4, 4), and the misfit's share of variance, at least 1."""
-    readings = [*held, empty]
+    readings = [*held, *empty]
     # The noise is the same in all: what the parts of each tell of it is pooled.
     density = np.mean([np.square(reading.noise) * reading.count for reading in readings], axis=0)
     noises = np.sqrt([density / reading.count for reading in readings])
     wrenches = np.concatenate([_in_flange(reading) for reading in readings])
-    rows, sigma = _equations([reading.R_base_flange for reading in held], gravity, noises, prior)
-    known = _known(prior)
+    rows, sigma = _equations([reading.R_base_flange for reading in held], len(empty), gravity, noises, prior)
+    known = _known(prior, len(empty))
     covariance = _covariance(rows, sigma, known)
     solution = covariance @ rows.T @ (wrenches / sigma**2)
     misfit = np.sum(((wrenches - rows @ solution) / sigma) ** 2) + np.sum((known @ solution) ** 2)
@@ -203,33 +212,36 @@ def _solved(
 
 
 def _covariance(rows: Array, sigma: Array, known: Array) -> Array:
-    """Covariance of the unknowns by the readings' equations and what is known, (20, 20)."""
+    """Covariance of the unknowns, (U, U), by the readings' equations and what is known."""
     return np.asarray(np.linalg.inv(rows.T @ (rows / sigma[:, None] ** 2) + known.T @ known), dtype=np.float64)
 
 
 # The unknowns: mass and moments of the tool (4), the offset (6), and, with priors of their own, the error of the hand's
-# mass and moments (4) and the change of the offset in the first posture (6).
-_FLAT = 10
+# mass and moments (4), the change since the empty hand (6), and that of the offset in each posture of a pair (6).
+_FLAT, _SHARED = 10, 20
 
 
 def _equations(
-    Rs_base_flange: Sequence[Array], gravity: Array, noises: Array, prior: WeighingPrior
+    Rs_base_flange: Sequence[Array], empty: int, gravity: Array, noises: Array, prior: WeighingPrior
 ) -> tuple[Array, Array]:
-    """Rows of the readings with the tool, then of that without, in the flange's axes, and their standard deviations."""
+    """Rows of the readings with the tool, then of those without, in the flange, and their standard deviations."""
     count = len(Rs_base_flange)
-    rows = np.zeros((6 * (count + 1), 20))
+    rows = np.zeros((6 * (count + empty), _SHARED + 6 * empty))
     sigma = np.repeat(np.maximum(noises, LEAST_NOISE), 3, axis=1)
-    sigma[1:count] = np.hypot(sigma[1:count], np.repeat(prior.posture, 3))
-    sigma[count] = np.hypot(sigma[count], np.repeat(prior.time, 3))
-    for k in range(count + 1):
-        empty = k == count
+    sigma[empty:count] = np.hypot(sigma[empty:count], np.repeat(prior.posture, 3))
+    for pair in (slice(empty), slice(count, None)):
+        sigma[pair] = np.hypot(sigma[pair], np.repeat(prior.pressed, 3))
+    for k in range(count + empty):
+        held, posture = k < count, k if k < count else k - count
         block = rows[6 * k : 6 * k + 6]
-        weight = _weight_rows(Rs_base_flange[0 if empty else k].T @ gravity)
-        block[:, 0:4] = 0.0 if empty else weight
+        weight = _weight_rows(Rs_base_flange[posture].T @ gravity)
         block[:, 4:10] = np.eye(6)
         block[:, 10:14] = weight
-        if empty or k == 0:
-            block[:, 14:20] = np.eye(6)
+        if held:
+            block[:, 0:4] = weight
+            block[:3, 14:17] = block[3:, 17:20] = Rs_base_flange[posture].T
+        if posture < empty:
+            block[:, _SHARED + 6 * posture :][:, :6] = np.eye(6)
     return rows, sigma.ravel()
 
 
@@ -242,13 +254,13 @@ def _weight_rows(g: Array) -> Array:
     return rows
 
 
-def _known(prior: WeighingPrior) -> Array:
-    """What is known of the unknowns, as rows that are 0 with a standard deviation of 1, (23, 20)."""
-    hand = [prior.hand_mass, *prior.hand_moment]
-    rows = np.zeros((23, 20))
-    rows[:20] = np.diag(1.0 / np.concatenate([_WIDE, hand, np.repeat(prior.posture, 3)]))
+def _known(prior: WeighingPrior, empty: int) -> Array:
+    """What is known of the unknowns, as rows that are 0 with a standard deviation of 1, (U + 3, U)."""
+    hand, time, posture = [prior.hand_mass, *prior.hand_moment], np.repeat(prior.time, 3), np.repeat(prior.posture, 3)
+    sigma = np.concatenate([_WIDE, hand, time, np.tile(posture, empty)])
     beside = (np.eye(3) - np.outer(prior.handle, prior.handle)) / prior.handle_moment
-    rows[20:, 0], rows[20:, 1:4] = -beside @ prior.grip, beside
+    rows = np.vstack([np.diag(1.0 / sigma), np.zeros((3, len(sigma)))])
+    rows[-3:, 0], rows[-3:, 1:4] = -beside @ prior.grip, beside
     return rows
 
 

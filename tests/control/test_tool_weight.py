@@ -24,7 +24,7 @@ from toolee_robot.control.dynamics.tool_weight import (
 from toolee_robot.errors import WeighingError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import profile
-from toolee_robot.tasks.hammering.weighing import LARGEST_MOMENT, LARGEST_SHARE, LARGEST_SIGMA, since_empty
+from toolee_robot.tasks.hammering.weighing import LARGEST_MOMENT, LARGEST_SHARE, LARGEST_SIGMA, PRESSED, since_empty
 from toolee_robot.types import ArmModel
 
 G = np.array([0.0, 0.0, -9.81])
@@ -47,19 +47,19 @@ class Cell:
     def prior(self) -> WeighingPrior:
         """What is known of the hand, and nothing that touches the arm between the first two readings."""
         drift = ARM_DATA[self.model].wrench_drift
-        return WeighingPrior(drift, *self._hand, (0.15, 0.03), GRIP, HANDLE, 0.04)
+        return WeighingPrior(drift, *self._hand, (0.15, 0.03), (0.15, 0.03), GRIP, HANDLE, 0.04)
 
     @property
     def job_prior(self) -> WeighingPrior:
         """What a job knows, a minute after the empty hand was felt."""
-        return replace(self.prior, time=since_empty(self.model, 60.0, reset=False))
+        return replace(self.prior, time=since_empty(self.model, 60.0, reset=False), pressed=PRESSED)
 
     @property
     def _hand(self) -> tuple[float, Array]:
         return 0.1 * self.hand_mass, np.full(3, 0.0154 * self.hand_mass)
 
-    def readings(self, turns: Array = TURNS, push: float = 0.0) -> tuple[list[RestReading], RestReading]:
-        """With the tool and without it; in the last posture something pushes with so many newtons."""
+    def readings(self, turns: Array = TURNS, push: float = 0.0) -> tuple[list[RestReading], list[RestReading]]:
+        """With the tool, and without it in the first two; in the last posture something pushes with so many newtons."""
         rng = np.random.default_rng([self.seed, 1])
         errors = profile("harsh", self.model.value == "UR10e").force
         offset = np.concatenate([norm * _direction(rng) for norm in errors.offset])
@@ -81,7 +81,7 @@ class Cell:
             noise = np.repeat(errors.noise, 3) * lfilter([1.0], [1.0, -keep], white, axis=0)
             return rest_reading(R, ((steady + noise).reshape(-1, 2, 3) @ R.T).reshape(-1, 6))
 
-        empty = felt(turns[0], 4.0, tool=False)
+        empty = [felt(turn, 4.0 if k == 0 else 2.0, tool=False) for k, turn in enumerate(turns[:2])]
         held = [felt(turn, 4.0 if k == 0 else 2.0, tool=True) for k, turn in enumerate(turns[:-1])]
         return [*held, felt(turns[-1], 2.0, tool=True, pushed=push)], empty
 
@@ -126,7 +126,7 @@ def test_the_error_is_within_three_of_its_own_standard_deviations(model: ArmMode
     assert np.median([weight.mass_sigma for weight in weights]) < (0.06 if model is ArmModel.UR10 else 0.025)
 
 
-def _accepted(cell: Cell, held: list[RestReading], empty: RestReading) -> ToolWeight | None:
+def _accepted(cell: Cell, held: list[RestReading], empty: list[RestReading]) -> ToolWeight | None:
     """The weight with which a job would strike; None where it refuses."""
     try:
         weight = weigh(held, empty, G, cell.job_prior)
@@ -136,43 +136,44 @@ def _accepted(cell: Cell, held: list[RestReading], empty: RestReading) -> ToolWe
     return weight if sure and weight.mass * weight.center_sigma <= LARGEST_MOMENT else None
 
 
-hands = pytest.mark.parametrize(("hand_mass", "pushes"), [(0.65, (3.0, 5.0)), (5.0, (3.0,))])
-"""Mass of a hand [kg], and what must not pass for a certain mass [N]: a heavy hand hides more."""
+hands = pytest.mark.parametrize("hand_mass", [0.65, 5.0])
+"""Mass of a hand [kg], known to 10 %."""
+
+
+def _pressed(readings: list[RestReading], push: float, *which: int) -> list[RestReading]:
+    up = np.array([0.0, 0.0, push, 0.0, 0.0, 0.0])
+    return [replace(r, wrench=r.wrench + up) if k in which else r for k, r in enumerate(readings)]
 
 
 @models
 @hands
-def test_what_presses_on_the_arm_in_one_of_the_first_two_readings_makes_no_certain_mass(
-    model: ArmModel, hand_mass: float, pushes: tuple[float, ...]
-) -> None:
-    good = []
-    for seed in range(200):
+def test_what_presses_on_the_arm_in_some_readings_makes_no_certain_mass(model: ArmModel, hand_mass: float) -> None:
+    """3 or 5 N in one reading of a pair; a cable that pulls with 3 N until the tool comes."""
+    single, until = [], []
+    for seed in range(100):
         cell = replace(_drawn(model, seed), hand_mass=hand_mass)
         held, empty = cell.readings()
-        for push in (*pushes, *(-push for push in pushes)):
-            up = np.array([0.0, 0.0, push, 0.0, 0.0, 0.0])
-            pushed = replace(held[0], wrench=held[0].wrench + up)
-            for weight in (
-                _accepted(cell, held, replace(empty, wrench=empty.wrench + up)),
-                _accepted(cell, [pushed, *held[1:]], empty),
-            ):
-                good.append(weight is None or abs(weight.mass - cell.mass) < 3.0 * weight.mass_sigma)
-    least = 0.985 if (model, hand_mass) == (ArmModel.UR10, 0.65) else 0.99  # the postures tell a CB3 the mass less well
-    assert np.mean(good) >= least
+
+        def good(held: list[RestReading], empty: list[RestReading], cell: Cell = cell) -> bool:
+            weight = _accepted(cell, held, empty)
+            return weight is None or abs(weight.mass - cell.mass) < 3.0 * weight.mass_sigma
+
+        for push in (3.0, -3.0, 5.0, -5.0):
+            single += [good(held, _pressed(empty, push, k)) for k in range(2)]
+            single += [good(_pressed(held, push, k), empty) for k in range(2)]
+        until += [good(held, _pressed(empty, push, 0, 1)) for push in (3.0, -3.0)]
+    assert np.mean(single) >= 0.99
+    assert np.mean(until) >= 0.99
 
 
 @models
 @hands
-def test_a_hammer_that_nothing_touches_is_accepted(
-    model: ArmModel,
-    hand_mass: float,
-    pushes: tuple[float, ...],  # noqa: ARG001
-) -> None:
+def test_a_hammer_that_nothing_touches_is_accepted(model: ArmModel, hand_mass: float) -> None:
     drawn = [_drawn(model, seed) for seed in range(200)]
     cells = [replace(cell, mass=0.5 + (cell.mass - 0.2) / 2.6, hand_mass=hand_mass) for cell in drawn]
     weights = [(_accepted(cell, *cell.readings()), cell) for cell in cells]
     within = [abs(weight.mass - cell.mass) < 3.0 * weight.mass_sigma for weight, cell in weights if weight is not None]
-    assert len(within) >= (0.95 if hand_mass < 1.0 else 0.7) * len(cells)
+    assert len(within) >= (0.95 if hand_mass < 1.0 else 0.85) * len(cells)
     assert np.mean(within) >= 0.99
 
 
@@ -180,9 +181,8 @@ def test_a_hammer_that_nothing_touches_is_accepted(
 def test_a_first_reading_that_contradicts_all_others_is_refused(model: ArmModel) -> None:
     cell = _drawn(model, 7)
     held, empty = cell.readings()
-    pressed = replace(empty, wrench=empty.wrench + np.array([0.0, 0.0, 20.0, 0.0, 0.0, 0.0]))
     with raises(WeighingError, code="weighing.uncertain"):
-        weigh(held, pressed, G, cell.job_prior)
+        weigh(held, _pressed(empty, 20.0, 0, 1), G, cell.job_prior)
 
 
 @models
@@ -226,7 +226,7 @@ def test_turns_about_the_vertical_alone_are_no_orientations(model: ArmModel) -> 
         for angle in (0.0, 1.0, 2.0)
     ]
     with raises(WeighingError, code="weighing.orientations"):
-        weigh(turned, empty, G, cell.prior)
+        weigh(turned, empty[:1], G, cell.prior)
 
 
 @models
@@ -246,7 +246,7 @@ def test_what_touches_the_arm_in_one_posture_makes_the_result_uncertain(model: A
 def test_the_uncertainty_is_predicted_before_anything_is_felt() -> None:
     cell = _drawn(ArmModel.UR10, 5)
     held, empty = cell.readings()
-    predicted = expected_covariance([reading.R_base_flange for reading in held], G, empty.noise, cell.prior)
+    predicted = expected_covariance([reading.R_base_flange for reading in held], 2, G, empty[0].noise, cell.prior)
     assert cell.weighed().mass_sigma == pytest.approx(np.sqrt(predicted[0, 0]), rel=0.4)
 
 
@@ -259,6 +259,8 @@ def test_an_arm_without_errors_weighs_exactly() -> None:
         wrench = _weight(R, cell.mass, cell.mass * cell.center) if tool else np.zeros(6)
         return rest_reading(R, np.tile((wrench.reshape(2, 3) @ R.T).ravel(), (10, 1)))
 
-    weight = weigh([exact(reading, tool=True) for reading in held], exact(empty, tool=False), G, cell.prior)
+    weight = weigh(
+        [exact(reading, tool=True) for reading in held], [exact(one, tool=False) for one in empty], G, cell.prior
+    )
     assert weight.mass == pytest.approx(cell.mass, abs=1e-3)
     np.testing.assert_allclose(weight.center_of_mass, cell.center, atol=0.01)

@@ -18,7 +18,14 @@ from toolee_robot.types import Trajectory
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PRIOR = WeighingPrior(
-    (2.1, 0.42), 0.1, np.full(3, 0.02), (0.15, 0.03), np.array([0.0, 0.0, 0.15]), np.array([1.0, 0.0, 0.0]), 0.04
+    (2.1, 0.42),
+    0.1,
+    np.full(3, 0.02),
+    (0.15, 0.03),
+    (0.15, 0.03),
+    np.array([0.0, 0.0, 0.15]),
+    np.array([1.0, 0.0, 0.0]),
+    0.04,
 )
 X_TOOL_EE = frame_from_axes(z=np.array([1.0, 0.0, 0.0]), x=np.array([0.0, 0.0, -1.0]), p=[0.05, 0.0, 0.22])
 
@@ -48,6 +55,19 @@ def test_the_wrist_alone_turns_the_tool_far_enough_and_hits_nothing(name: str) -
     Rs = world.robot.arm.fk(np.array([q, *(turn.q[-1] for turn in turns)]))[:, :3, :3]
     down = Rs[:, 2]  # in the flange
     assert np.arccos((down @ down.T).min()) > LEAST_TURN
+
+
+def test_the_posture_of_the_empty_hand_comes_first() -> None:
+    config = StationConfig()
+    turns, q, world = _planned(config, 0.08)
+    goal = turns[3].q[-1]
+    again = plan_wrist_turns(world.robot, config, world, q, (0.6, 0.1), PRIOR, 5, [goal])
+    assert len(again) == 5
+    np.testing.assert_allclose(again[0].q[-1], goal)
+    assert all(np.max(np.abs(turn.q[-1] - goal)) > 0.1 for turn in again[1:])
+    hits = np.array([goal[0], 0.3, *goal[2:]])  # into the table
+    assert not world.free(hits, 0.0)
+    assert len(plan_wrist_turns(world.robot, config, world, q, (0.6, 0.1), PRIOR, 5, [hits])) == 5, "without it"
 
 
 def test_where_nothing_is_free_there_is_no_turn() -> None:

@@ -18,11 +18,12 @@ from toolee_robot.control import RobotModel
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import LimitError, UserError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.hal import MotionReport
+from toolee_robot.hal import HandState, MotionReport
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.station import draw_hammer
+from toolee_robot.sim_backend.world import Sample
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 from toolee_robot.tasks.hammering.grasp import UNKNOWN_FACE, UNKNOWN_FACE_OFF, measured_grasp
@@ -112,7 +113,8 @@ def test_the_arm_weighs_the_tool_and_is_told_its_weight(model: ArmModel, monkeyp
         assert told[0].mass == pytest.approx(hand.mass), "while it weighs"
         assert told[-1].mass == pytest.approx(hand.mass + weight.mass)
     assert any("weighs the tool" in text for text in observer.messages)
-    assert observer.fastest["to weigh the tool"] <= config.supervisor.handover_speed
+    for motion in ("to feel the empty hand", "to weigh the tool"):
+        assert observer.fastest[motion] <= config.supervisor.handover_speed
 
 
 @pytest.mark.nightly
@@ -140,7 +142,7 @@ def test_a_weight_that_is_too_uncertain_is_not_struck_with() -> None:
         assert "on scales" in result.reason
         assert "nothing opens it by itself" in result.reason
         assert not result.strikes
-        assert list(observer.fastest) == ["to the handover", "to weigh the tool"], "and back"
+        assert list(observer.fastest) == ["to the handover", "to feel the empty hand", "to weigh the tool"], "and back"
         assert any("on scales" in text for text in observer.messages), "before it moves back"
         assert task.holds_tool
         assert task.give_back()
@@ -239,6 +241,56 @@ def test_a_stop_while_the_tool_is_weighed_does_not_leave_it_unweighed() -> None:
         weight = task.result(Outcome.INTERRUPTED, "enough").weight
         assert weight is not None
         assert abs(weight.mass - simulation.tool.mass) < 3.0 * weight.mass_sigma
+
+
+@pytest.mark.parametrize(("blinks", "weighed"), [(1, True), (3, False)])
+def test_a_doubt_about_the_grip_is_answered_by_weighing_again(
+    blinks: int, weighed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tool may have moved. The third doubt needs a person."""
+    config = StationConfig()
+    with SimStation.build(config, SEED, ERRORS) as simulation:
+        hand, observer = simulation.station.hand, Until(Stage.VIEW)
+        state, doubted = hand.state, [False]
+
+        def blinking(**asked: float) -> HandState:
+            told = state(**asked)
+            if doubted[0] and told.holding:
+                doubted[0] = False
+                return replace(told, holding=False)
+            return told
+
+        def again() -> None:
+            """In the midst of the next motion: 2.5 s later it begins."""
+            due = simulation.world.time + 3.0
+
+            def watch(sample: Sample) -> None:
+                nonlocal blinks
+                if sample.stamp >= due:
+                    simulation.world.observers.remove(watch)
+                    blinks, doubted[0] = blinks - 1, True
+
+            if blinks:
+                simulation.world.observers.append(watch)
+                observer.after["to weigh the tool"] = again
+
+        monkeypatch.setattr(hand, "state", blinking)
+        observer.after["to weigh the tool"] = again
+        task = _task(simulation, config, observer)
+        result = None
+        with suppress(Enough):
+            result = task.run()
+        assert blinks == 0
+        assert len([text for text in observer.messages if "weighing again" in text]) == (1 if weighed else 2)
+        if weighed:
+            weight = task.result(Outcome.INTERRUPTED, "enough").weight
+            assert weight is not None
+            assert abs(weight.mass - simulation.tool.mass) < 3.0 * weight.mass_sigma
+        else:
+            assert result is not None
+            assert result.outcome is Outcome.DEVICE_FAULT
+            assert "doubted its grip" in result.reason
+            assert task.resumable
 
 
 def test_without_a_look_an_unknown_face_is_not_struck_with() -> None:

@@ -16,6 +16,9 @@ HOLDS_FOR = 0.2
 ASKED_FOR = 1.0
 """Longest time for which the hand is asked after a doubt; without a steady answer the tool counts as lost [s]."""
 
+MAX_DOUBTS = 3
+"""Number of motions between two strikes, or of one weighing, that a doubt may interrupt before a person is asked."""
+
 
 def _check_fault(state: HandState) -> None:
     if state.fault:

@@ -119,7 +119,7 @@ class Handover:
             else:
                 self._go_there()
             if self.grasp.to_weigh:
-                self._weighing.feel_empty_hand()
+                self._weighing.feel_empty_hand(self.grasp)
             self.person_clear = False
             give = self._prompts.give + (UNKNOWN_GIVE if self.grasp.ee_off else "")
             if not person.request_handover(give, timeout):

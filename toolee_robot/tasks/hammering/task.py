@@ -33,6 +33,7 @@ from toolee_robot.errors import (
     WeighingError,
 )
 from toolee_robot.hal import Station
+from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
@@ -48,8 +49,6 @@ from toolee_robot.tasks.hammering.weighing import Weighing
 
 LIFT = 0.020
 """Retraction from the work before the tool is looked at again [m]."""
-MAX_DOUBTS = 3
-"""Number of motions between two strikes that a doubt about the grip may interrupt before a person is asked."""
 STOPPED = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR)
 """Outcomes after which a job may be resumed."""
 

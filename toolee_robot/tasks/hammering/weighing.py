@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -9,32 +10,35 @@ import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import StationConfig
+from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.dynamics.tool_weight import RestReading, ToolWeight, WeighingPrior, rest_reading, weigh
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.planning.wrist_turns import plan_wrist_turns
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.errors import PlanningError, WeighingError
+from toolee_robot.errors import GripDoubtError, PlanningError, WeighingError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Clock
+from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.hammering.grasp import Grasp
-from toolee_robot.types import ArmModel, Payload
+from toolee_robot.types import ArmModel, Payload, Trajectory
 
 SETTLE = 0.5
 """Time at rest before the wrench is read, so that arm, wrist and tool have stopped swinging [s]."""
 LONG, SHORT = 4.0, 2.0
-"""Time over which it is read [s]: where the tool was handed over, with the empty hand and with the tool, whose
-difference tells the mass; and in the other postures."""
+"""Time over which it is read [s]: where the tool was handed over, with the empty hand and with the tool; and in the
+other postures."""
 SAME_POSTURE = 0.01
 """Difference of the joints' positions that turns no weight by anything that counts [rad]: that of a stop at rest."""
 POSTURES = 5
 """Largest number of postures beside that of the handover."""
 HAND_SHARE, HAND_PLACE = 0.1, 0.01
 """Standard deviations of what a lab says of its hand: of the mass, as a share of it, and of its centre [m]. Assumed."""
-SINCE_EMPTY = 1.3, 0.2
-"""Change of the wrench since the empty hand was felt, beside the tool [N, Nm]: hand and cables are touched in between,
-and what presses on the arm with 3 N in one of the two readings must not pass for a certain mass. Assumed."""
+SINCE_EMPTY, PRESSED = (0.9, 0.14), (0.65, 0.1)
+"""Change of the wrench since the empty hand was felt, beside the tool, in all postures, and what else presses on the
+arm in one reading [N, Nm]: hand and cables are touched in between, and 3 N in one of the first readings, or in all of
+those with the empty hand, must not pass for a certain mass. Assumed."""
 WARM_UP = 600.0
 """Time in which the wrench's error changes by as much as from posture to posture [s]. Assumed, as the simulated arm."""
 BESIDE = 0.04
@@ -68,20 +72,38 @@ class Weighing:
         self.weight: ToolWeight | None = None
         self._motions, self._config, self._robot = motions, config, robot
         self._clock, self._observer = clock, observer
-        self._empty: RestReading | None = None
+        self._empty: list[RestReading] = []
         self._felt_at, self._readied = -np.inf, 0
-        self._q: Array | None = None
+        self._qs: list[Array] = []
 
-    def feel_empty_hand(self) -> None:
-        """Read what the arm feels with the empty hand, where it stands: the tool is weighed against it.
+    def feel_empty_hand(self, grasp: Grasp) -> None:
+        """Read what the arm feels with the empty hand: the tool is weighed against it.
+
+        It is felt where the arm stands, and with the wrist turned as the tool will be, where there is a way; the arm
+        then stands where it stood.
+
+        Args:
+            grasp: Nominal grasp.
 
         Raises:
             DeviceError: The arm does not answer, or takes no payload.
+            TooleeError: A motion failed.
         """
-        motions = self._motions
+        motions, speed = self._motions, self._config.supervisor.handover_speed
         motions.set_payload(self._robot.description.hand_payload(motions.q_hand))
-        self._q, self._empty = motions.q, self._reading(LONG)
         self._felt_at, self._readied = self._clock.now(), motions.readied
+        self._qs, self._empty = [motions.q], [self._reading(LONG)]
+        closed, off = self._robot.description.hand_closed, motions.tool_off
+        with_tool = CollisionWorld(self._robot, self._config, closed, motions.X_hand_ee, tool_off=off)
+        goals, turns = list[Array](), list[Trajectory]()
+        with suppress(PlanningError):  # the reading here is enough
+            goals = [turn.q[-1] for turn in self._turns(grasp, 1, with_tool)]
+            turns = self._turns(grasp, 1, motions.world(), goals) if goals else []
+        if turns and _same(turns[0].q[-1], goals[0]):
+            motions.transfer("to feel the empty hand", turns[0], speed)
+            self._qs.append(motions.q)
+            self._empty.append(self._reading(SHORT))
+            self._to_handover()
 
     def weigh(self, grasp: Grasp) -> Grasp:
         """Weigh the tool in the hand: the wrist turns slowly, and the arm feels the tool at rest in between.
@@ -100,11 +122,12 @@ class Weighing:
         Raises:
             WeighingError: There is no result, or it is too uncertain (`weighing.uncertain`), or more than the job was
                 planned for (`weighing.too_heavy`), or there is no safe motion to weigh it (`weighing.no_motion`).
-            TooleeError: A device failed, the tool was lost, or a person is near.
+            TooleeError: A device failed, the tool was lost, the hand doubted its grip again and again, or a person is
+                near.
         """
         try:
             try:
-                weight, count = self._felt(grasp)
+                weight, count = self._felt_in_spite_of_doubts(grasp)
             except PlanningError as error:
                 raise WeighingError(
                     f"the tool cannot be weighed where it was handed over: {error}. Clear the space around it, or "
@@ -121,18 +144,34 @@ class Weighing:
         self._observer.message(f"the arm weighs the tool: {in_words(weight)}, in {count} orientations")
         return replace(grasp, mass=weight.mass, p_tool_com=p_tool_com, to_weigh=False)
 
+    def _felt_in_spite_of_doubts(self, grasp: Grasp) -> tuple[ToolWeight, int]:
+        """The same as `_felt`; from the beginning where the hand doubted its grip, since the tool may have moved."""
+        for _ in range(MAX_DOUBTS - 1):
+            try:
+                return self._felt(grasp)
+            except GripDoubtError as doubt:
+                self._observer.message(f"{doubt}; weighing again")
+        return self._felt(grasp)
+
     def _felt(self, grasp: Grasp) -> tuple[ToolWeight, int]:
         """The tool's weight, and in how many orientations it was felt."""
-        assert self._empty is not None, "the empty hand is felt before the handover"
         motions, config = self._motions, self._config
         self._to_handover()  # a resumed job stands elsewhere
-        held, prior = [self._reading(LONG)], self._prior(grasp)
-        noise = self._empty.noise[0] * (LONG / SHORT) ** 0.5, self._empty.noise[1] * (LONG / SHORT) ** 0.5
-        turns = plan_wrist_turns(self._robot, config, motions.world(), motions.q, noise, prior, POSTURES)
+        held = [self._reading(LONG)]
+        turns = self._turns(grasp, POSTURES, motions.world(), self._qs[1:])
         for turn in turns:
             motions.transfer("to weigh the tool", turn, config.supervisor.handover_speed)
             held.append(self._reading(SHORT))
-        return weigh(held, self._empty, config.arm.gravity, prior), len(held)
+        # Where the tool hinders the turn of the empty hand, only the reading at the handover is one of a pair.
+        paired = len(self._qs) > 1 and bool(turns) and _same(turns[0].q[-1], self._qs[1])
+        empty = self._empty if paired else self._empty[:1]
+        return weigh(held, empty, config.arm.gravity, self._prior(grasp)), len(held)
+
+    def _turns(self, grasp: Grasp, count: int, world: CollisionWorld, first: Sequence[Array] = ()) -> list[Trajectory]:
+        """Motions to postures in which the tool is felt, or will be; to `first` before all others."""
+        force, torque = (sigma * (LONG / SHORT) ** 0.5 for sigma in self._empty[0].noise)
+        prior, q = self._prior(grasp), self._motions.q
+        return plan_wrist_turns(self._robot, self._config, world, q, (force, torque), prior, count, first)
 
     def _told(self, weight: ToolWeight, grasp: Grasp) -> Array:
         """Tell the arm the tool; returns its centre of mass in the nominal tool, (3,) [m]."""
@@ -151,9 +190,9 @@ class Weighing:
 
     def _to_handover(self) -> None:
         motions, config = self._motions, self._config
-        assert self._q is not None, "the empty hand is felt before the handover"
-        if np.max(np.abs(motions.q - self._q)) > SAME_POSTURE:
-            way = plan_transfer(self._robot, config, motions.world(), motions.q, self._q)
+        assert self._qs, "the empty hand is felt before the handover"
+        if not _same(motions.q, self._qs[0]):
+            way = plan_transfer(self._robot, config, motions.world(), motions.q, self._qs[0])
             motions.transfer("to the handover", way, config.supervisor.handover_speed)
 
     def swung(self, grasp: Grasp) -> Payload:
@@ -187,6 +226,7 @@ class Weighing:
             time=since_empty(
                 self._config.arm.model, self._clock.now() - self._felt_at, self._motions.readied != self._readied
             ),
+            pressed=PRESSED,
             grip=X_flange_tool[:3, 3],
             handle=X_flange_tool[:3, 2],
             handle_moment=BESIDE,
@@ -210,12 +250,16 @@ class Weighing:
             )
 
 
+def _same(q: Array, other: Array) -> bool:
+    return bool(np.max(np.abs(q - other)) < SAME_POSTURE)
+
+
 def since_empty(model: ArmModel, age: float, reset: bool) -> tuple[float, float]:
-    """How far the reading of the empty hand is believed.
+    """How far the readings of the empty hand are believed.
 
     Args:
         model: Model of the arm.
-        age: Time since it was taken [s].
+        age: Time since the first of them [s].
         reset: Whether the arm was stopped and reset since, which may have changed the error as a posture does.
 
     Returns:
