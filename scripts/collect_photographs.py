@@ -18,7 +18,7 @@ import struct
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import cv2
@@ -30,6 +30,8 @@ from scipy.spatial.transform import Rotation
 
 SOURCES = Path(__file__).parents[1] / "docs" / "benchmark" / "photographs" / "sources.json"
 _MILLIMETRES = 1000.0
+_FARTHEST = 10.0
+"""Depth of image pairs beyond which it counts as unknown [m]."""
 _EE_RADIUS = 0.05
 """Radius of the sphere about a screwdriver's tip that is its end effector [m], as in the rendered data sets."""
 
@@ -105,10 +107,15 @@ def _numpy_records(source: _Checkout, about: dict[str, Any]) -> Iterator[_Frame]
 
 
 def _image_pairs(source: _Checkout, about: dict[str, Any]) -> Iterator[_Frame]:
-    """Colour and registered depth images side by side."""
-    for path in source.paths(about["paths"][0]):
-        depth = source.image(path.replace(*about["depth"])).astype(np.float64) / _MILLIMETRES
-        yield _Frame(path, source.image(path), np.where(depth < 10, depth, 0), tuple(about["intrinsics"]), [], [])
+    """Colour images and depth images registered to them, in the same order or, where named by time, the nearest."""
+    colours, depths = source.paths(about["paths"][0]), source.paths(about["depth"])
+    if about.get("named_by_time"):
+        times = np.array([float(PurePosixPath(p).stem) for p in depths])
+        depths = [depths[np.abs(times - float(PurePosixPath(p).stem)).argmin()] for p in colours]
+    for path, depth_path in list(zip(colours, depths, strict=True))[:: about.get("every", 1)]:
+        depth = source.image(depth_path) / about["per_metre"]
+        depth = _closed(np.where((depth > 0) & (depth < _FARTHEST), depth, np.inf), about.get("gaps", 1))
+        yield _Frame(path, source.image(path), depth, tuple(about["intrinsics"]), [], [])
 
 
 def _shelf_images(source: _Checkout, about: dict[str, Any]) -> Iterator[_Frame]:
@@ -221,7 +228,12 @@ def _splatted(points: NDArray[Any], K: NDArray[Any], size: tuple[int, int]) -> N
     inside = (u >= 0) & (u < size[1]) & (v >= 0) & (v < size[0])
     depth = np.full(size, np.inf)
     np.minimum.at(depth, (v[inside], u[inside]), points[2, inside])
-    depth = np.where(np.isinf(depth), cv2.erode(depth, np.ones((3, 3))), depth)
+    return _closed(depth, 3)
+
+
+def _closed(depth: NDArray[Any], size: int) -> NDArray[Any]:
+    """Depth image [m], 0 where unknown, of one that is infinite there: gaps narrower than `size` pixels are closed."""
+    depth = np.where(np.isinf(depth), cv2.erode(depth, np.ones((size, size))), depth)
     return np.where(depth < 100, depth, 0)
 
 
