@@ -134,6 +134,8 @@ class Card:
         shown = ""
         if self._spec.renderer != "built-in":
             shown = f" --renderer {self._spec.renderer}" + (" --surroundings DIR" if self._spec.surroundings else "")
+        if "kinds" in spec:
+            shown += f" --kinds {spec['kinds']}"
         lines = [
             f"# TOOLEE data set `{spec['config']}`, {spec['size']} examples, seed {spec['seed']}",
             "",

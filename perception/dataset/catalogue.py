@@ -21,9 +21,11 @@ from toolee_robot.tools import TOOL_SPECS, Family, Tool, ToolKind, ToolShape, ki
 from toolee_robot.tools.catalog import role as role_of
 from toolee_robot.tools.catalog import split as split_of
 
-_KINDS = tuple(TOOL_SPECS)
-_CUSTOM = len(_KINDS) * INSTANCES
-"""Number of the first custom tool."""
+FIRST_KINDS = 13
+"""Number of kinds that data sets drew from before they said from how many."""
+_CUSTOM = FIRST_KINDS * INSTANCES
+"""Number of the first custom tool. It is written in data sets, in object ids, so it does not grow with the kinds: the
+first 13 of them lie below, later ones (numbered from 100) above the range of the custom tools."""
 _POOL = 12
 """Size of the pool of tools of a scene folder."""
 _DRAWN = (*[Family.HAMMERS] * 4, *[Family.SCREWDRIVERS] * 5, *[Family.WRENCHES] * 3)
@@ -101,19 +103,26 @@ def number_of(tool: ToolShape) -> int:
 
 
 class GeneratedTools(Catalogue):
-    """Generated tools: `INSTANCES` of each kind; each fifth is held out."""
+    """Generated tools: `INSTANCES` of each kind; each fifth is held out.
 
-    def __reduce__(self) -> str:
-        # Unpickle to the module's instance: one per process.
-        return "GENERATED"
+    Args:
+        kinds: Number of kinds, the first ones of `TOOL_SPECS`.
+    """
+
+    def __init__(self, kinds: int) -> None:
+        self._kinds = {TOOL_SPECS[kind].number: kind for kind in tuple(TOOL_SPECS)[:kinds]}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Unpickle to one instance per process.
+        return generated_tools, (len(self._kinds),)
 
     def numbers(self, split: str) -> list[int]:
-        return [n for n in range(_CUSTOM) if split_of(n % INSTANCES) == split]
+        return [k * INSTANCES + seed for k in self._kinds for seed in range(INSTANCES) if split_of(seed) == split]
 
     def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
         numbers = []
         for family in _DRAWN:
-            kinds = kinds_of(family)
+            kinds = [kind for kind in kinds_of(family) if TOOL_SPECS[kind].number in self._kinds]
             weights = np.array([TOOL_SPECS[kind].draw_weight for kind in kinds])
             kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
             numbers.append(TOOL_SPECS[kind].number * INSTANCES + draw(rng, split, INSTANCES))
@@ -139,13 +148,26 @@ class GeneratedTools(Catalogue):
         return make_tool(*self._which(number))
 
     def _which(self, number: int) -> tuple[ToolKind, int]:
-        if not 0 <= number < _CUSTOM:
-            raise UserError(f"there is no generated tool {number}: the data set is another's")
         kind, seed = divmod(number, INSTANCES)
-        return _KINDS[kind], seed
+        if kind not in self._kinds:
+            raise UserError(f"there is no generated tool {number}: the data set is another's")
+        return self._kinds[kind], seed
 
 
-GENERATED = GeneratedTools()
+@lru_cache(maxsize=8)
+def generated_tools(kinds: int) -> GeneratedTools:
+    """The generated tools of the first kinds of `TOOL_SPECS`.
+
+    Args:
+        kinds: Number of kinds.
+
+    Returns:
+        The catalogue; equal arguments give the same object.
+    """
+    return GeneratedTools(kinds)
+
+
+GENERATED = generated_tools(len(TOOL_SPECS))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,16 @@ from typing import Any
 
 from toolee_robot import __version__
 from toolee_robot.errors import UserError, words_of
-from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, CustomTools
+from toolee_robot.perception.dataset.catalogue import (
+    FIRST_KINDS,
+    GENERATED,
+    Catalogue,
+    CustomTools,
+    generated_tools,
+)
 from toolee_robot.perception.dataset.custom_tools import CustomToolRecord
 from toolee_robot.sensor_kinds import KINDS, SensorKind
+from toolee_robot.tools import TOOL_SPECS
 
 CONFIGS = ("paper", "hard", "paper-claws")
 """Scene configurations."""
@@ -67,6 +74,7 @@ class DatasetSpec:
         sensor: Kind of the depth camera, one of `sensor_kinds.KINDS`; that of "paper" is free of noise.
         renderer: One of `RENDERERS`; "mitsuba" shows "hard" only, and only held-out tools.
         surroundings: Name and SHA-256 of each panorama and texture of the renderer "mitsuba".
+        kinds: Kinds of generated tools that it is drawn from, the first ones of `TOOL_SPECS`, at least `FIRST_KINDS`.
 
     Raises:
         UserError: A value is out of range, or custom tools or another renderer are combined with a training split.
@@ -83,6 +91,7 @@ class DatasetSpec:
     sensor: SensorKind = "time-of-flight"
     renderer: str = "built-in"
     surroundings: tuple[tuple[str, str], ...] = ()
+    kinds: int = len(TOOL_SPECS)
 
     def __post_init__(self) -> None:
         if self.config not in CONFIGS:
@@ -93,6 +102,8 @@ class DatasetSpec:
             raise UserError(f"--sensor {self.sensor}: choose one of {', '.join(KINDS)}")
         if self.sensor != "time-of-flight" and self.config != "hard":
             raise UserError(f"--sensor {self.sensor}: the camera of --config {self.config} has no noise, choose hard")
+        if not FIRST_KINDS <= self.kinds <= len(TOOL_SPECS):
+            raise UserError(f"--kinds {self.kinds}: give {FIRST_KINDS} to {len(TOOL_SPECS)}", code="user.kinds")
         if self.size < 1 or self.scene_size < 1:
             raise UserError(f"--size {self.size}, scenes of {self.scene_size}: both must be 1 or more")
         if not 0 <= self.seed < 2**31:
@@ -160,11 +171,15 @@ class DatasetSpec:
             data["sensor"] = self.sensor
         if self.renderer != "built-in":
             data |= {"renderer": self.renderer, "surroundings": dict(self.surroundings)}
-        return {**data, "tools": [tool.to_json() for tool in self.tools]} if self.tools else data
+        if self.tools:
+            data["tools"] = [tool.to_json() for tool in self.tools]
+        elif self.kinds != FIRST_KINDS:
+            data["kinds"] = self.kinds
+        return data
 
     def catalogue(self, root: Path) -> Catalogue:
         """Catalogue of the tools of the data set in the folder `root`."""
-        return CustomTools(root, self.tools) if self.tools else GENERATED
+        return CustomTools(root, self.tools) if self.tools else generated_tools(self.kinds)
 
     @staticmethod
     def read(root: Path) -> DatasetSpec:
@@ -191,6 +206,7 @@ class DatasetSpec:
                 data.get("sensor", "time-of-flight"),
                 data.get("renderer", "built-in"),
                 tuple(data.get("surroundings", {}).items()),
+                data.get("kinds", len(TOOL_SPECS) if "tools" in data else FIRST_KINDS),
             )
         except FileNotFoundError as error:
             raise UserError(

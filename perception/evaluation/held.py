@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception.dataset.records import SCENES, SHOWN_HAND
 from toolee_robot.perception.dataset.scene_reader import load_scenes
 from toolee_robot.perception.detection.hand_crop import hand_crop
@@ -90,6 +90,9 @@ def held_tools(
 ) -> Iterator[HeldTool]:
     """The frames of a data set that show a tool in a right hand with an end effector to be found.
 
+    Tools that are held the other way round, the working end on the little finger's side, are left out: a job asks for
+    them otherwise, and does not look for them there.
+
     Args:
         folder: Folder of a data set or of one split.
         role: Use of the tools, "train", "validation" or "test"; None: any.
@@ -111,7 +114,7 @@ def held_tools(
             scene = SCENES[data.scene[i]]
             every = [e for _, e in instances_of(0, data.row(i), frame.intrinsics, part.catalogue, scene)]
             asked = [e for e in every if e.target and e.X_camera_hand is not None]
-            asked = [e for e in asked if role is None or e.role == role]
+            asked = [e for e in asked if (role is None or e.role == role) and _as_asked_for(e)]
             if not asked or len({np.asarray(e.X_camera_hand).tobytes() for e in asked}) > 1:
                 continue
             first = asked[0]
@@ -122,6 +125,14 @@ def held_tools(
             count += 1
             if count == limit:
                 return
+
+
+def _as_asked_for(instance: Instance) -> bool:
+    """Whether the handle of a held tool points the way in which a job asks for it."""
+    assert instance.X_camera_hand is not None
+    X_tool_ee = instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee
+    X_hand_tool = inverse(instance.X_camera_hand) @ instance.X_camera_ee @ inverse(X_tool_ee)
+    return bool(X_hand_tool[:3, 2] @ SHOWN_HAND.grasp.R_hand_tool[:3, 2] > 0.0)
 
 
 def _region(instance: Instance, pose_error: float, rng: np.random.Generator) -> HeldRegion:

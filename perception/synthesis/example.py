@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
-from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
+from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, generated_tools
 from toolee_robot.perception.dataset.records import Example
 from toolee_robot.perception.dataset.spec import CONFIGS, SPLITS, DatasetSpec
 from toolee_robot.perception.synthesis.hard import hard_scene
@@ -171,7 +171,7 @@ def examples_of(
     split: str,
     first: int,
     last: int,
-    catalogue: Catalogue = GENERATED,
+    catalogue: Catalogue | None = None,
     surroundings: Path | None = None,
 ) -> Iterator[Example]:
     """Generate examples first .. last - 1 of a split of a data set.
@@ -181,7 +181,7 @@ def examples_of(
         split: "train" or "test".
         first: Index of the first example.
         last: Index after the last example.
-        catalogue: Tools of the data set.
+        catalogue: Tools of the data set; None: the generated ones.
         surroundings: Folder of the files that `spec.surroundings` names.
 
     Yields:
@@ -198,6 +198,7 @@ def examples_of(
             "where the specification names files",
             code="user.other_surroundings",
         )
+    catalogue = catalogue or generated_tools(spec.kinds)
     series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue, spec.sensor)
     if spec.renderer == "mitsuba":
         around = Surroundings() if surroundings is None else read_surroundings(surroundings, spec.surroundings)

@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 
 from toolee_robot.errors import UserError, words_of
-from toolee_robot.perception.dataset.catalogue import GENERATED
 from toolee_robot.perception.dataset.custom_tools import CustomMesh
 from toolee_robot.perception.dataset.encoding.checksums import SUMS
 from toolee_robot.perception.dataset.index_files import Summary, finish, is_finished
@@ -166,7 +165,9 @@ def make_scene_folder(spec: DatasetSpec, out: Path, surroundings: Path | None, j
     Returns:
         The scene.
     """
-    catalogue = spec.catalogue(out) if spec.tools else ToolCache(GENERATED, out)
+    catalogue = spec.catalogue(out)
+    if not spec.tools:
+        catalogue = ToolCache(catalogue, out)
     examples = examples_of(spec, job.split, job.first, job.last, catalogue, surroundings)
     write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
     forget_tools()

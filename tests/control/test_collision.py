@@ -17,7 +17,7 @@ from toolee_robot.control.collision_shapes import TOOL_JOINT, Body, arm_bodies, 
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import CollisionError
 from toolee_robot.frames import Array, inverse, transform, transform_points
-from toolee_robot.tools import Family, kinds_of, make_tool
+from toolee_robot.tools import Family, ToolKind, kinds_of, make_tool
 from toolee_robot.tools import test_seeds as seeds_of_test_tools
 from toolee_robot.types import ArmModel
 
@@ -171,11 +171,13 @@ def test_the_station_file_sets_the_tool_s_envelope(robot: RobotModel, q_hand: Ar
     assert 2 * handle.geometry.halfLength == pytest.approx(0.6)
 
 
-def test_the_envelope_holds_every_kind_of_hammer() -> None:
+def test_the_envelope_holds_every_kind_of_hammer_for_one_hand() -> None:
     bodies = tool_bodies(ToolEnvelope(), np.eye(4), np.eye(4))
     assert all(body.joint == TOOL_JOINT for body in bodies)
     rng = np.random.default_rng(0)
     for kind in kinds_of(Family.HAMMERS):
+        if kind is ToolKind.SLEDGE_HAMMER:  # for two hands: no job is asked to swing one
+            continue
         for seed in seeds_of_test_tools(60)[::20]:
             tool = make_tool(kind, seed)
             points, _, _ = tool.sample_surface(400, rng)

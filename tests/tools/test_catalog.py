@@ -9,13 +9,42 @@ from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.tools import (
+    NAIL_DRIVERS,
     TOOL_SPECS,
+    Family,
     ToolKind,
+    kinds_of,
     make_tool,
     split,
     test_seeds,
     train_seeds,
 )
+
+MASSES = {
+    ToolKind.CLAW_HAMMER: 0.537,
+    ToolKind.BALL_PEEN_HAMMER: 0.4993,
+    ToolKind.CROSS_PEEN_HAMMER: 0.8324,
+    ToolKind.CLUB_HAMMER: 0.4649,
+    ToolKind.MALLET: 0.31,
+    ToolKind.SLOTTED_SCREWDRIVER: 0.2032,
+    ToolKind.PHILLIPS_SCREWDRIVER: 0.05472,
+    ToolKind.NUT_DRIVER: 0.1698,
+    ToolKind.OPEN_END_WRENCH: 0.0473,
+    ToolKind.COMBINATION_WRENCH: 0.2496,
+    ToolKind.ADJUSTABLE_WRENCH: 0.3915,
+    ToolKind.BOX_WRENCH: 0.2519,
+    ToolKind.SOCKET_WRENCH: 0.5733,
+    ToolKind.HANGING_CLAW_HAMMER: 0.4095,
+    ToolKind.WOODEN_MALLET: 0.1256,
+    ToolKind.MEAT_TENDERISER: 0.1756,
+    ToolKind.SLEDGE_HAMMER: 4.61,
+    ToolKind.LONG_SLOTTED_SCREWDRIVER: 0.04216,
+    ToolKind.LONG_PHILLIPS_SCREWDRIVER: 0.05246,
+    ToolKind.PIPE_WRENCH: 1.093,
+    ToolKind.MONKEY_WRENCH: 2.427,
+    ToolKind.EYE_ADJUSTABLE_WRENCH: 0.4713,
+}
+"""Mass [kg] of the tool of seed 9 of every kind."""
 
 
 @pytest.mark.parametrize("kind", list(ToolKind))
@@ -45,10 +74,30 @@ def test_split_holds_out_a_fifth_and_never_mixes() -> None:
 
 def test_every_kind_has_a_record_and_makes_tools_with_its_end_effectors() -> None:
     assert set(TOOL_SPECS) == set(ToolKind)
-    assert [spec.number for spec in TOOL_SPECS.values()] == list(range(len(TOOL_SPECS)))
+    # 13 to 99 are left to custom tools: their numbers in data sets follow the first 13 kinds.
+    later = range(100, 100 + len(TOOL_SPECS) - 13)
+    assert [spec.number for spec in TOOL_SPECS.values()] == [*range(13), *later]
     for kind, spec in TOOL_SPECS.items():
         for seed in range(3):
             assert make_tool(kind, seed).categories == spec.end_effectors
+
+
+@pytest.mark.parametrize("family", list(Family))
+def test_the_first_kinds_of_a_family_make_two_thirds_of_its_draws(family: Family) -> None:
+    specs = [TOOL_SPECS[kind] for kind in kinds_of(family)]
+    first = sum(spec.draw_weight for spec in specs if spec.number < 13)
+    assert first / sum(spec.draw_weight for spec in specs) == pytest.approx(2 / 3, abs=0.01)
+
+
+def test_jobs_and_doctor_draw_from_the_same_hammers_as_ever() -> None:
+    assert [str(kind) for kind in NAIL_DRIVERS] == [
+        "claw_hammer", "ball_peen_hammer", "cross_peen_hammer", "club_hammer",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "mass"), MASSES.items())
+def test_a_tool_of_a_seed_stays_what_it_is(kind: ToolKind, mass: float) -> None:
+    assert make_tool(kind, 9).mass == pytest.approx(mass, rel=1e-3)
 
 
 def test_wrong_requests_are_named() -> None:

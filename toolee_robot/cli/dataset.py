@@ -68,6 +68,8 @@ class Generate:
     """Panoramas (.hdr) and textures (.jpg, .png) for --renderer mitsuba, docs/dataset.md; without it a modelled sky."""
     sensor: SensorKind = "time-of-flight"
     """Depth camera of `hard`: docs/dataset.md. mixed draws one for each image."""
+    kinds: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    """Draw from the first N kinds of tools: 13 for a data set whose dataset.json does not say from how many."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -95,6 +97,7 @@ class Generate:
             sensor=self.sensor,
             renderer=self.renderer,
             surroundings=() if self.surroundings is None else surroundings_files(self.surroundings),
+            kinds=DatasetSpec.kinds if self.kinds is None else self.kinds,
         )
         workers = _cores() if self.workers is None else self.workers
         console = Console(stderr=self.json, highlight=False)

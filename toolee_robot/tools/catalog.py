@@ -22,11 +22,23 @@ from toolee_robot.tools.hammers import (
     CLAW_HAMMER,
     CLUB_HAMMER,
     CROSS_PEEN_HAMMER,
+    HANGING_CLAW_HAMMER,
     MALLET,
+    MEAT_TENDERISER,
+    SLEDGE_HAMMER,
+    WOODEN_MALLET,
     make_hammer,
 )
 from toolee_robot.tools.model import Family, Tool, ToolKind
-from toolee_robot.tools.screwdrivers import make_screwdriver, nut_tip, phillips_tip, slotted_tip
+from toolee_robot.tools.pipe_wrenches import make_monkey_wrench, make_pipe_wrench
+from toolee_robot.tools.screwdrivers import (
+    common_shaft,
+    long_shaft,
+    make_screwdriver,
+    nut_tip,
+    phillips_tip,
+    slotted_tip,
+)
 from toolee_robot.tools.wrenches import make_wrench
 
 SWUNG_MASS = (0.4, 1.05)
@@ -41,7 +53,7 @@ class ToolSpec:
     """The kind."""
     number: int
     """Unique number of the kind. It enters the random seeds and the object ids of data sets: never change or reuse it;
-    a new kind takes the next free number."""
+    a new kind takes the next free number, from 100 on."""
     family: Family
     """The family; kinds of one family share a generator."""
     end_effectors: tuple[Category, ...]
@@ -59,7 +71,7 @@ class ToolSpec:
 TOOL_SPECS: dict[ToolKind, ToolSpec] = {
     spec.kind: spec
     for spec in (
-        # The only kind with a claw: a higher weight balances the classes.
+        # Claws are the class with the fewest examples: a higher weight balances the classes.
         ToolSpec(
             ToolKind.CLAW_HAMMER,
             0,
@@ -100,27 +112,86 @@ TOOL_SPECS: dict[ToolKind, ToolSpec] = {
             5,
             Family.SCREWDRIVERS,
             (Category.SCREWDRIVER_HEAD,),
-            partial(make_screwdriver, slotted_tip),
+            partial(make_screwdriver, slotted_tip, common_shaft),
         ),
         ToolSpec(
             ToolKind.PHILLIPS_SCREWDRIVER,
             6,
             Family.SCREWDRIVERS,
             (Category.SCREWDRIVER_HEAD,),
-            partial(make_screwdriver, phillips_tip),
+            partial(make_screwdriver, phillips_tip, common_shaft),
         ),
         ToolSpec(
             ToolKind.NUT_DRIVER,
             7,
             Family.SCREWDRIVERS,
             (Category.SCREWDRIVER_HEAD,),
-            partial(make_screwdriver, nut_tip),
+            partial(make_screwdriver, nut_tip, common_shaft),
         ),
         ToolSpec(ToolKind.OPEN_END_WRENCH, 8, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
         ToolSpec(ToolKind.COMBINATION_WRENCH, 9, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
         ToolSpec(ToolKind.ADJUSTABLE_WRENCH, 10, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
         ToolSpec(ToolKind.BOX_WRENCH, 11, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
         ToolSpec(ToolKind.SOCKET_WRENCH, 12, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
+        # 13 to 99 stay free: data sets number custom tools from where kind 13 would begin (`dataset.catalogue`).
+        # A third of each family's draws are of the kinds below, which drive no nails, so that jobs keep their hammers.
+        ToolSpec(
+            ToolKind.HANGING_CLAW_HAMMER,
+            100,
+            Family.HAMMERS,
+            (Category.HAMMER_HEAD, Category.HAMMER_GRIP),
+            partial(make_hammer, HANGING_CLAW_HAMMER),
+            draw_weight=3.0,
+        ),
+        ToolSpec(
+            ToolKind.WOODEN_MALLET,
+            101,
+            Family.HAMMERS,
+            (Category.HAMMER_HEAD,),
+            partial(make_hammer, WOODEN_MALLET),
+            draw_weight=0.8,
+        ),
+        ToolSpec(
+            ToolKind.MEAT_TENDERISER,
+            102,
+            Family.HAMMERS,
+            (Category.HAMMER_HEAD,),
+            partial(make_hammer, MEAT_TENDERISER),
+            draw_weight=0.6,
+        ),
+        ToolSpec(
+            ToolKind.SLEDGE_HAMMER,
+            103,
+            Family.HAMMERS,
+            (Category.HAMMER_HEAD,),
+            partial(make_hammer, SLEDGE_HAMMER),
+            draw_weight=0.6,
+        ),
+        ToolSpec(
+            ToolKind.LONG_SLOTTED_SCREWDRIVER,
+            104,
+            Family.SCREWDRIVERS,
+            (Category.SCREWDRIVER_HEAD,),
+            partial(make_screwdriver, slotted_tip, long_shaft),
+            draw_weight=0.75,
+        ),
+        ToolSpec(
+            ToolKind.LONG_PHILLIPS_SCREWDRIVER,
+            105,
+            Family.SCREWDRIVERS,
+            (Category.SCREWDRIVER_HEAD,),
+            partial(make_screwdriver, phillips_tip, long_shaft),
+            draw_weight=0.75,
+        ),
+        ToolSpec(
+            ToolKind.PIPE_WRENCH, 106, Family.WRENCHES, (Category.WRENCH_HEAD,), make_pipe_wrench, draw_weight=0.9
+        ),
+        ToolSpec(
+            ToolKind.MONKEY_WRENCH, 107, Family.WRENCHES, (Category.WRENCH_HEAD,), make_monkey_wrench, draw_weight=0.6
+        ),
+        ToolSpec(
+            ToolKind.EYE_ADJUSTABLE_WRENCH, 108, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench, draw_weight=1.0
+        ),
     )
 }
 """All kinds, ordered by `ToolSpec.number`."""

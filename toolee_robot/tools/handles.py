@@ -1,4 +1,4 @@
-"""Hammer handles: wood, fibreglass and steel, straight or slightly curved, round, oval or waisted."""
+"""Hammer handles: wood, fibreglass and steel, straight or slightly curved, round, oval or waisted; turned handles."""
 
 from __future__ import annotations
 
@@ -82,6 +82,55 @@ def hammer_handle(
     inside = handle.z <= entry
     handle = Handle(handle.z[inside], handle.radii_x[inside], handle.radii_y[inside])
     return HammerHandle(pieces, handle, bend * z_head**2, 2 * bend * z_head)
+
+
+def turned_handle(
+    rng: np.random.Generator, *, z_head: float, reach: float, eye: tuple[float, float], free: float, butt: float,
+    material: Material,
+) -> HammerHandle:  # fmt: skip
+    """Generate a round handle with a lathe's profile: dowel, swell or taper, often a ball at the butt, beads and coves.
+
+    Args:
+        rng: Random generator of the tool.
+        z_head: z of the centre of the head [m].
+        reach: Length of the handle beyond the centre of the head [m]; every second one ends inside the head.
+        eye: Half-widths [m] along x and y of the section inside the head.
+        free: Half-height of the head [m]; the grippable section ends at z_head - free.
+        butt: Distance of the butt from the grip centre [m].
+        material: Its material.
+
+    Returns:
+        The handle, in the `tool` frame.
+    """
+    top = z_head + reach if rng.uniform() < 0.5 else z_head + 0.3 * free
+    entry = z_head - free
+    r = rng.uniform(0.0085, 0.0135)
+    widths = {
+        "dowel": [0.9, 1.0, 1.0, 1.0, 1.0],
+        "swell": [0.75, 0.95, 1.1, 0.85, 0.65],
+        "taper": [1.0, 1.15, 1.0, 0.85, 0.75],
+        "waisted": [0.95, 1.1, 0.8, 0.95, 0.7],
+    }[str(rng.choice(["dowel", "swell", "taper", "waisted"]))]
+    knots = [-butt, -butt + 0.015, 0.0, 0.6 * entry, entry - 0.008, entry + 0.002, top]
+    radii = PchipInterpolator(knots, [*(r * np.array(widths)), eye[0], eye[0]])
+    heights = [np.linspace(-butt, top, 40), np.array([0.002 - butt])]
+    features: list[tuple[float, float, float]] = []  # z, height and half-length of beads and, negative, of coves [m]
+    if rng.uniform() < 0.45:
+        features.append((-butt + 0.010, rng.uniform(0.15, 0.4) * r, 0.009))
+    for _ in range(int(rng.integers(0, 4))):
+        depth = rng.uniform(0.0008, 0.0022) * rng.choice([-1.0, 1.0])
+        features.append((rng.uniform(0.03 - butt, entry - 0.012), depth, rng.uniform(0.002, 0.004)))
+    heights += [np.linspace(at - 1.5 * s, at + 1.5 * s, 9) for at, _, s in features]
+    z = np.unique(np.concatenate(heights))
+    z = z[(z >= -butt) & (z <= top)]
+    z = z[np.concatenate([[True], np.diff(z) > 1e-5])]
+    a = radii(z) + sum(
+        (h * np.exp(-(((z - at) / s) ** 2)) * (z < entry - 0.004) for at, h, s in features), np.zeros(len(z))
+    )
+    a[0] *= rng.uniform(0.55, 0.85)
+    handle = loft_piece("handle", stack(z, a), material, 0.14)
+    inside = z <= entry
+    return HammerHandle([handle], Handle(z[inside], a[inside], a[inside]), 0.0, 0.0)
 
 
 def _shaft(

@@ -34,6 +34,7 @@ FIBERGLASS = Material("fiberglass", 1900.0, (0.90, 0.75, 0.10), 0.40, 0.0)
 RUBBER = Material("rubber", 1200.0, (0.09, 0.09, 0.10), 0.85, 0.0)
 RUBBER_COLORED = Material("rubber_colored", 1200.0, (0.70, 0.12, 0.10), 0.80, 0.0)
 PLASTIC = Material("plastic", 1150.0, (0.85, 0.45, 0.08), 0.35, 0.0)
+ALUMINIUM = Material("aluminium", 2700.0, (0.66, 0.67, 0.68), 0.40, 1.0)
 BRASS = Material("brass", 8500.0, (0.78, 0.62, 0.30), 0.30, 1.0)
 
 _PALETTE = np.array(

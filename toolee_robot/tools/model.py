@@ -48,6 +48,15 @@ class ToolKind(StrEnum):
     ADJUSTABLE_WRENCH = "adjustable_wrench"
     BOX_WRENCH = "box_wrench"
     SOCKET_WRENCH = "socket_wrench"
+    HANGING_CLAW_HAMMER = "hanging_claw_hammer"
+    WOODEN_MALLET = "wooden_mallet"
+    MEAT_TENDERISER = "meat_tenderiser"
+    SLEDGE_HAMMER = "sledge_hammer"
+    LONG_SLOTTED_SCREWDRIVER = "long_slotted_screwdriver"
+    LONG_PHILLIPS_SCREWDRIVER = "long_phillips_screwdriver"
+    PIPE_WRENCH = "pipe_wrench"
+    MONKEY_WRENCH = "monkey_wrench"
+    EYE_ADJUSTABLE_WRENCH = "eye_adjustable_wrench"
 
 
 def tool_name(kind: ToolKind, seed: int) -> str:

@@ -1,4 +1,4 @@
-"""Slotted and Phillips screwdrivers, and nut drivers: a shaft, a tip, and a handle with one of several profiles."""
+"""Slotted and Phillips screwdrivers, common and long, and nut drivers: a shaft, a tip, and a handle of some profile."""
 
 from __future__ import annotations
 
@@ -27,13 +27,32 @@ from toolee_robot.tools.solids import Convex, Piece, extrude, loft, loft_piece, 
 TipShape = Callable[[np.random.Generator, float, float, Material], tuple[Piece, float]]
 """Generator of a tip: takes the random generator, the radius of the shaft [m], tool z of the end of the tip [m] and the
 material; returns the tip and its length [m]."""
+ShaftSize = Callable[[np.random.Generator], tuple[float, float]]
+"""Draws radius and free length of a shaft [m]."""
 
 
-def make_screwdriver(tip_shape: TipShape, kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
-    """Generate a screwdriver with a shaft of 3 to 10 mm diameter.
+def common_shaft(rng: np.random.Generator) -> tuple[float, float]:
+    """Draw a shaft of 3 to 10 mm diameter and up to 250 mm length: 15 to 50 diameters, but at least 60 mm."""
+    radius = rng.uniform(0.0015, 0.005)
+    return radius, float(np.clip(rng.uniform(15, 50) * radius * 2, 0.060, 0.250))
+
+
+def long_shaft(rng: np.random.Generator) -> tuple[float, float]:
+    """Draw a shaft of 3 to 5 mm diameter and 150 to 300 mm length.
+
+    The range that the trade sells as long or extra long, from 3 x 150 mm on.
+    """
+    return rng.uniform(0.0015, 0.0025), rng.uniform(0.150, 0.300)
+
+
+def make_screwdriver(
+    tip_shape: TipShape, shaft_size: ShaftSize, kind: ToolKind, seed: int, rng: np.random.Generator
+) -> Tool:
+    """Generate a screwdriver.
 
     Args:
         tip_shape: Generator of the tip.
+        shaft_size: Draws the size of the shaft.
         kind: Kind of the screwdriver.
         seed: Seed that the tool is named after.
         rng: Random generator of the tool; equal states give equal tools.
@@ -41,8 +60,7 @@ def make_screwdriver(tip_shape: TipShape, kind: ToolKind, seed: int, rng: np.ran
     Returns:
         The screwdriver, `tool` frame [m].
     """
-    radius = rng.uniform(0.0015, 0.005)
-    length = float(np.clip(rng.uniform(15, 50) * radius * 2, 0.060, 0.250))
+    radius, length = shaft_size(rng)
     handle_length = rng.uniform(0.080, 0.125)
     pieces, handle = _handle(rng, handle_length, radius)
     z_tip = handle.z_max + length

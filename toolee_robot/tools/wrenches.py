@@ -15,7 +15,7 @@ from toolee_robot.tools.wrench_heads import WrenchHead, adjustable_head, open_he
 
 
 def make_wrench(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
-    """Generate a wrench for nuts of 8 to 32 mm (adjustable: opening of 4 to 37 mm).
+    """Generate a wrench for nuts of 8 to 32 mm (adjustable ones: opening of 4 to 37 mm).
 
     Args:
         kind: Kind of the wrench.
@@ -54,7 +54,10 @@ def make_wrench(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
     heads = [(near, _X_tool_head(near, 0.5 * length, angle, 1.0, near_pitch))]
     if far:
         heads.append((far, _X_tool_head(far, -0.5 * length, far_angle, -1.0, far_pitch)))
-    pieces, handle = _handle(kind, rng, near, far, length, material)
+    if kind is ToolKind.EYE_ADJUSTABLE_WRENCH:
+        pieces, handle = _eye_handle(rng, near, length, material)
+    else:
+        pieces, handle = _handle(kind, rng, near, far, length, material)
     ends = (-0.5 * length - (far.radius if far else 0.0), 0.5 * length + near.radius)
     ees = []
     for (head, X_tool_head), opposite_end in zip(heads, ends, strict=False):
@@ -147,6 +150,54 @@ def _handle(
         z = np.concatenate([covered, z[above]])
         width, depth_y = np.concatenate([sleeve_a, width[above]]), np.concatenate([sleeve_b, depth_y[above]])
     return pieces, Handle(z, width, depth_y)
+
+
+def _eye_handle(
+    rng: np.random.Generator, near: WrenchHead, length: float, material: Material
+) -> tuple[list[Piece], Handle]:
+    """Generate the handle of an adjustable wrench that ends in an eye to hang it by, which is no end effector.
+
+    The holes are round, oblong or drop-shaped and half as wide as the end or more, which is estimated, not measured.
+
+    Args:
+        rng: Random generator of the tool.
+        near: Head at the upper end.
+        length: Distance of the butt from the head's pivot [m].
+        material: Material of the bar.
+    """
+    top, bottom = 0.5 * length - near.join, -0.5 * length
+    half_y = near.half_thickness * rng.uniform(0.65, 0.95)
+    end = near.radius * rng.uniform(0.8, 1.1)
+    stretch = rng.uniform(1.0, 1.5)
+    z = bottom + np.unique(np.concatenate([np.linspace(0.0, top - bottom, 24), end * stretch * np.linspace(0, 2, 13)]))
+    z = z[np.concatenate([[True], np.diff(z) > 1e-4])]
+    u = (z - bottom) / (top - bottom)
+    bar = near.radius * (rng.uniform(0.5, 0.72) + rng.uniform(0.1, 0.35) * u)
+    centre = bottom + end * stretch
+    eye = end * np.sqrt(np.clip(1.0 - ((z - centre) / (end * stretch)) ** 2, 0.0, 1.0))
+    a = np.where(z < centre, np.maximum(eye, 0.35 * end), np.maximum(eye, bar))
+    exponent = float(rng.choice([3.0, 5.0, 8.0]))
+    rings = stack(z, a, half_y, superellipse(exponent))
+    solid = loft(rings)
+    lay = transform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+    radius = end * rng.uniform(0.45, 0.66)
+    hole = superellipse(2.0, 32) * radius + np.array([0.0, centre])
+    match rng.choice(["round", "oblong", "drop"]):
+        case "oblong":
+            hole[hole[:, 1] > centre, 1] += (stretch - 0.85) * end
+        case "drop":
+            hole[:, 0] *= np.clip(1.0 - 0.8 * (hole[:, 1] - centre) / radius, 0.25, 1.0)
+            hole[hole[:, 1] > centre, 1] += 0.6 * radius
+    solid = solid - place(extrude(hole, -2 * half_y, 2 * half_y), lay)
+    if rng.uniform() < 0.7:
+        low = float(hole[:, 1].max()) + 0.5 * end
+        panel = superellipse(6.0, 32) * [0.62 * bar.min(), 0.5 * (top - 0.006 - low)]
+        panel += [0.0, 0.5 * (top - 0.006 + low)]
+        depth = rng.uniform(0.15, 0.4) * half_y
+        for low_y, high_y in ((-2 * half_y, depth - half_y), (half_y - depth, 2 * half_y)):
+            solid = solid - place(extrude(panel, low_y, high_y), lay)
+    handle = Handle(z, a, np.full(len(z), half_y))
+    return [Piece("handle", solid, material, (Convex(rings, 0.12),))], handle
 
 
 def _socket_wrench(seed: int, rng: np.random.Generator, size: float, material: Material) -> Tool:

@@ -1,4 +1,4 @@
-"""The sensor in a data set's specification."""
+"""Sensor and kinds of tools in a data set's specification."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.errors import raises
 from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.sensor_kinds import KINDS, SensorKind
@@ -21,6 +22,17 @@ def test_a_specification_is_read_as_it_was_written(sensor: SensorKind, tmp_path:
 
 def test_a_data_set_from_before_there_were_sensors_is_the_same_one() -> None:
     assert "sensor" not in DatasetSpec("hard", 10, 3).to_json()
+
+
+def test_a_data_set_from_before_it_said_from_how_many_kinds_was_drawn_from_thirteen(tmp_path: Path) -> None:
+    old = DatasetSpec("hard", 10, 3, kinds=13)
+    assert "kinds" not in old.to_json()
+    for spec in (old, DatasetSpec("hard", 10, 3)):
+        (tmp_path / DESCRIPTION).write_text(json.dumps(spec.to_json()))
+        assert DatasetSpec.read(tmp_path) == spec
+        assert len(spec.catalogue(tmp_path).numbers("train")) == 120 * spec.kinds
+    with raises(UserError, code="user.kinds"):
+        DatasetSpec("hard", 10, kinds=12)
 
 
 def test_an_unknown_sensor_and_one_for_a_camera_without_noise_are_refused() -> None:

@@ -82,7 +82,9 @@ def test_the_files_show_the_tools_by_name_and_all_held_out(made: Path, capsys: p
     assert {e["instance"] for e in entries} <= {"my-mallet", "other.mallet"}
     assert entries
     assert not list((made / "train").iterdir())
-    for entry in read_json(made / "models/models_info.json").values():
+    models = read_json(made / "models/models_info.json")
+    assert {int(obj_id) for obj_id in models} <= {7801, 7802, 7805, 7806}, "the ids of data sets from before"
+    for entry in models.values():
         assert entry["split"] == "test"
         assert "symmetries_continuous" in entry
     card = read_json(made / "card.json")
