@@ -1,7 +1,8 @@
-"""Photographs behind the tools of training images."""
+"""Photographs behind and beside the tools of training images."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import cv2
@@ -11,9 +12,14 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from toolee_robot.errors import UserError
+from toolee_robot.perception.detection.patches import Patches, some
 
 _SIZE = (424, 512)
 """Height and width to which photographs are cut [px]."""
+_BESIDE = 0.3
+"""Share of images with photographs on single regions, at full strength."""
+_PIECE = 256
+"""Side of a photograph on a region [px]."""
 
 
 class Backgrounds:
@@ -69,6 +75,67 @@ class Backgrounds:
         inside = F.avg_pool2d(tool[:, None].float(), 3, 1, 1)
         share = share * (1 - inside)
         return images * (1 - share) + photo * share
+
+    def beside(self, images: Tensor, tool: Tensor, strength: float) -> Tensor:
+        """Put one or two photographs on regions beside and behind the tools of a share of the images.
+
+        A region is a quadrilateral or oval of 5 to 45 % of the image's width, half of them close to a tool: their edges
+        and texture lie beside its outline.
+
+        Args:
+            images: (B, 3, H, W) in 0..255.
+            tool: Whether a pixel shows a tool, (B, H, W) bool.
+            strength: Strength; 0: none, 1: full.
+
+        Returns:
+            The images, (B, 3, H, W) in 0..255.
+        """
+        rows = some(len(images), _BESIDE * strength, images.device)
+        if not len(rows):
+            return images
+        images = images.clone()
+        for chosen in (rows, rows[: len(rows) // 2]):
+            if len(chosen):
+                images[chosen] = self._pasted(images[chosen], tool[chosen])
+        return images
+
+    def pieces(self, count: int, side: int) -> Tensor:
+        """Cut random squares out of random photographs.
+
+        Args:
+            count: Number of squares.
+            side: Side [px], at most the photographs' height.
+
+        Returns:
+            The squares, (count, 3, side, side) float in 0..255.
+        """
+        device = self._pictures.device
+        which = torch.randint(len(self._pictures), (count,), device=device)
+        _, height, width, _ = self._pictures.shape
+        step = 1 + (torch.rand(count, device=device) * (height // side)).long().clamp(max=height // side - 1)
+        window = (step * (side - 1) + 1)[:, None]
+        room = torch.tensor([height, width], device=device) - window
+        corner = (torch.rand((count, 2), device=device) * (room + 1)).long()
+        ticks = torch.arange(side, device=device)[None] * step[:, None]
+        rows, columns = (corner[:, :1] + ticks)[:, :, None], (corner[:, 1:] + ticks)[:, None, :]
+        return self._pictures[which[:, None, None], rows, columns].permute(0, 3, 1, 2).float()
+
+    def _pasted(self, images: Tensor, tool: Tensor) -> Tensor:
+        n, device = len(images), images.device
+        _, _, height, width = images.shape
+        lot = (torch.rand(tool[:, ::8, ::8].shape, device=device) * tool[:, ::8, ::8]).flatten(1).argmax(1)
+        columns = tool[:, ::8, ::8].shape[2]
+        near = torch.stack([lot % columns, torch.div(lot, columns, rounding_mode="floor")], 1) * 8.0
+        near = near + 0.12 * width * torch.randn((n, 2), device=device)
+        anywhere = torch.rand((n, 2), device=device) * torch.tensor([width, height], device=device)
+        centre = torch.where(torch.rand((n, 1), device=device) < 0.5, near, anywhere)
+        half = 0.5 * width * (0.05 + 0.4 * torch.rand((n, 2), device=device))
+        angle = torch.rand(n, device=device) * 2 * math.pi
+        patches = Patches.random(centre, half, angle, (height, width))
+        photo = patches.filled(self.pieces(n, _PIECE))
+        opaque = (torch.rand((n, 1, 1, 1), device=device).clamp(min=0.3) * 1.5).clamp(max=1)
+        inside = F.avg_pool2d(tool[:, None].float(), 3, 1, 1)
+        return torch.lerp(images, photo, patches.cover[:, None] * opaque * (1 - inside))
 
 
 def _cut(image: np.ndarray) -> np.ndarray:

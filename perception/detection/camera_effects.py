@@ -1,4 +1,4 @@
-"""What cameras and drivers do to a picture, for training: exposure, motion, sharpening, compression, lost depth."""
+"""What light, cameras and drivers do to a picture, for training: colour casts, exposure, motion, lost depth."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ _BLOCK = 8
 """Width of JPEG's blocks [px]."""
 _MOTION = 9
 """Width of the motion kernel [px]."""
+_GLOW = 8
+"""Width of the cells over which highlights spread [px]."""
 
 
 def camera_effects(images: Tensor, strength: float) -> Tensor:
-    """Vary exposure, sharpness, motion blur and compression, each of some images.
+    """Vary light, exposure, sharpness, motion blur and compression, each of some images.
 
     Args:
         images: (B, 3, H, W) in 0..255.
@@ -25,14 +27,17 @@ def camera_effects(images: Tensor, strength: float) -> Tensor:
     Returns:
         The images, (B, 3, H, W) in 0..255.
     """
+    images = _sometimes(0.25 * strength, images, tint)
+    images = _sometimes(0.15 * strength, images, vignette)
     images = _sometimes(0.25 * strength, images, expose)
+    images = _sometimes(0.12 * strength, images, bloom)
     images = _sometimes(0.2 * strength, images, motion_blur)
     images = _sometimes(0.2 * strength, images, sharpen)
     return _sometimes(0.3 * strength, images, compress)
 
 
-def expose(images: Tensor) -> Tensor:
-    """Under- or overexpose by up to two stops, with the grain of a dark picture and clipped highlights.
+def tint(images: Tensor) -> Tensor:
+    """Light of a colour, from a bulb's to a blue sky's, with a fluorescent lamp's green; of half, mixed over the image.
 
     Args:
         images: (B, 3, H, W) in 0..255.
@@ -40,9 +45,72 @@ def expose(images: Tensor) -> Tensor:
     Returns:
         The images, (B, 3, H, W) in 0..255.
     """
-    stops = torch.rand((len(images), 1, 1, 1), device=images.device) * 3.5 - 2.0
-    grain = torch.randn_like(images) * (2.0 + 4.0 * stops.clamp(max=0).abs())
-    return (images * torch.exp2(stops) + grain).clamp(0, 255)
+    n, device = len(images), images.device
+    warm, green, bright = torch.rand((3, n, 2, 2), device=device) * 2 - 1
+    green = green.abs() ** 3 * torch.sign(green + 0.4)
+    corners = torch.stack([1 + 0.4 * warm, 1 + 0.22 * green, 1 - 0.45 * warm], 1) * torch.exp(0.35 * bright)[:, None]
+    mixed = torch.rand((n, 1, 1, 1), device=device) < 0.5
+    corners = torch.where(mixed, corners, corners[:, :, :1, :1])
+    light = F.interpolate(corners, images.shape[2:], mode="bilinear", align_corners=True)
+    light = light / light.mean((1, 2, 3), keepdim=True)
+    return (images * light).clamp(0, 255)
+
+
+def vignette(images: Tensor) -> Tensor:
+    """Darken by up to 80 % towards the corners, about a centre that is not always the image's.
+
+    Args:
+        images: (B, 3, H, W) in 0..255.
+
+    Returns:
+        The images, (B, 3, H, W) in 0..255.
+    """
+    n, device = len(images), images.device
+    x = torch.linspace(-1, 1, images.shape[3], device=device)[None, None, None, :]
+    y = torch.linspace(-1, 1, images.shape[2], device=device)[None, None, :, None]
+    across, down = 0.15 * torch.randn((2, n, 1, 1, 1), device=device)
+    amount = 0.2 + 0.6 * torch.rand((n, 1, 1, 1), device=device)
+    return images * (1 - amount * ((x - across) ** 2 + (y - down) ** 2).clamp(max=2) / 2)
+
+
+def bloom(images: Tensor) -> Tensor:
+    """Clip highlights and let their light spread over what is near.
+
+    Args:
+        images: (B, 3, H, W) in 0..255.
+
+    Returns:
+        The images, (B, 3, H, W) in 0..255.
+    """
+    n, device = len(images), images.device
+    gain, amount = torch.rand((2, n, 1, 1, 1), device=device)
+    bright = images * (1.05 + 0.6 * gain)
+    spilt = F.avg_pool2d((bright - 225).clamp(0, 255), _GLOW, ceil_mode=True, count_include_pad=False)
+    spilt = F.avg_pool2d(spilt, 5, 1, 2, count_include_pad=False)
+    glow = F.interpolate(spilt, images.shape[2:], mode="bilinear", align_corners=False)
+    return (bright + glow * (0.3 + 0.9 * amount)).clamp(0, 255)
+
+
+def expose(images: Tensor) -> Tensor:
+    """Underexpose by up to 2.5 stops or overexpose by 1.5, with the grain of a dark picture and clipped highlights.
+
+    Half of the dark pictures are amplified again, with their grain, as a camera's automatic gain does.
+
+    Args:
+        images: (B, 3, H, W) in 0..255.
+
+    Returns:
+        The images, (B, 3, H, W) in 0..255.
+    """
+    stops = torch.rand((len(images), 1, 1, 1), device=images.device) * 4.0 - 2.5
+    under = stops.clamp(max=0).abs()
+    lifted, colour = torch.rand((2, *stops.shape), device=images.device)
+    grain = torch.randn_like(images) * (2.0 + 2.0 * under)
+    # Low light takes the colours first.
+    grey = images.mean(1, keepdim=True)
+    images = torch.lerp(images, grey, (0.2 * colour * under).clamp(max=0.8))
+    gain = torch.exp2(under * (lifted * 2 - 1).clamp(min=0))
+    return ((images * torch.exp2(stops) + grain) * gain).clamp(0, 255)
 
 
 def motion_blur(images: Tensor) -> Tensor:

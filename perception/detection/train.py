@@ -39,8 +39,8 @@ class SegmentationTraining(ImageTraining):
     Attributes:
         augmentation: Strength of the augmentation; 0: none, 1: full.
         wide: Share of images with a wide range of apparent sizes; above 0, all images also get bright and plain tools,
-            and the effects of cameras and depth sensors (`augment`).
-        backgrounds: Folder of photographs without tools, put behind the rendered ones; None: none.
+            worn ones with stickers, and the effects of light, cameras and depth sensors (`augment`).
+        backgrounds: Folder of photographs without tools, put behind, beside and on the rendered ones; None: none.
         init_share: Share of the initial weights in the exported ones, 0 to 1.
         model: Architecture of the detector.
     """

@@ -12,6 +12,7 @@ from torch import Tensor
 from toolee_robot.perception.detection.backgrounds import Backgrounds
 from toolee_robot.perception.detection.camera_effects import camera_effects, lose_depth
 from toolee_robot.perception.detection.inputs import STRIDE, RgbdBatch, encode_rgbd
+from toolee_robot.perception.detection.tool_surfaces import stickers, wear
 from toolee_robot.perception.training.labelled_images import DeviceStore, SegmentationImages, grown
 
 
@@ -92,14 +93,16 @@ def augment(
     deviation).
 
     Of a share `wide` of the batches' images the scale is 0.35 to 4 (about a tool where it is large), and all images get
-    bright or plain tools, photographs behind them, and the effects of cameras and depth sensors.
+    bright, plain and worn tools, stickers and print on them, photographs behind and beside them, uneven light, and the
+    effects of cameras and depth sensors.
 
     Args:
         sample: The images.
         size: Size (height, width) [px] to which they are resampled, before padding to multiples of STRIDE.
         strength: Strength of the augmentation; 0 only resamples.
         wide: Share of images with the wide range of scales; 0: the first paragraph's augmentation alone.
-        backgrounds: Photographs; None: the rendered surroundings stay. Used with `wide` alone.
+        backgrounds: Photographs; None: the rendered surroundings stay, and stickers have print alone. Used with `wide`
+            alone.
 
     Returns:
         The network's input and the id maps (B, 2, H', W') uint8.
@@ -110,10 +113,14 @@ def augment(
     focal = sample.focal * (size[1] / sample.rgb.shape[2]) * scale
     varied = strength > 0 and wide > 0
     if varied:
-        images = _repaint(images, maps[:, 1] > 0, strength)
+        tool = maps[:, 1] > 0
+        images = _repaint(images, tool, strength)
+        images = wear(images, maps[:, 1], strength)
+        images = stickers(images, maps[:, 1], strength, backgrounds)
         if backgrounds is not None:
-            images = backgrounds.behind(images, maps[:, 1] > 0, strength)
-        depth = lose_depth(depth, maps[:, 1] > 0, strength)
+            images = backgrounds.behind(images, tool, strength)
+            images = backgrounds.beside(images, tool, strength)
+        depth = lose_depth(depth, tool, strength)
     if strength > 0:
         images = recolour(images, strength)
         if varied:

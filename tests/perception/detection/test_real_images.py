@@ -42,7 +42,7 @@ def test_a_folder_without_pictures_is_named(tmp_path: Path) -> None:
         Backgrounds(tmp_path, CPU)
 
 
-@pytest.mark.parametrize("effect", ["expose", "motion_blur", "sharpen", "compress"])
+@pytest.mark.parametrize("effect", ["tint", "vignette", "expose", "bloom", "motion_blur", "sharpen", "compress"])
 def test_a_camera_effect_keeps_shape_and_range(effect: str) -> None:
     torch.manual_seed(0)
     images = torch.rand((3, 3, 45, 61)) * 255

@@ -79,7 +79,7 @@ class Segmentation(_ImageCommand):
     """Share of images with apparent sizes from 0.35 to 4 times the rendered ones; above 0, all images also get bright
     and plain tools and the effects of cameras and depth sensors (default: 0)."""
     backgrounds: Folder = None
-    """Folder of photographs without tools that are put behind the rendered ones; it needs --wide."""
+    """Folder of photographs without tools, put behind, beside and on the rendered ones; it needs --wide."""
     init_share: Number = None
     """Share of the weights of --init in the exported ones (default: 0)."""
 

@@ -1,0 +1,76 @@
+"""Patches in training images: quadrilaterals, rounded rectangles and ovals with coordinates of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Patches:
+    """One patch in each of K images.
+
+    Attributes:
+        u: Coordinate along the patch, -1..1 on it, (K, H, W).
+        v: Coordinate across the patch, -1..1 on it, (K, H, W).
+        cover: Share of a pixel that the patch covers, (K, H, W).
+    """
+
+    u: Tensor
+    v: Tensor
+    cover: Tensor
+
+    @staticmethod
+    def random(centre: Tensor, half: Tensor, angle: Tensor, size: tuple[int, int]) -> Patches:
+        """Draw the shapes of patches: sheared, tapered, with corners from sharp to an oval's.
+
+        Args:
+            centre: Their centres, x and y, (K, 2) [px].
+            half: Half their length and width, (K, 2) [px].
+            angle: Angle from x to their length [rad], (K,).
+            size: Height and width of the images [px].
+
+        Returns:
+            The patches.
+        """
+        n, device = len(centre), centre.device
+        x = torch.arange(size[1], device=device)[None, None, :] - centre[:, :1, None]
+        y = torch.arange(size[0], device=device)[None, :, None] - centre[:, 1:, None]
+        cos, sin = torch.cos(angle)[:, None, None], torch.sin(angle)[:, None, None]
+        u = (cos * x + sin * y) / half[:, :1, None]
+        v = (cos * y - sin * x) / half[:, 1:, None]
+        shear, taper = (torch.rand((2, n, 1, 1), device=device) - 0.5) * 0.6
+        v = (v + shear * u) / (1 + taper * u.clamp(-1, 1))
+        corner = torch.rand((n, 1, 1), device=device) ** 2 * 0.95 + 0.05
+        beyond = torch.hypot((u.abs() - 1 + corner).clamp(min=0), (v.abs() - 1 + corner).clamp(min=0))
+        return Patches(u, v, ((corner - beyond) * half.amin(1)[:, None, None]).clamp(0, 1))
+
+    def filled(self, pictures: Tensor) -> Tensor:
+        """Pictures stretched over the patches.
+
+        Args:
+            pictures: One for each patch, (K, C, h, w).
+
+        Returns:
+            The images, (K, C, H, W); beyond the patches the pictures go on mirrored.
+        """
+        grid = torch.stack([self.u, self.v], -1)
+        return F.grid_sample(pictures, grid, padding_mode="reflection", align_corners=False)
+
+
+def some(count: int, share: float, device: torch.device) -> Tensor:
+    """Draw a share of the images of a batch, without waiting for the device.
+
+    Args:
+        count: Number of images.
+        share: The share, 0 to 1.
+        device: torch device.
+
+    Returns:
+        Indices of the images, (K,); K is `share` times `count` on average.
+    """
+    chosen = int(share * count + float(torch.rand(())))
+    return torch.randperm(count, device=device)[:chosen]
