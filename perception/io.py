@@ -173,12 +173,30 @@ class BopImage:
     scale: float
 
     def read(self) -> RgbdFrame:
-        """Read the frame. Raises UserError for unusable files; see `read_frame`."""
+        """Read the frame.
+
+        Returns:
+            The frame.
+
+        Raises:
+            UserError: As `read_frame`.
+        """
         image = read_rgb(self.rgb)
         height, width = image.shape[:2]
         fx, _, cx, _, fy, cy = self.K[:6]
         intrinsics = make_intrinsics(fx, fy, cx, cy, width, height)
-        return _frame(self.rgb, image, self.depth, read_depth(self.depth, self.scale), intrinsics)
+        try:
+            depth = read_depth(self.depth, self.scale)
+        except UserError as error:
+            if error.code != "user.depth_unit":
+                raise
+            raise UserError(  # whose remedy is an option of a single frame
+                f"{self.depth}: no depth is in metres with the depth_scale of {self.scale * 1e3:g} that "
+                "scene_camera.json has for it: give the millimetres of one unit there, 1 for millimetres, 0.1 for "
+                "tenths",
+                code=error.code,
+            ) from error
+        return _frame(self.rgb, image, self.depth, depth, intrinsics)
 
 
 def bop_images(directory: Path) -> list[BopImage]:

@@ -114,6 +114,7 @@ POSITION, HALF = [0.60, -0.15, 1.50], [0.5, 0.5, 0.5, 0.5]
         (_changed(0, 0, 1.002), "config.camera_pose_rotation", "no rotation"),
         (_changed(0, 1, 0.01), "config.camera_pose_rotation", "no rotation"),
         (_changed(0, 0, -1.0), "config.camera_pose_reflection", "x right, y down, z forward"),
+        (_matrix(DOWN[[1, 0, 2, 3]]), "config.camera_pose_reflection", "or two are swapped"),
         (_changed(3, 3, 1.01), "config.camera_pose_last_row", "[0, 0, 0, 1]"),
         (_matrix(DOWN.T), "config.camera_pose_last_row", "transposed"),
         (_changed(2, 3, 1500.0), "config.camera_pose_unit", "millimetres"),

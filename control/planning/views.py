@@ -78,7 +78,7 @@ def plan_handover(
     q, turn = q[inside], turn[inside]
     if len(q) == 0:
         raise UnreachableError(
-            f"the handover at {scene.handover_position} m is out of reach: change config.scene.handover_position",
+            f"the handover at {scene.handover_position} m in base_link is out of reach: change scene.handover_position",
             code="unreachable.handover",
         )
     # The posture must also be collision-free with a tool in the hand.
@@ -133,8 +133,10 @@ def plan_views(
     X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
     Xs_base_ee, q = _sample(robot, config.camera, X_flange_ee, q_start, np.random.default_rng(seed))
     if len(q) == 0:
+        near, far = DISTANCE
         raise UnreachableError(
-            "no view of the tool is within the arm's reach: move the camera, see config.camera",
+            f"no view of the tool, {near:.2f} to {far:.2f} m before the camera, is within the arm's reach: by the "
+            f"station file the camera {_where(config.camera)}; correct that, or move the camera",
             code="unreachable.views",
         )
     head, handle = _sight(robot, world, config.camera, Xs_base_ee, q, inverse(X_hand_ee)[0, 3])
@@ -143,7 +145,8 @@ def plan_views(
     Xs_base_ee, q = Xs_base_ee[seen], q[seen]
     if len(q) == 0:
         raise UnreachableError(
-            "in every reachable view the hand hides the tool: move the camera, see config.camera",
+            "in every reachable view the hand hides the tool: by the station file the camera "
+            f"{_where(config.camera)}; correct that, or move the camera",
             code="unreachable.views_hidden",
         )
     for chosen, clearance in _choices(robot, world, config.camera, Xs_base_ee, q, q_start, count):
@@ -161,6 +164,13 @@ def plan_views(
         "the camera, or move it",
         code="collision.views",
     )
+
+
+def _where(camera: CameraConfig) -> str:
+    """Where a camera stands and looks, in words."""
+    X = camera.X_base_camera
+    place, axis = (f"({', '.join(f'{0.0 + round(float(x), 2):g}' for x in v)})" for v in (X[:3, 3], X[:3, 2]))
+    return f"stands at {place} m and looks along {axis}, both in base_link"
 
 
 def _sample(

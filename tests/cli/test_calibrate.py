@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.errors import raises
 from toolee_robot.calibration.record import read_record, rows, write_record
 from toolee_robot.cli.app import run
 from toolee_robot.config import StationConfig, load_station
+from toolee_robot.errors import ConfigError
 from toolee_robot.frames import inverse
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
@@ -48,6 +50,16 @@ def test_the_recorded_images_give_the_same_calibration_again(calibrated: Path, t
     assert run(["calibrate", "camera", "--images", str(calibrated), "--bars-mm", *bars, "--out", str(tmp_path)]) == 0
     (again,) = tmp_path.iterdir()
     np.testing.assert_allclose(read_record(again / "camera.json").pose, record.pose, atol=1e-6)
+
+
+def test_a_record_is_older_than_the_arms_kinematics_in_the_file(calibrated: Path, tmp_path: Path) -> None:
+    """As of an arm whose joint was replaced, or whose factory calibration was entered after the camera's."""
+    arm = {name: [1e-4] * 6 for name in ("delta_theta", "delta_a", "delta_d", "delta_alpha")}
+    path, record = tmp_path / "station.yaml", {"record": str(calibrated / "camera.json")}
+    path.write_text(json.dumps({"arm": {"calibration": arm}, "calibration": record}))
+    with raises(ConfigError, "config.calibration_kinematics") as caught:
+        load_station(path)
+    assert "take `calibration` out of the file and calibrate again" in str(caught.value)
 
 
 def test_the_task_believes_the_record_and_the_simulated_camera_stays(calibrated: Path, tmp_path: Path) -> None:

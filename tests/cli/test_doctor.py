@@ -132,6 +132,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch, keyboard: int) -> int:
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setenv("TERM", "dumb")
     monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("LINES", "50")  # without it a dumb terminal has 80 columns
     return keyboard
 
 

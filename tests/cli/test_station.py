@@ -84,6 +84,14 @@ def test_an_answer_is_taken_back_and_one_that_contradicts_another_is_refused(tmp
     assert second.returncode == 1
 
 
+def test_a_place_that_is_typed_in_the_other_frame_of_the_base_is_noticed_at_the_end(tmp_path: Path) -> None:
+    path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
+    said["work"]["nail_xy"] = [-0.75, -0.10]  # as the pendant shows it
+    told = _new(path, _answers(said))
+    assert told.returncode == 0, told.stdout
+    assert "work.nail_xy: behind the arm at home, by about half a turn" in told.stdout
+
+
 def test_a_file_to_which_nothing_is_added_stays_as_it_is(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
     path.write_bytes(LAB.read_bytes())
@@ -210,6 +218,7 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
         (["calibrate", "camera", "--station", str(LAB)], "measure the two scale bars"),
         (["calibrate", "camera", "--station", str(LAB), "--bars-mm", "360", "257"], "--plate-distance"),
         (["calibrate", "camera", "--write"], "--write needs --station"),
+        (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--bars-mm", "1", "2"], "with --rehearse"),
         (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--write"], "take the section out first"),
         (["calibrate", "nail", "--camera", "--station", str(LAB), "--rehearse", "--write"], "leave --write out"),
     ],
@@ -245,17 +254,3 @@ def test_the_pictures_frames_are_the_files() -> None:
     np.testing.assert_allclose(frames["nail"][:3, 3], [0.75, 0.10, 0.28])
     towards = np.array([0.60, -0.15, 0.72]) - frames["camera"][:3, 3]
     np.testing.assert_allclose(frames["camera"][:3, 2], towards / np.linalg.norm(towards))
-
-
-@pytest.mark.realtime
-@pytest.mark.nightly
-def test_from_an_empty_folder_to_a_nail(tmp_path: Path) -> None:
-    """The acceptance: interview, rehearsed calibration whose record is entered, rehearsed job with the networks."""
-    path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
-    assert _new(path, _answers(said)).returncode == 0
-    path.write_text(path.read_text() + "servo: {gain: 1200, lookahead: 0.03, lag: 0.07}\n")
-    for command in ("calibrate camera --rehearse --write", "hammer --rehearse --real-time-factor 0.5"):
-        words = [*command.split(), "--station", "lab.yaml", "--json"]
-        done = subprocess.run([*TOOLEE, *words], capture_output=True, text=True, check=False, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-    assert yaml.safe_load(path.read_text())["calibration"]["record"].endswith("camera.json")

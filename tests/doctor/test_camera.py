@@ -40,6 +40,7 @@ def test_holes_are_counted_on_the_tool_alone(share: float, level: Level) -> None
     finding = check_holes(frame, tool)
     assert finding.level is level
     assert f"{share:.0%} of the tool" in finding.message
+    assert ("nothing nearer than camera.device.least_range" in finding.remedy) is (level is not Level.OK)
     assert check_holes(frame, None).level is Level.WARN
 
 

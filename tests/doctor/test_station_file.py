@@ -17,7 +17,7 @@ from toolee_robot.config import (
     StationConfig,
     load_station,
 )
-from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits
+from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_sides
 from toolee_robot.doctor.reach import check_reach
 from toolee_robot.doctor.weights import check_weights
 from toolee_robot.findings import Finding, Level, worst
@@ -40,7 +40,7 @@ def _only(findings: list[Finding]) -> Finding:
 @pytest.mark.parametrize("model", list(ArmModel))
 def test_the_shipped_station_is_well(model: ArmModel) -> None:
     config = _changed("arm", model=model)
-    findings = [*check_limits(config), *check_reach(config)]
+    findings = [check_sides(config), *check_limits(config), *check_reach(config)]
     assert {f.level for f in findings} == {Level.OK}, findings
     assert all(f.message and not f.remedy for f in findings)
 
@@ -62,6 +62,39 @@ def test_limits_that_do_not_fit(
     assert found[name].level is level
     assert expected_text in found[name].message
     assert found[name].remedy
+
+
+NAIL, HANDOVER = {"nail_xy": (-0.75, -0.10)}, {"handover_position": (-0.40, 0.45, 0.65)}
+CAMERA = {"position": (-0.95, 0.62, 0.85), "target": (-0.60, 0.15, 0.72)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "behind", "remedy"),
+    [
+        ({}, None, ""),
+        ({"work": {"nail_xy": (0.10, 0.75)}}, None, ""),
+        ({"work": NAIL}, "work.nail_xy: behind", "it is typed in the other base's frame"),
+        ({"scene": HANDOVER}, "scene.handover_position: behind", "it is typed in the other base's frame"),
+        ({"scene": {"home": (0.0, -1.5708, 0.0, -1.5708, 0.0, 0.0)}, "work": NAIL}, None, ""),
+        ({"camera": CAMERA}, "camera: behind", "it is typed in the other base's frame"),
+        (
+            {"work": NAIL, "scene": HANDOVER, "camera": CAMERA},
+            "work.nail_xy, scene.handover_position, camera: behind",
+            "`frame` names the other base",
+        ),
+    ],
+)
+def test_what_was_typed_in_the_other_frame_of_the_base_is_behind_the_arm(
+    changes: dict[str, dict[str, Any]], behind: str | None, remedy: str
+) -> None:
+    """`home` are joint positions, which have no frame."""
+    config = StationConfig()
+    for section, fields in changes.items():
+        config = replace(config, **{section: replace(getattr(config, section), **fields)})
+    finding = check_sides(config)
+    assert finding.level is (Level.OK if behind is None else Level.WARN)
+    assert (behind or "") in finding.message
+    assert remedy in finding.remedy
 
 
 def test_a_hand_without_a_wrist_needs_strikes_that_turn_back() -> None:
@@ -114,6 +147,8 @@ def test_what_is_out_of_reach(section: str, changes: dict[str, Any], name: str, 
     found = {f.name: f for f in check_reach(_changed(section, **changes))}
     assert found[name].level is level, found
     assert found[name].remedy
+    told = "the camera stands at (3.5, -3, 2.5) m and looks along (-0.65, 0.64, -0.4), both in base_link"
+    assert (told in found[name].remedy) is (section == "camera"), "as axes that are swapped show"
 
 
 @pytest.mark.parametrize(

@@ -109,10 +109,10 @@ class Board:
         """
         scales = along / self.size[0], across / self.size[1]
         for length, nominal, scale in zip((along, across), self.size, scales, strict=True):
-            if not (math.isfinite(scale) and abs(scale - 1.0) <= LARGEST_SCALING):
+            if not _is_print(scale):
                 raise UserError(
-                    f"a scale bar of {length * 1e3:.1f} mm is no print of one of {nominal * 1e3:.0f} mm: measure from "
-                    "end line to end line, and give it in millimetres",
+                    f"a scale bar of {length * 1e3:.1f} mm is no print of one of {nominal * 1e3:.0f} mm: "
+                    f"{self._other_bars(along, across)}",
                     code="user.board_bar",
                 )
         if abs(scales[0] - scales[1]) > LARGEST_SHEAR:
@@ -124,6 +124,16 @@ class Board:
             )
         return replace(self, square=self.square * (scales[0] + scales[1]) / 2)
 
+    def _other_bars(self, along: float, across: float) -> str:
+        """What to do about bars that are not this board's."""
+        if _is_print(across / self.size[0]) and _is_print(along / self.size[1]):
+            return "these are the two in the other order: give the longer one, along the columns, first"
+        for sheet in SHEETS.values():
+            x, y = sheet.board.size
+            if _is_print(along / x) and _is_print(across / y):
+                return f"these are the bars of the {sheet.name.upper()} board: add --sheet {sheet.name}"
+        return "measure from end line to end line, and give it in millimetres"
+
     @property
     def rectangles(self) -> Array:
         """What is black: rectangles that touch without overlap, (R, 4): x, y, length along x, length along y [m]."""
@@ -134,6 +144,10 @@ class Board:
             edges = np.flatnonzero(np.diff(np.concatenate([[0], line, [0]])))
             found.extend((int(a), y, int(b - a), 1) for a, b in zip(edges[::2], edges[1::2], strict=True))
         return np.array(_merged(found), np.float64) * self.square / MODULES
+
+
+def _is_print(scale: float) -> bool:
+    return math.isfinite(scale) and abs(scale - 1.0) <= LARGEST_SCALING
 
 
 def _merged(runs: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int, int]]:

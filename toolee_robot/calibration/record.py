@@ -219,3 +219,16 @@ def half_a_turn_apart(place: Array, expected: Array) -> bool:
         True if after half a turn about z they agree.
     """
     return not camera_is_elsewhere(HALF_TURN[:3, :3] @ place, expected)
+
+
+def axes_swapped(place: Array, expected: Array) -> bool:
+    """Tell whether swapped numbers explain that a camera is elsewhere.
+
+    Args:
+        place: The calibrated camera's place in `base`, (3,) [m].
+        expected: Its place as measured by hand, in `base`, (3,) [m].
+
+    Returns:
+        True if with x and y of one of them swapped they agree.
+    """
+    return not camera_is_elsewhere(place[[1, 0, 2]], expected)

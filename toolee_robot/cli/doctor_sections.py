@@ -11,7 +11,13 @@ from typing import Any
 
 from toolee_robot.config import UPRIGHT_WITHIN, StationConfig
 from toolee_robot.doctor.camera import check_lens, check_range
-from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_measured
+from toolee_robot.doctor.configuration import (
+    check_calibration,
+    check_contacts,
+    check_limits,
+    check_measured,
+    check_sides,
+)
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time
 from toolee_robot.doctor.mounting import check_base
@@ -72,7 +78,7 @@ class DoctorReport:
         """Run the checks and yield the findings, section by section: the file first, which needs no device."""
         config = self.config
         with self.doing("planning"):
-            findings = [check_base(config), *check_limits(config), *check_contacts(config)]
+            findings = [check_base(config), check_sides(config), *check_limits(config), *check_contacts(config)]
             if config.arm.tilt <= UPRIGHT_WITHIN:  # what is planned takes z of `base` for straight up
                 findings += check_reach(config)
             if config.camera.device is not None:

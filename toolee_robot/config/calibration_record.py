@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.calibration.intrinsics_record import same_distortion
-from toolee_robot.calibration.record import CalibrationRecord, camera_is_elsewhere, half_a_turn_apart, read_record
+from toolee_robot.calibration.record import (
+    CalibrationRecord,
+    axes_swapped,
+    camera_is_elsewhere,
+    half_a_turn_apart,
+    read_record,
+)
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import HALF_TURN, BaseFrame
 from toolee_robot.types import CameraIntrinsics, DhCalibration
@@ -128,10 +134,12 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], field: str
             code="config.calibration_half_turn",
         )
     off = float(np.linalg.norm(place - by_file))
+    remedy = "measure that again (x, y, z in this order)"
+    if axes_swapped(place, by_file):
+        remedy = "x and y are swapped there: correct them"
     raise ConfigError(
         f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from {field}, {typed} m: "
-        "measure that again (x, y, z in this order); if the camera was moved, take `calibration` out of the file "
-        "and calibrate again",
+        f"{remedy}; if the camera was moved, take `calibration` out of the file and calibrate again",
         code="config.calibration_place",
     )
 

@@ -107,8 +107,8 @@ def _of_matrix(value: Any, named: str) -> Array:
         )
     if np.linalg.det(R) < 0.0:
         raise ConfigError(
-            f"{named}: the upper left 3 x 3 is a mirror image, its determinant is -1: one axis has the wrong sign; the "
-            "camera's are x right, y down, z forward",
+            f"{named}: the upper left 3 x 3 is a mirror image, its determinant is -1: one axis has the wrong sign, or "
+            "two are swapped; the camera's are x right, y down, z forward",
             code="config.camera_pose_reflection",
         )
     U, _, Vt = np.linalg.svd(R)  # the nearest rotation: what is behind this wants more than the digits of a report

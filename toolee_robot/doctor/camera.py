@@ -172,7 +172,11 @@ def check_holes(frame: RgbdFrame, tool: NDArray[np.bool_] | None) -> Finding:
         return warn("holes", f"{everywhere} without depth; no tool was seen", "hold a tool before the camera, again")
     holes = float(np.mean(~known[tool]))
     message = f"{holes:.0%} of the tool and {everywhere} without depth"
-    remedy = "matt spray or tape on chrome, less direct light, another distance"
+    near, far = DISTANCE
+    remedy = (
+        f"hold it {near:.2f} to {far:.2f} m away, as in a job's views, for nothing nearer than "
+        "camera.device.least_range has a depth; then matt spray or tape on chrome, and less direct light"
+    )
     if holes > TOO_MANY_HOLES:
         return fail("holes", message, remedy)
     return warn("holes", message, remedy) if holes > HOLES else ok("holes", message)

@@ -12,10 +12,16 @@ from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import MEASURED, StationConfig, unmeasured
 from toolee_robot.control import RobotModel
 from toolee_robot.findings import Finding, fail, ok, warn
+from toolee_robot.frames import Array, angle_between
 from toolee_robot.tools import SWUNG_MASS
 
 REDUCED_SPEED = 0.25
 """Reduced speed of ISO 10218-1, the largest with a person in reach [m/s]."""
+BEHIND = float(np.deg2rad(120.0))
+"""Angle about the base's z from the rest of the cell from which a place lies behind the arm [rad]. Assumed: a handover
+from the side is within a right angle or so."""
+OVER_BASE = 0.3
+"""Distance of the flange at home from the base's axis under which it tells no side [m]."""
 USUAL_SPEED = 1.5
 """Speed above which a UR's own safety settings usually stop the arm [m/s]."""
 
@@ -53,6 +59,42 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
     if supervisor.unattended_speed > USUAL_SPEED:
         message = f"up to {supervisor.unattended_speed} m/s"
         yield warn("swing speed", message, "compare it with the robot's own TCP speed limit")
+
+
+def check_sides(config: StationConfig) -> Finding:
+    """Look for places that are typed in the other frame of the base: the joint positions of home have no frame.
+
+    Args:
+        config: Configuration of the station.
+
+    Returns:
+        OK, or WARN with the places that lie half a turn from where the arm at home is.
+    """
+    scene, work = config.scene, config.work
+    flange = RobotModel.of_station(config).arm.fk(np.array(scene.home))[:2, 3]
+    if np.linalg.norm(flange) < OVER_BASE:
+        return ok("sides", "not looked at: the arm at home is over its base")
+    places = {f"work.nails {nail.name}": nail.xy for nail in work.nails} or {"work.nail_xy": work.nail_xy}
+    places |= {"scene.handover_position": scene.handover_position[:2], "camera": config.camera.center[:2]}
+    home, ways = _way(*flange), {name: _way(*place) for name, place in places.items()}
+    together = np.sum(list(ways.values()), axis=0)
+    if angle_between(home, together) > BEHIND:
+        behind, cause = list(ways), "`frame` names the other base"
+    else:
+        behind = [name for name, way in ways.items() if angle_between(way, home + together - way) > BEHIND]
+        cause = "it is typed in the other base's frame"
+    if not behind:
+        return ok("sides", "nail, handover and camera are on the side of the arm at home")
+    return warn(
+        "sides",
+        f"{', '.join(behind)}: behind the arm at home, by about half a turn about the base's z",
+        f"look at it with `toolee station show`: if it is not so in your cell, {cause} (x and y have the other sign)",
+    )
+
+
+def _way(x: float, y: float) -> Array:
+    """Direction from the base's axis to a place, (3,), of length 1."""
+    return np.array([x, y, 0.0]) / max(float(np.hypot(x, y)), 1e-9)
 
 
 def check_contacts(config: StationConfig) -> Iterator[Finding]:

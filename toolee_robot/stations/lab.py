@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import Any, Self
 
 from toolee_robot.config import StationConfig, ToolData, check_upright
+from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.errors import ConfigError
 from toolee_robot.hal import Station
 from toolee_robot.hardware.cameras import CameraStream
@@ -111,8 +112,9 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
     Raises:
         ConfigError: A field is missing (`config.station_lacks`), and the message names every one, such as `arm.host`;
             or the camera is a recording (`config.recorded_camera`); or, for a job, the calibration is too old or of
-            another camera than the file's (`config.calibration`), or strikes would push what does not yield into the
-            wood (`config.rigid_strike`); or the arm's base is tilted (`config.mounting_tilted`).
+            another camera than the file's (`config.calibration`), or the camera measures no depth at any view
+            (`config.camera_range`), or strikes would push what does not yield into the wood (`config.rigid_strike`);
+            or the arm's base is tilted (`config.mounting_tilted`).
     """
     wanted: dict[str, object] = {
         "arm.host": config.arm.host,
@@ -140,6 +142,14 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
     check_upright(config.arm, str(purpose))
     device, calibration = config.camera.device, config.calibration
     assert device is not None, "checked above"
+    if purpose is Purpose.JOB and device.least_range > DISTANCE[1]:
+        raise ConfigError(
+            f"camera.device.least_range {device.least_range:g} m: the camera is too near to every view of {purpose}, "
+            f"which is {DISTANCE[0]:.2f} to {DISTANCE[1]:.2f} m before it wherever it stands: take a smaller depth "
+            "image, which sees nearer things (camera.width and camera.height with its intrinsics and least_range), or "
+            "another camera",
+            code="config.camera_range",
+        )
     if device.driver == RECORDED:
         raise ConfigError(
             f"camera.device.driver {RECORDED!r}: a recording does not see {purpose}; name the camera itself",

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.hand_eye.closed_form import closed_forms
 from toolee_robot.calibration.hand_eye.refinement import Refined
-from toolee_robot.calibration.record import camera_is_elsewhere, half_a_turn_apart
+from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, is_rigid, transform
 from toolee_robot.types import CameraIntrinsics
@@ -139,9 +139,12 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
             code="user.calibration_half_turn",
         )
     off = float(np.linalg.norm(place - expected))
+    remedy = "measure that again, look for another station's poses, or for the board on another robot"
+    if axes_swapped(place, expected):
+        remedy = "x and y of the camera are swapped in the file: correct them, and those of what it looks at"
     raise UserError(
         f"the camera comes out at {_text(place)} m in base_link, {off:.2f} m from the station file's {_text(expected)} "
-        "m: measure that again, look for another station's poses, or for the board on another robot",
+        f"m: {remedy}",
         code="user.calibration_place",
     )
 

@@ -131,9 +131,8 @@ class Camera:
             )
         real = self.images is not None or (self.station is not None and not self.rehearse)
         if not real and self.bars_mm is not None:
-            raise UserError(
-                "--bars-mm without --images or --station: the simulated lab measures its own print", code="user.option"
-            )
+            where = "with --rehearse" if self.rehearse else "without --images or --station"
+            raise UserError(f"--bars-mm {where}: the simulated lab measures its own print", code="user.option")
         if real and self.bars_mm is None:
             raise UserError(BARS_MISSING, code="user.board_scale_unknown")
         if real and self.images is None and (self.plate_distance is None or self.plate_mass is None):

@@ -15,6 +15,7 @@ from rich.markup import escape
 from toolee_robot.config import VERSION, check_current
 from toolee_robot.config.station import read_station, to_station
 from toolee_robot.errors import ConfigError, TooleeError, UserError
+from toolee_robot.findings import Level
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_edit import add_first, set_fields
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 BACK = "<"
 """The answer that takes the one before back."""
+SERVO = "servo: {gain: 1200, lookahead: 0.03, lag: 0.07}"
+"""What `toolee arm lag` measures of the controller stand-in, for a rehearsal before a robot's was measured."""
 HEAD = "# Station file, docs/reference/station_file.md. Lengths in metres, angles in radians.\n"
 """The first line of a new file."""
 
@@ -68,27 +71,33 @@ class New:
             console.print()
         name = f"[bold]{escape(str(self.file))}[/bold]"
         console.print(f"Nothing new for {name}." if data == before else f"Written to {name}.", soft_wrap=True)
-        wrong = ""
-        if not (unanswered := any(not question.offered for question in questions(data))):
+        wrong, config = "", None
+        if all(question.offered for question in questions(data)):
             try:
-                to_station(data, self.file)
+                config = to_station(data, self.file)
             except ConfigError as error:
                 wrong = str(error)
         if fields := open_fields(data, self.file):
             console.print(f"\n[bold]Still open[/bold]\n{escape(told(fields, self.file))}", soft_wrap=True)
         if wrong:
             console.print(f"\n[yellow]{escape(wrong)}[/yellow]\nCorrect it in the file.", soft_wrap=True)
-        if wrong or unanswered:
+        if config is None:
             return 1
+        from toolee_robot.doctor.configuration import check_sides  # it takes seconds: after the questions
+
+        sides = check_sides(config)
+        if sides.level is not Level.OK:
+            console.print(f"\n[yellow]{escape(sides.message)}[/yellow]\n→ {escape(sides.remedy)}", soft_wrap=True)
         if left := unasked(data):
             console.print(
                 f"\nNot asked for, and by default the simulated station's: {', '.join(left)}; the file takes yours.",
                 soft_wrap=True,
             )
         rehearsal = self.file.with_name("rehearsal.yaml")
+        servo = "" if "servo" in data else f" and `{SERVO}`, as `toolee arm lag` measures it of the stand-in"
         console.print(
             f"\nNext: `toolee station show {self.file}`, then rehearse with a copy of it, which moves nothing: "
-            f"`cp {self.file} {rehearsal}`, and in the copy strike.speed 1.2, which drives a simulated nail; "
+            f"`cp {self.file} {rehearsal}`, and in the copy strike.speed 1.2, which drives a simulated nail{servo}; "
             f"`toolee calibrate camera --station {rehearsal} --rehearse --write`.",
             soft_wrap=True,
         )

@@ -117,10 +117,18 @@ class FrameGate:
         known = images.depth[::8, ::8]
         known = known[np.isfinite(known) & (known != 0)]
         if known.size:
-            median = float(np.median(known)) * self._profile.depth_scale
+            scale = self._profile.depth_scale
+            median = float(np.median(known)) * scale
             if not NEAREST <= median <= FARTHEST:
-                message = f"half of the camera's depths are beyond {median:.3g} m: its depth scale is wrong"
-                raise DeviceError(message, code="device.camera_depth_unit")
+                likely = {1e-3: "millimetres taken for metres", 1e3: "metres taken for millimetres"}
+                found = [words for factor, words in likely.items() if NEAREST <= factor * median <= FARTHEST]
+                raise DeviceError(
+                    f"the camera's depths are about {median:.3g} m, with {scale:g} m to a step"
+                    f"{''.join(f', which looks like {words}' for words in found)}: correct the step's length, "
+                    "`depth_scale` of the driver's profile in metres, or of a recording's scene_camera.json in "
+                    "millimetres",
+                    code="device.camera_depth_unit",
+                )
 
     @staticmethod
     def _jumped(by: float, where: str) -> DeviceError:

@@ -15,7 +15,7 @@ from toolee_robot.calibration.session import Session, SessionPose
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, slowed_to
 from toolee_robot.control.planning.transfer import plan_transfer
-from toolee_robot.errors import DeviceError, PersonNearError, PlanningError, StaleDataError
+from toolee_robot.errors import DeviceError, PersonNearError, PlanningError, StaleDataError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, Station
 from toolee_robot.types import RgbdFrame
@@ -26,6 +26,8 @@ SETTLING = 0.4
 """Time for which the arm stands still before an image is taken [s]."""
 STILL = 1e-3
 """Turn of a joint between before and after the image up to which the arm stood still [rad]."""
+UNSEEN = 4
+"""Number of first images after which, if none shows the board, the others would not show it, either."""
 HOLD_SWITCH = "Release the hold-to-run switch, then hold it: the arm moves slowly to {}."
 """Prompt before every motion."""
 
@@ -86,11 +88,24 @@ class Collector:
         Raises:
             PersonNearError: The hold-to-run switch was not taken, or was released.
             DeviceError: The arm was stopped, or a device does not answer.
+            UserError: The first images do not show the board (`user.board_not_seen`).
         """
         self.arm.set_payload(self._robot.description.hand_payload(self._robot.description.hand_open))
+        shown: list[bool] = []
         for number, q in enumerate(poses, 1):
-            if self._move(q, f"pose {number} of {len(poses)}"):
-                yield self._take(number)
+            if not self._move(q, f"pose {number} of {len(poses)}"):
+                continue
+            taken = self._take(number)
+            yield taken
+            shown.append(taken.X_camera_board is not None)
+            if len(shown) == UNSEEN and not any(shown):
+                raise UserError(
+                    f"none of the first {UNSEEN} images shows the board: look with `toolee camera show --picture` "
+                    "whether the camera stands and looks as camera.position and camera.target say (x and y swapped, or "
+                    "half a turn of the base, are the usual mistakes), whether the print faces out of the flange, and "
+                    "whether --sheet is its size",
+                    code="user.board_not_seen",
+                )
         self._move(np.array(self._config.scene.home), "home")
 
     def _move(self, goal: Array, name: str) -> bool:

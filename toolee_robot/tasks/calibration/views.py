@@ -130,8 +130,9 @@ def plan_views(robot: RobotModel, config: StationConfig, plate: Plate, count: in
     chosen = _choose(Xs_camera_board[row], row, q, world, home, board, camera, count)
     if len(chosen) < count:
         raise UnreachableError(
-            f"the arm reaches {len(chosen)} views of the board before the camera, {count} are wanted: move the camera "
-            "or what is in the way, ask for fewer, or use a smaller board",
+            f"the arm reaches {len(chosen)} views of the board before the camera where the station file has it, "
+            f"{count} are wanted: correct camera.position and camera.target if it stands elsewhere, else move it or "
+            "what is in the way, ask for fewer, or use a smaller board",
             code="unreachable.calibration_views",
         )
     return _tour([q[i] for i in chosen], home)

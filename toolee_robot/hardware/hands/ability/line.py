@@ -130,7 +130,7 @@ class HandLine:
         self.counts.unanswered += 1
         message = (
             f"no hand {self._address} answers on {self._port.path}: check its power, its two wires, that its UART "
-            "and both stuffings are on (We16, We46, We47), and its address"
+            "and both stuffings are on (We16, We46, We47), its address, and that hand.port is not another device's"
         )
         raise NoAnswerError(message, code="no_answer.hand_silent")
 

@@ -177,7 +177,8 @@ class HandLine(ABC, Generic[RequestT]):
 
     def _silent(self, register: int, attempts: int = ATTEMPTS) -> NoAnswerError:
         message = f"no hand {self._hand_id} answers on {self._port.path} (register {register}, {attempts} attempts)"
-        return NoAnswerError(f"{message}: {self._look_at}, and its number", code="no_answer.hand_silent")
+        remedy = f"{self._look_at}, its number, and that hand.port is not another device's"
+        return NoAnswerError(f"{message}: {remedy}", code="no_answer.hand_silent")
 
     _look_at: str
     """What a person is to check when it is silent."""

@@ -5,12 +5,16 @@ from __future__ import annotations
 import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import serial
+from serial.tools.list_ports import comports
 
 from toolee_robot.errors import NoAnswerError, words_of
 
 _READ_TIME = 0.01
+_BY_ID = Path("/dev/serial/by-id")
+"""Where Linux names serial ports by what is plugged in."""
 
 
 class SerialPort:
@@ -33,9 +37,12 @@ class SerialPort:
         try:
             self._serial = serial.Serial(port, baud_rate, timeout=_READ_TIME, write_timeout=write_time, exclusive=True)
         except (OSError, ValueError, termios.error) as error:  # pyserial's errors are OSErrors
-            message = f"cannot open the hand's port {port}: {words_of(error)}; check hand.port, the cable, your rights"
-            message += " to the port, and that no other program uses it"
-            raise NoAnswerError(message, code="no_answer.hand_port") from error
+            raise NoAnswerError(
+                f"cannot open the hand's port {port} ({words_of(error)}; this computer has "
+                f"{', '.join(serial_ports()) or 'no serial port'}): check hand.port, the cable, your rights to the "
+                "port, and that no other program uses it",
+                code="no_answer.hand_port",
+            ) from error
 
     def close(self) -> None:
         """Release the port; nothing is said to the hand."""
@@ -88,3 +95,14 @@ class SerialPort:
         except (OSError, termios.error, TypeError) as error:  # TypeError: pyserial, of a port that was closed meanwhile
             message = f"the hand's port {self.path} is gone ({words_of(error)}): plug the cable in, then start again"
             raise NoAnswerError(message, code="no_answer.hand_unplugged") from error
+
+
+def serial_ports() -> list[str]:
+    """Find the serial ports of this computer.
+
+    Returns:
+        Their paths: those that stay the same, where the system has such, else those of the devices.
+    """
+    if _BY_ID.is_dir():
+        return sorted(str(path) for path in _BY_ID.iterdir())
+    return sorted(port.device for port in comports())
