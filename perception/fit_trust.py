@@ -19,7 +19,9 @@ import numpy as np
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception import weight_files
+from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.reserved import refuse_test_set
+from toolee_robot.perception.dataset.spec import generated_catalogue_of
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation import views
 from toolee_robot.perception.evaluation.estimates import Ranked, estimate_case
@@ -78,11 +80,12 @@ class TrustSamples:
     images: int
 
 
-def collect(seed: int, networks: Networks, part: Part | int) -> TrustSamples:
+def collect(seed: int, catalogue: Catalogue, networks: Networks, part: Part | int) -> TrustSamples:
     """Samples from a part of a data set, or from a rendered frame without a tool.
 
     Args:
         seed: Seed of rendered frames.
+        catalogue: Tools of the scenes of rendered frames.
         networks: Detector and pose estimator.
         part: The part of the data set, or the number of the frame to render.
 
@@ -93,7 +96,8 @@ def collect(seed: int, networks: Networks, part: Part | int) -> TrustSamples:
         return _tool_samples(networks, read_part(part, networks.detector))
     rows = []
     sure = networks.pose.calibration.confidence.threshold
-    for e in ToolPerception(networks.detector, networks.pose).estimate(views.empty_frame(seed, part, "train")):
+    frame = views.empty_frame(seed, part, catalogue, "train")
+    for e in ToolPerception(networks.detector, networks.pose).estimate(frame):
         if np.isfinite(e.X_camera_ee).all():
             d = e.detection
             rows.append((features(e.confidence, d.score, d.tool_score, d.category), 0.0, e.confidence >= sure))
@@ -194,7 +198,7 @@ def fit_trust(
     todo = [*parts(data), *range(frames)]
     found = []
     with ProcessMap(partial(Networks.load, folder), workers) as processes:
-        for each in processes.map(partial(collect, seed), todo):
+        for each in processes.map(partial(collect, seed, generated_catalogue_of(data)), todo):
             found.append(each)
             progress(len(found), len(todo))
     count = len(todo) - frames

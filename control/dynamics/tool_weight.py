@@ -10,7 +10,7 @@ least-squares problem with Gaussian priors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,10 +26,8 @@ BATCHES = 8
 LEAST_NOISE = 0.01, 0.001
 """Least standard deviation of a mean: force [N] and torque [Nm]; a simulated arm may have none."""
 USUAL_CONTRADICTION, LARGEST_CONTRADICTION = 1.2, 3.0
-"""Difference of the mass with and without the reading of the empty hand, in its standard deviations: from the first on
+"""Difference of the mass with and without the readings of the empty hand, in its standard deviations: from the first on
 the result is less certain, over the second there is none."""
-_NOTHING = 200.0, 100.0
-"""Change of the wrench's error with which the reading of the empty hand tells nothing [N, Nm]."""
 _WIDE = np.array([20.0, 6.0, 6.0, 6.0, *(200.0,) * 3, *(100.0,) * 3])
 """Standard deviations of the priors that say nothing: mass [kg] and moments [kg m] of the tool, offset [N, Nm]."""
 
@@ -60,8 +58,10 @@ class WeighingPrior:
         posture: Change of the wrench's error from posture to posture, per axis: force [N] and torque [Nm].
         hand_mass: Error of the hand's mass that the arm compensates [kg].
         hand_moment: Error of its mass times its centre of mass, axes of the flange, (3,) [kg m].
-        time: Change of the wrench's error since the empty hand was felt, the same in all postures, per axis of `base`:
+        time: What presses on the arm since the empty hand was felt, the same in all postures, per axis of `base`:
             force [N] and torque [Nm].
+        aged: Change of the wrench's own error since then, the same in all postures, per axis of the flange: force [N]
+            and torque [Nm].
         pressed: What touches the arm in one of the readings of a pair, with and without the tool, per axis: force [N]
             and torque [Nm].
         grip: A point of the handle's axis, flange frame, (3,) [m].
@@ -73,6 +73,7 @@ class WeighingPrior:
     hand_mass: float
     hand_moment: Array
     time: tuple[float, float]
+    aged: tuple[float, float]
     pressed: tuple[float, float]
     grip: Array
     handle: Array
@@ -148,8 +149,7 @@ def weigh(
         )
     mean, covariance, misfit = _solved(held, empty, gravity, prior)
     # The mass comes mostly from the pairs of readings in one posture; turning the tool tells it less well.
-    turned = replace(prior, time=_NOTHING, pressed=_NOTHING)
-    mean_of_held, covariance_of_held, misfit_of_held = _solved(held, empty, gravity, turned)
+    mean_of_held, covariance_of_held, misfit_of_held = _solved(held, (), gravity, prior)
     apart = mean[0] - mean_of_held[0]
     expected = misfit_of_held * (covariance_of_held[0, 0] - covariance[0, 0])
     contradiction = float(apart / np.sqrt(max(expected, 1e-12)))
@@ -207,7 +207,7 @@ def _solved(
     covariance = _covariance(rows, sigma, known)
     solution = covariance @ rows.T @ (wrenches / sigma**2)
     misfit = np.sum(((wrenches - rows @ solution) / sigma) ** 2) + np.sum((known @ solution) ** 2)
-    freedom = len(wrenches) - _FLAT
+    freedom = len(wrenches) - _FREE
     return np.asarray(solution[:4], dtype=np.float64), covariance[:4, :4], max(1.0, float(misfit) / freedom)
 
 
@@ -217,8 +217,9 @@ def _covariance(rows: Array, sigma: Array, known: Array) -> Array:
 
 
 # The unknowns: mass and moments of the tool (4), the offset (6), and, with priors of their own, the error of the hand's
-# mass and moments (4), the change since the empty hand (6), and that of the offset in each posture of a pair (6).
-_FLAT, _SHARED = 10, 20
+# mass and moments (4), what presses since the empty hand (6), how the wrench has aged since (6), and the change of the
+# offset in each posture of a pair (6). The first ten are free, but for the two that the handle's axis tells.
+_FREE, _SHARED = 8, 26
 
 
 def _equations(
@@ -240,6 +241,7 @@ def _equations(
         if held:
             block[:, 0:4] = weight
             block[:3, 14:17] = block[3:, 17:20] = Rs_base_flange[posture].T
+            block[:, 20:26] = np.eye(6)
         if posture < empty:
             block[:, _SHARED + 6 * posture :][:, :6] = np.eye(6)
     return rows, sigma.ravel()
@@ -256,8 +258,11 @@ def _weight_rows(g: Array) -> Array:
 
 def _known(prior: WeighingPrior, empty: int) -> Array:
     """What is known of the unknowns, as rows that are 0 with a standard deviation of 1, (U + 3, U)."""
-    hand, time, posture = [prior.hand_mass, *prior.hand_moment], np.repeat(prior.time, 3), np.repeat(prior.posture, 3)
-    sigma = np.concatenate([_WIDE, hand, time, np.tile(posture, empty)])
+    hand, since = (
+        [prior.hand_mass, *prior.hand_moment],
+        np.repeat([*prior.time, *np.maximum(prior.aged, LEAST_NOISE)], 3),
+    )
+    sigma = np.concatenate([_WIDE, hand, since, np.tile(np.repeat(prior.posture, 3), empty)])
     beside = (np.eye(3) - np.outer(prior.handle, prior.handle)) / prior.handle_moment
     rows = np.vstack([np.diag(1.0 / sigma), np.zeros((3, len(sigma)))])
     rows[-3:, 0], rows[-3:, 1:4] = -beside @ prior.grip, beside

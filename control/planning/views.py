@@ -1,6 +1,6 @@
 """Planning of hand poses: the handover, and the views in which the camera sees the tool.
 
-A view places the EE 0.40 to 0.55 m in front of the camera, with its normal 30 to 50 deg off the line of sight and the
+A view places the EE 0.42 to 0.52 m in front of the camera, with its normal 30 to 50 deg off the line of sight and the
 line of sight near the plane of handle and normal, so that the face of a tool rotated about its handle by 25 deg in the
 hand is still visible. Head, handle and hand are in the image, unoccluded by hand and arm. Only the nominal tool is
 used.
@@ -24,7 +24,7 @@ from toolee_robot.errors import CollisionError, LimitError, PlanningError, Unrea
 from toolee_robot.frames import Array, frame_from_axes, inverse, transform, transform_points
 from toolee_robot.types import Trajectory
 
-DISTANCE = (0.40, 0.55)  # [m] camera to EE
+DISTANCE = (0.42, 0.52)  # [m] camera to EE
 NORMAL_ANGLE = (np.deg2rad(30.0), np.deg2rad(50.0))  # between the EE's normal and the line of sight
 AZIMUTH = np.deg2rad(30.0)  # of the line of sight, off the plane of handle and normal
 SPREAD = (np.deg2rad(14.0), np.deg2rad(70.0))  # between the orientations of two views, as the camera sees them
@@ -186,7 +186,7 @@ def _sample(
     line = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=-1)
     roll = Rotation.from_rotvec(rng.uniform(-np.pi, np.pi, n)[:, None] * np.array([0, 0, 1.0])).as_matrix()
     R_line_ee = np.swapaxes(_frames(line), -1, -2)
-    distance = rng.uniform(DISTANCE[0] + 0.02, DISTANCE[1] - 0.03, n)
+    distance = rng.uniform(*DISTANCE, n)
     Xs = np.tile(np.eye(4), (n, 1, 1))
     sight = np.tile(-axis, (n, 1))
     for _ in range(3):  # position and orientation of the EE depend on each other

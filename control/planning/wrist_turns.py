@@ -36,22 +36,22 @@ def plan_wrist_turns(
     noise: tuple[float, float],
     prior: WeighingPrior,
     count: int,
-    first: Sequence[Array] = (),
+    first: Sequence[Array] | None = None,
 ) -> list[Trajectory]:
     """Plan motions of the wrist to postures that together tell a tool's weight best, one after the other.
 
-    Each is chosen by what the readings up to it are expected to tell, and reached on a straight way in joint space. The
-    empty hand is felt in the first posture, and in the one after it.
+    Each is chosen by what the readings up to it are expected to tell, and reached on a straight way in joint space.
 
     Args:
         robot: Kinematic model of arm and hand.
         config: Configuration of the station.
-        world: Collision model with the tool in the hand.
+        world: Collision model.
         q_start: Joint positions of the first reading, with and without the tool, (6,) [rad].
         noise: Standard deviation of a reading's mean, per axis: force [N] and torque [Nm].
         prior: What is known before.
         count: Largest number of postures.
-        first: The posture that comes first where it can be reached, (6,) [rad]; empty: whichever tells most.
+        first: Postures that come first where they can be reached, (6,) [rad] each: there the empty hand was felt, as in
+            `q_start`. None: it will be felt in `q_start` and in the first posture that is chosen.
 
     Returns:
         The motions, fewer than `count` where no further posture is free.
@@ -62,17 +62,18 @@ def plan_wrist_turns(
     gravity, scale = config.arm.gravity, np.array([MASS, MOMENT, MOMENT, MOMENT])
     Rs_goal = robot.arm.fk(goals)[:, :3, :3] if len(goals) else np.empty((0, 3, 3))
     Rs, here, motions = [robot.arm.fk(q_start)[:3, :3]], q_start, list[Trajectory]()
-    for goal in first:
+    for goal in first or ():
         free = world.free(goal, NEED) and world.inside(goal[None])
         if free and (motion := _straight(robot, config, world, here, goal)) is not None:
             motions.append(motion)
             here = goal
             Rs.append(robot.arm.fk(goal)[:3, :3])
+    pairs = 2 if first is None else 1 + len(motions)
     left = {i for i, goal in enumerate(goals) if np.max(np.abs(goal - here)) > STEP}
     while left and len(motions) < count:
         cost = {
             i: (1.0 + TRAVEL * float(np.max(np.abs(goals[i] - here))))
-            * float(np.sum(np.diag(expected_covariance([*Rs, Rs_goal[i]], 2, gravity, noise, prior)) / scale**2))
+            * float(np.sum(np.diag(expected_covariance([*Rs, Rs_goal[i]], pairs, gravity, noise, prior)) / scale**2))
             for i in left
         }
         for i in sorted(left, key=cost.__getitem__):

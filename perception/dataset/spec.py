@@ -14,6 +14,7 @@ from toolee_robot.perception.dataset.catalogue import (
     GENERATED,
     Catalogue,
     CustomTools,
+    GeneratedTools,
     generated_tools,
 )
 from toolee_robot.perception.dataset.custom_tools import CustomToolRecord
@@ -189,13 +190,21 @@ class DatasetSpec:
             root: Folder of the data set.
 
         Raises:
-            UserError: The folder has no data set, its specification is unreadable, or it has another format version.
+            UserError: The folder has no data set, its specification is unreadable, or it has another format version or
+                more kinds of tools (`user.newer_data_set`).
         """
         path = root / DESCRIPTION
         try:
             data = json.loads(path.read_text())
+            config, kinds = data["config"], data.get("kinds", len(TOOL_SPECS) if "tools" in data else FIRST_KINDS)
+            if kinds > len(TOOL_SPECS):
+                raise UserError(
+                    f"{path} is of a newer version of this program: its tools are of {kinds} kinds, of which "
+                    f"{len(TOOL_SPECS)} are known here; update the program",
+                    code="user.newer_data_set",
+                )
             spec = DatasetSpec(
-                data["config"],
+                config,
                 data["size"],
                 data["seed"],
                 float(data["test_share"]),
@@ -206,7 +215,7 @@ class DatasetSpec:
                 data.get("sensor", "time-of-flight"),
                 data.get("renderer", "built-in"),
                 tuple(data.get("surroundings", {}).items()),
-                data.get("kinds", len(TOOL_SPECS) if "tools" in data else FIRST_KINDS),
+                kinds,
             )
         except FileNotFoundError as error:
             raise UserError(
@@ -243,3 +252,17 @@ def catalogue_of(folder: Path) -> Catalogue:
     """
     root = root_of(folder)
     return GENERATED if root is None else DatasetSpec.read(root).catalogue(root)
+
+
+def generated_catalogue_of(folder: Path) -> GeneratedTools:
+    """Catalogue for scenes that are rendered beside a data set or one of its splits, as those of its evaluation.
+
+    Args:
+        folder: Folder of the data set or of a split.
+
+    Returns:
+        The generated tools of the kinds that it is drawn from; of all kinds if its tools are custom ones or there is no
+        specification.
+    """
+    root = root_of(folder)
+    return GENERATED if root is None else generated_tools(DatasetSpec.read(root).kinds)

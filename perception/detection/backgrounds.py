@@ -123,12 +123,15 @@ class Backgrounds:
     def _pasted(self, images: Tensor, tool: Tensor) -> Tensor:
         n, device = len(images), images.device
         _, _, height, width = images.shape
-        lot = (torch.rand(tool[:, ::8, ::8].shape, device=device) * tool[:, ::8, ::8]).flatten(1).argmax(1)
-        columns = tool[:, ::8, ::8].shape[2]
+        coarse = tool[:, ::8, ::8]
+        columns = coarse.shape[2]
+        chance, lot = (torch.rand(coarse.shape, device=device) * coarse).flatten(1).max(1)
         near = torch.stack([lot % columns, torch.div(lot, columns, rounding_mode="floor")], 1) * 8.0
         near = near + 0.12 * width * torch.randn((n, 2), device=device)
         anywhere = torch.rand((n, 2), device=device) * torch.tensor([width, height], device=device)
-        centre = torch.where(torch.rand((n, 1), device=device) < 0.5, near, anywhere)
+        # Without a tool, or with one between the grid's pixels, no place is near it.
+        beside = (torch.rand(n, device=device) < 0.5) & (chance > 0)
+        centre = torch.where(beside[:, None], near, anywhere)
         half = 0.5 * width * (0.05 + 0.4 * torch.rand((n, 2), device=device))
         angle = torch.rand(n, device=device) * 2 * math.pi
         patches = Patches.random(centre, half, angle, (height, width))

@@ -45,8 +45,11 @@ class Patches:
         shear, taper = (torch.rand((2, n, 1, 1), device=device) - 0.5) * 0.6
         v = (v + shear * u) / (1 + taper * u.clamp(-1, 1))
         corner = torch.rand((n, 1, 1), device=device) ** 2 * 0.95 + 0.05
+        # The cover falls off over the last pixel, inside the corners: tighter ones would leave none of it full.
+        narrow = half.amin(1)[:, None, None]
+        corner = torch.maximum(corner, 1 / narrow).clamp(max=1)
         beyond = torch.hypot((u.abs() - 1 + corner).clamp(min=0), (v.abs() - 1 + corner).clamp(min=0))
-        return Patches(u, v, ((corner - beyond) * half.amin(1)[:, None, None]).clamp(0, 1))
+        return Patches(u, v, ((corner - beyond) * narrow).clamp(0, 1))
 
     def filled(self, pictures: Tensor) -> Tensor:
         """Pictures stretched over the patches.

@@ -128,7 +128,9 @@ def _test_set(folder: Path) -> dict[str, Any] | None:
     sums = root / SUMS
     if not sums.is_file():
         raise AssetError(f"{root} is not finished: run its `toolee dataset generate` again", code="asset.unfinished")
-    asked = {k: v for k, v in spec.to_json().items() if k in ("config", "size", "seed", "test_share", "device")}
+    asked = {k: getattr(spec, k) for k in ("config", "size", "seed", "test_share", "device", "sensor")}
+    if not spec.tools:
+        asked["kinds"] = spec.kinds
     return {"name": root.name, **asked, "sha256": sha256(sums)}
 
 

@@ -13,6 +13,8 @@ from typing import Any, TypeVar
 import torch
 
 from toolee_robot.perception import Segmenter
+from toolee_robot.perception.dataset.catalogue import Catalogue
+from toolee_robot.perception.dataset.spec import generated_catalogue_of
 from toolee_robot.perception.evaluation import exact_shape, pose, views
 from toolee_robot.perception.evaluation.breakdown import held_out_breakdown
 from toolee_robot.perception.evaluation.estimates import (
@@ -177,13 +179,14 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
         if plan.sampler_clouds:
             first = next(iter(networks.estimators.values()))
             report["samplers"] = sampler_table(first, examples, plan.sampler_clouds, partial(progress, "samplers"))
+        catalogue = generated_catalogue_of(plan.folder)
         if plan.hammers and not plan.true_masks_only:
-            with closing(processes.map(partial(_fuse, plan.seed), itertools.count())) as tried:
+            with closing(processes.map(partial(_fuse, plan.seed, catalogue), itertools.count())) as tried:
                 found = itertools.islice((f for f in tried if f is not None), plan.hammers)
                 report["fused"] = views.fused(list(_counted(found, partial(progress, "five views"), plan.hammers)))
         if plan.empty_frames and not plan.true_masks_only:
             frames: Iterable[RgbdFrame | int] = itertools.chain(examples.empty, itertools.count())
-            looked = processes.map(partial(_claims, plan.seed), itertools.islice(frames, plan.empty_frames))
+            looked = processes.map(partial(_claims, plan.seed, catalogue), itertools.islice(frames, plan.empty_frames))
             report["no_tool"] = views.no_tool(list(_counted(looked, partial(progress, "no tool"), plan.empty_frames)))
     return Evaluation(report, estimates)
 
@@ -208,14 +211,16 @@ def _ranked_ap(
     return pose.ranked_ap(instances, ranked)
 
 
-def _fuse(seed: int, networks: Networks, index: int) -> views.Fused | None:
-    hammer = views.held_hammer(seed, index)
+def _fuse(seed: int, catalogue: Catalogue, networks: Networks, index: int) -> views.Fused | None:
+    hammer = views.held_hammer(seed, index, catalogue)
     return None if hammer is None else views.fuse(networks.perception, hammer)
 
 
-def _claims(seed: int, networks: Networks, frame: RgbdFrame | int) -> tuple[bool, bool]:
+def _claims(seed: int, catalogue: Catalogue, networks: Networks, frame: RgbdFrame | int) -> tuple[bool, bool]:
     """`views.claims` of a frame of the data set, or of a rendered one of this number."""
-    return views.claims(networks.perception, views.empty_frame(seed, frame) if isinstance(frame, int) else frame)
+    if isinstance(frame, int):
+        frame = views.empty_frame(seed, frame, catalogue)
+    return views.claims(networks.perception, frame)
 
 
 def _counted(items: Iterator[T], progress: Callable[[int, int], None], total: int) -> Iterator[T]:

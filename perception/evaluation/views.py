@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.records import SHOWN_HAND, EeTable
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.pipeline import ToolPerception
@@ -42,7 +43,7 @@ class HeldHammer:
     Xs_hand_ee: list[Array]
 
 
-def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None:
+def held_hammer(seed: int, index: int, catalogue: Catalogue, split: str = "test") -> HeldHammer | None:
     """Render a hammer in a right hand among the clutter of the hard scenes.
 
     The hand is turned by up to 60 deg and moved by up to 5 cm between the frames; a face is a target
@@ -51,12 +52,13 @@ def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None
     Args:
         seed: Seed of the scenes.
         index: Number of the scene.
+        catalogue: Tools of the scenes.
         split: Split of the tools.
 
     Returns:
         The frames; None if that scene holds no such hammer.
     """
-    taken = render_example(Series(seed, split), index)
+    taken = render_example(Series(seed, split, catalogue=catalogue), index)
     hammer = _held_hammer(taken.sample, taken.labels[3])
     if hammer is None:
         return None
@@ -77,19 +79,20 @@ def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None
     return HeldHammer(frames, Xs, [X_hand_tool @ X for X in faces])
 
 
-def empty_frame(seed: int, index: int, split: str = "test") -> RgbdFrame:
+def empty_frame(seed: int, index: int, catalogue: Catalogue, split: str = "test") -> RgbdFrame:
     """Render a cluttered frame of the hard scenes without a tool, in many of them an empty hand.
 
     Args:
         seed: Seed of the scenes.
         index: Number of the frame.
+        catalogue: Tools of the other scenes; they are drawn, and so decide what else is.
         split: Split of the textures and backgrounds.
 
     Returns:
         The frame.
     """
     rng = np.random.default_rng([seed, index, 3])
-    sample = hard_scene(rng, Pool.random(rng, split), with_tools=False)
+    sample = hard_scene(rng, Pool.random(rng, split, catalogue), with_tools=False)
     return taken_frame(sample, Shot(sample.scene, sample.intrinsics, sample.X_world_camera), rng)
 
 

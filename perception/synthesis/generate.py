@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from toolee_robot.errors import UserError, words_of
+from toolee_robot.perception.dataset.catalogue import FIRST_KINDS
 from toolee_robot.perception.dataset.custom_tools import CustomMesh
 from toolee_robot.perception.dataset.encoding.checksums import SUMS
 from toolee_robot.perception.dataset.index_files import Summary, finish, is_finished
@@ -29,6 +30,7 @@ from toolee_robot.perception.synthesis.tool_cache import ToolCache
 from toolee_robot.render.device import checked
 from toolee_robot.render.path_tracing.library import mitsuba
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.tools import TOOL_SPECS
 
 Progress = Callable[[int, int], None]
 """Called with the numbers of finished and of all examples."""
@@ -123,9 +125,12 @@ def begin(spec: DatasetSpec, out: Path, custom_tools: Sequence[CustomMesh] = ())
     if path.exists():
         there = read_json(path)
         if there != wanted:
-            differ = ", ".join(sorted(k for k in {*there, *wanted} if there.get(k) != wanted.get(k)))
+            differ = sorted(k for k in {*there, *wanted} if there.get(k) != wanted.get(k))
+            remedy = "choose an empty folder"
+            if differ == ["kinds"] and (kinds := there.get("kinds", FIRST_KINDS)) <= len(TOOL_SPECS):
+                remedy += f", or give --kinds {kinds} to go on with it"
             raise UserError(
-                f"{out} holds another data set (other {differ}): choose an empty folder", code="user.other_data_set"
+                f"{out} holds another data set (other {', '.join(differ)}): {remedy}", code="user.other_data_set"
             )
     elif any(p.name not in SPLITS for p in out.iterdir()) or any(any((out / s).iterdir()) for s in SPLITS):
         raise UserError(f"{out} is not empty and no data set: choose another folder", code="user.folder_not_empty")

@@ -146,8 +146,16 @@ def test_a_record_does_not_hold_for_another_distortion(calibrated: Path, tmp_pat
     ("change", "code", "words"),
     [
         (("frame: base_link", "frame: pendant_base"), "config.calibration_half_turn", "half a turn"),
-        (("[0.93, -0.60, 0.86]", "[0.60, 0.93, 0.86]"), "config.calibration_place", "x, y, z in this order"),
-        (("[0.93, -0.60, 0.86]", "[-0.60, 0.93, 0.86]"), "config.calibration_place", "x and y are swapped there"),
+        (
+            ("[0.93, -0.60, 0.86]", "[0.60, 0.93, 0.86]"),
+            "config.calibration_place",
+            "again (x, y, z in this order); if",
+        ),
+        (
+            ("[0.93, -0.60, 0.86]", "[-0.60, 0.93, 0.86]"),
+            "config.calibration_place",
+            "in this order), or x and y are swapped there",
+        ),
     ],
 )
 def test_a_record_of_another_place_than_the_file_s_camera_is_refused(

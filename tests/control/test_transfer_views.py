@@ -13,6 +13,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, ViewPlan, plan_handover, plan_transfer, plan_views
 from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.planning.transfer import NEED
+from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.errors import CollisionError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, inverse, transform, transform_points
 from toolee_robot.robots import SHADOW_HAND
@@ -86,7 +87,7 @@ def test_views_show_face_and_handle(
         X_camera_ee = inverse(camera.X_base_camera) @ robot.X_base_ee(view.q, q_hand, X_hand_ee)
         distance = np.linalg.norm(X_camera_ee[:3, 3])
         angle = angle_between(X_camera_ee[:3, 2], -X_camera_ee[:3, 3])
-        assert 0.40 <= distance <= 0.55
+        assert DISTANCE[0] - 1e-9 <= distance <= DISTANCE[1] + 1e-9, "which others are told"
         assert distance == pytest.approx(view.distance)
         assert np.deg2rad(29) <= angle <= np.deg2rad(51)
         assert angle == pytest.approx(view.normal_angle)

@@ -18,14 +18,15 @@ from toolee_robot.types import Trajectory
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PRIOR = WeighingPrior(
-    (2.1, 0.42),
-    0.1,
-    np.full(3, 0.02),
-    (0.15, 0.03),
-    (0.15, 0.03),
-    np.array([0.0, 0.0, 0.15]),
-    np.array([1.0, 0.0, 0.0]),
-    0.04,
+    posture=(2.1, 0.42),
+    hand_mass=0.1,
+    hand_moment=np.full(3, 0.02),
+    time=(0.15, 0.03),
+    aged=(0.0, 0.0),
+    pressed=(0.15, 0.03),
+    grip=np.array([0.0, 0.0, 0.15]),
+    handle=np.array([1.0, 0.0, 0.0]),
+    handle_moment=0.04,
 )
 X_TOOL_EE = frame_from_axes(z=np.array([1.0, 0.0, 0.0]), x=np.array([0.0, 0.0, -1.0]), p=[0.05, 0.0, 0.22])
 

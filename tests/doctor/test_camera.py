@@ -44,11 +44,23 @@ def test_holes_are_counted_on_the_tool_alone(share: float, level: Level) -> None
     assert check_holes(frame, None).level is Level.WARN
 
 
-@pytest.mark.parametrize(("least", "level"), [(0.1, Level.OK), (0.35, Level.WARN), (0.5, Level.FAIL)])
-def test_the_least_range_is_compared_with_the_views(least: float, level: Level) -> None:
+@pytest.mark.parametrize(
+    ("least", "level", "lost"),
+    [
+        (0.1, Level.OK, ""),
+        (0.35, Level.WARN, "parts of a tool will lack depth"),
+        (0.41, Level.WARN, "parts of a tool will lack depth"),
+        (0.5, Level.FAIL, "no view nearer than 0.50 m would have a depth"),
+        (0.53, Level.FAIL, "no view would have a depth"),
+    ],
+)
+def test_the_least_range_is_compared_with_the_views(least: float, level: Level, lost: str) -> None:
     config = StationConfig()
     with_device = replace(config, camera=replace(config.camera, device=CameraDevice("realsense", "1", least)))
-    assert check_range(with_device).level is level
+    finding = check_range(with_device)
+    assert finding.level is level
+    assert lost in finding.remedy
+    assert "views are 0.42 to 0.52 m away" in finding.message
     assert check_range(config).level is Level.WARN
 
 

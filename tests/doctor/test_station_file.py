@@ -13,6 +13,7 @@ from toolee_robot.config import (
     SIMULATED,
     SIMULATED_CALIBRATION,
     CalibrationConfig,
+    NailConfig,
     PersonConfig,
     StationConfig,
     load_station,
@@ -66,6 +67,8 @@ def test_limits_that_do_not_fit(
 
 NAIL, HANDOVER = {"nail_xy": (-0.75, -0.10)}, {"handover_position": (-0.40, 0.45, 0.65)}
 CAMERA = {"position": (-0.95, 0.62, 0.85), "target": (-0.60, 0.15, 0.72)}
+NAILS = (NailConfig("a", (-0.75, -0.10)), NailConfig("b", (-0.75, -0.06)), NailConfig("c", (-0.71, -0.08)))
+OVERHEAD = {"position": (-0.05, 0.0, 1.8), "target": (0.6, -0.15, 0.72)}
 
 
 @pytest.mark.parametrize(
@@ -80,6 +83,22 @@ CAMERA = {"position": (-0.95, 0.62, 0.85), "target": (-0.60, 0.15, 0.72)}
         (
             {"work": NAIL, "scene": HANDOVER, "camera": CAMERA},
             "work.nail_xy, scene.handover_position, camera: behind",
+            "`frame` names the other base",
+        ),
+        (
+            {"work": NAIL, "scene": HANDOVER},
+            "work.nail_xy, scene.handover_position: behind",
+            "they are typed in the other base's frame",
+        ),
+        (
+            {"work": {**NAIL, "nails": NAILS}},
+            "work.nails a, work.nails b, work.nails c: behind",
+            "they are typed in the other base's frame",
+        ),
+        ({"camera": OVERHEAD}, None, ""),
+        (
+            {"work": NAIL, "scene": HANDOVER, "camera": OVERHEAD},
+            "work.nail_xy, scene.handover_position: behind",
             "`frame` names the other base",
         ),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,10 +68,11 @@ def test_the_rest_of_the_pose_is_nominal(ablation: Ablation | None, place: Array
     assert (config.task.views == 1) == (ablation is Ablation.ONE_VIEW)
 
 
-def _run(folder: Path, X_hand_ee: Array, hand: str = "inspire") -> None:
+def _run(folder: Path, X_hand_ee: Array, seed: int, hand: str = "inspire", **other: Any) -> None:
     folder.mkdir(parents=True)
-    summary = {"hand": hand, "looks": [{"X_hand_ee": X_hand_ee.tolist()}], "nominal_X_hand_ee": NOMINAL.tolist()}
-    (folder / "summary.json").write_text(json.dumps(summary))
+    looks = {"looks": [{"X_hand_ee": X_hand_ee.tolist()}], "nominal_X_hand_ee": NOMINAL.tolist()}
+    whole = {"correction": True, "perfect_perception": False, "ablation": None}
+    (folder / "summary.json").write_text(json.dumps({"hand": hand, "seed": seed, **looks, **whole, **other}))
 
 
 def test_a_job_believes_where_the_hand_moved_earlier_tools_in_the_mean(tmp_path: Path) -> None:
@@ -79,21 +81,43 @@ def test_a_job_believes_where_the_hand_moved_earlier_tools_in_the_mean(tmp_path:
     for i in range(12):
         by = 1 if i % 2 else -1
         scatter = transform(Rotation.from_rotvec([0.05 * by, 0.0, 0.0]), [0.02 * by, 0.0, 0.0])
-        _run(tmp_path / "trials" / f"run{i}", shift @ scatter @ NOMINAL)
-    _run(tmp_path / "trials" / "other", SEEN, hand="shadow")
+        _run(tmp_path / "trials" / f"run{i}", shift @ scatter @ NOMINAL, i)
+    _run(tmp_path / "trials" / "other", SEEN, 20, hand="shadow")
     learnt = learn_shift(tmp_path, "inspire")
     assert learnt.jobs == 12
     assert learnt.spread == pytest.approx((0.02, 0.05), rel=0.01)
     perceiver, _ = ablated(Ablation.LEARNT_GRASP, Sees(), StationConfig(), NOMINAL, shift=learnt)
     np.testing.assert_allclose(perceiver.fuse([], []).X_hand_ee, shift @ NOMINAL, atol=1e-4)
+    with raises(UserError, code="user.too_few_runs"):
+        learn_shift(tmp_path, "shadow")
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"correction": False},
+        {"perfect_perception": True},
+        {"ablation": "normal_only"},
+        {"nominal_X_hand_ee": None},
+        {"seed": 0},
+        {"looks": []},
+    ],
+)
+def test_a_job_that_does_not_tell_of_another_hand_over_does_not_count(tmp_path: Path, other: dict[str, Any]) -> None:
+    for i in range(LEAST_JOBS):
+        _run(tmp_path / f"run{i}", SEEN, i)
+    before = learn_shift(tmp_path, "inspire").figures
+    _run(tmp_path / "the_last", NOMINAL, **{"seed": 99, **other})
+    _run(tmp_path / ".unfinished", NOMINAL, 98)
+    assert learn_shift(tmp_path, "inspire").figures == before
 
 
 def test_a_mean_of_too_few_jobs_is_refused(tmp_path: Path) -> None:
     for i in range(LEAST_JOBS - 1):
-        _run(tmp_path / f"run{i}", SEEN)
+        _run(tmp_path / f"run{i}", SEEN, i)
     with raises(UserError, code="user.too_few_runs"):
         learn_shift(tmp_path, "inspire")
-    _run(tmp_path / "last", SEEN)
+    _run(tmp_path / "last", SEEN, LEAST_JOBS)
     assert learn_shift(tmp_path, "inspire").jobs == LEAST_JOBS
     (tmp_path / "last" / "summary.json").write_text("{")
     with raises(UserError, code="user.unreadable_run"):

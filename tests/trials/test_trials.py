@@ -14,6 +14,7 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from pyarrow import compute, parquet
@@ -22,14 +23,17 @@ from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
+from toolee_robot.frames import transform
 from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sim_backend.cell_errors import NOMINAL, CellErrors, draw_errors
+from toolee_robot.tasks.hammering.learnt_grasp import LEAST_JOBS, learn_shift
 from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
 from toolee_robot.trials.attended_plan import option
 from toolee_robot.trials.report import ERRORS
 from toolee_robot.trials.results import RESULTS, Happened, Record, read_results
 from toolee_robot.trials.sweeps import UNITS
+from toolee_robot.trials.tasks import check_learnt_from
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLAN = TrialPlan("three hammers", 40, 3, (Arm.FULL, Arm.NO_CORRECTION), {"camera_position": 0.004})
@@ -92,15 +96,41 @@ def test_seeds_that_are_left_out_are_made_up_for() -> None:
             replace(plan, left_out=(41, wrong))
 
 
-def test_the_learnt_grasp_needs_earlier_jobs(tmp_path: Path) -> None:
-    plan = replace(PLAN, arms=(Arm.FULL, Arm.LEARNT_GRASP), learnt_from="earlier")
-    asked = Asked()
-    run_trials(plan, tmp_path, 1, quietly, asked)
+def _earlier(folder: Path, X_hand_ee: list[list[float]]) -> str:
+    """Jobs of the whole system in a folder."""
+    for i in range(LEAST_JOBS):
+        looks = {"looks": [{"X_hand_ee": X_hand_ee}], "nominal_X_hand_ee": np.eye(4).tolist()}
+        whole = {"correction": True, "perfect_perception": False, "ablation": None, "hand": "inspire", "seed": i}
+        (folder / f"run{i}").mkdir(parents=True, exist_ok=True)
+        (folder / f"run{i}" / "summary.json").write_text(json.dumps({**looks, **whole}))
+    return str(folder)
+
+
+def test_the_learnt_grasp_needs_earlier_jobs_that_stay_as_they_are(tmp_path: Path) -> None:
+    earlier = _earlier(tmp_path / "earlier", np.eye(4).tolist())
+    plan = replace(PLAN, arms=(Arm.FULL, Arm.LEARNT_GRASP), learnt_from=earlier)
+
+    class Learns(Asked):
+        def __call__(self, options: Sequence[str]) -> dict[str, Any]:
+            folder = option(options, "--learnt-from")
+            learnt = None if folder is None else learn_shift(Path(folder), "inspire").figures
+            return {**super().__call__(options), "learnt_grasp": learnt}
+
+    asked = Learns()
+    run_trials(plan, tmp_path / "own", 1, quietly, asked)
     given = [(option(one, "--ablation"), option(one, "--learnt-from")) for one in asked.options]
-    assert given == [(None, None), ("learnt_grasp", "earlier")] * 3
-    for arms, folder in ((plan.arms, ""), ((Arm.FULL,), "earlier")):
+    assert given == [(None, None), ("learnt_grasp", earlier)] * 3
+    for arms, folder in ((plan.arms, ""), ((Arm.FULL,), earlier)):
         with pytest.raises(ValueError, match="learnt_from"):
             replace(plan, arms=arms, learnt_from=folder)
+    for own in (tmp_path / "earlier", tmp_path / "earlier" / "own", tmp_path):
+        with raises(UserError, code="user.learnt_from_own"):
+            check_learnt_from(plan, own, ())
+    with raises(UserError, code="user.too_few_runs"):
+        run_trials(replace(plan, learnt_from=str(tmp_path / "none")), tmp_path / "other", 1, quietly, asked)
+    _earlier(tmp_path / "earlier", transform(p=(0.0, 0.01, 0.0)).tolist())
+    with raises(UserError, code="user.other_jobs"):
+        run_trials(plan, tmp_path / "own", 1, quietly, asked)
 
 
 @pytest.mark.parametrize("after", [0, 1, 4])

@@ -131,7 +131,7 @@ class Board:
         for sheet in SHEETS.values():
             x, y = sheet.board.size
             if _is_print(along / x) and _is_print(across / y):
-                return f"these are the bars of the {sheet.name.upper()} board: add --sheet {sheet.name}"
+                return f"these are the bars of the {sheet.name.upper()} board: give --sheet {sheet.name}"
         return "measure from end line to end line, and give it in millimetres"
 
     @property

@@ -80,6 +80,11 @@ class Generate:
 
         custom_tools: tuple[CustomMesh, ...] = ()
         if self.tools is not None:
+            if self.kinds is not None:
+                raise UserError(
+                    f"--kinds {self.kinds}: the tools of --tools have no kinds, leave one of the two out",
+                    code="user.kinds",
+                )
             from toolee_robot.perception.synthesis.custom_tool_reader import read_custom_tools
 
             custom_tools = read_custom_tools(self.tools)

@@ -136,7 +136,7 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], field: str
     off = float(np.linalg.norm(place - by_file))
     remedy = "measure that again (x, y, z in this order)"
     if axes_swapped(place, by_file):
-        remedy = "x and y are swapped there: correct them"
+        remedy += ", or x and y are swapped there: then correct them"
     raise ConfigError(
         f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from {field}, {typed} m: "
         f"{remedy}; if the camera was moved, take `calibration` out of the file and calibrate again",

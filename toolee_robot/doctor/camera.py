@@ -191,12 +191,15 @@ def check_range(config: StationConfig) -> Finding:
     Returns:
         The finding.
     """
-    device, nearest = config.camera.device, DISTANCE[0] - HEAD
+    device, (near, far) = config.camera.device, DISTANCE
     if device is None:
         return warn("range", "the station file names no camera", "give camera.device.least_range, of its data sheet")
-    message = f"from {device.least_range:.2f} m on; views come to {DISTANCE[0]:.2f} m, a head there to {nearest:.2f} m"
-    if device.least_range > DISTANCE[0]:
-        return fail("range", message, "take a smaller depth image or another camera: no view would have a depth")
-    if device.least_range > nearest:
+    least, nearest = device.least_range, near - HEAD
+    message = f"from {least:.2f} m on; views are {near:.2f} to {far:.2f} m away, a head there comes to {nearest:.2f} m"
+    if least > near:
+        lost = "no view" if least > far else f"no view nearer than {least:.2f} m"
+        remedy = f"take a smaller depth image or another camera: {lost} would have a depth of the tool's face"
+        return fail("range", message, remedy)
+    if least > nearest:
         return warn("range", message, "parts of a tool will lack depth: take a smaller depth image, if it has one")
     return ok("range", message)

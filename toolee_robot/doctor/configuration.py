@@ -7,6 +7,7 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import MEASURED, StationConfig, unmeasured
@@ -17,11 +18,11 @@ from toolee_robot.tools import SWUNG_MASS
 
 REDUCED_SPEED = 0.25
 """Reduced speed of ISO 10218-1, the largest with a person in reach [m/s]."""
-BEHIND = float(np.deg2rad(120.0))
-"""Angle about the base's z from the rest of the cell from which a place lies behind the arm [rad]. Assumed: a handover
+BEHIND = float(np.deg2rad(110.0))
+"""Angle about the base's z from the flange at home from which a place lies behind the arm [rad]. Assumed: a handover
 from the side is within a right angle or so."""
 OVER_BASE = 0.3
-"""Distance of the flange at home from the base's axis under which it tells no side [m]."""
+"""Distance from the base's axis under which a place is on no side of it [m], as of a camera that hangs over the arm."""
 USUAL_SPEED = 1.5
 """Speed above which a UR's own safety settings usually stop the arm [m/s]."""
 
@@ -68,7 +69,8 @@ def check_sides(config: StationConfig) -> Finding:
         config: Configuration of the station.
 
     Returns:
-        OK, or WARN with the places that lie half a turn from where the arm at home is.
+        OK, or WARN with the places that lie half a turn from where the arm at home is. A place over the base is not
+        looked at.
     """
     scene, work = config.scene, config.work
     flange = RobotModel.of_station(config).arm.fk(np.array(scene.home))[:2, 3]
@@ -76,15 +78,15 @@ def check_sides(config: StationConfig) -> Finding:
         return ok("sides", "not looked at: the arm at home is over its base")
     places = {f"work.nails {nail.name}": nail.xy for nail in work.nails} or {"work.nail_xy": work.nail_xy}
     places |= {"scene.handover_position": scene.handover_position[:2], "camera": config.camera.center[:2]}
-    home, ways = _way(*flange), {name: _way(*place) for name, place in places.items()}
-    together = np.sum(list(ways.values()), axis=0)
-    if angle_between(home, together) > BEHIND:
-        behind, cause = list(ways), "`frame` names the other base"
-    else:
-        behind = [name for name, way in ways.items() if angle_between(way, home + together - way) > BEHIND]
-        cause = "it is typed in the other base's frame"
+    over = [name for name, place in places.items() if np.linalg.norm(place) < OVER_BASE]
+    judged = {name: place for name, place in places.items() if name not in over}
+    behind = [name for name, place in judged.items() if angle_between(_flat(flange), _flat(place)) > BEHIND]
     if not behind:
-        return ok("sides", "nail, handover and camera are on the side of the arm at home")
+        skipped = f"; not looked at, over the base: {', '.join(over)}" if over else ""
+        return ok("sides", f"nail, handover and camera are on the side of the arm at home{skipped}")
+    cause = f"{'it is' if len(behind) == 1 else 'they are'} typed in the other base's frame"
+    if len(behind) == len(judged):
+        cause = "`frame` names the other base"
     return warn(
         "sides",
         f"{', '.join(behind)}: behind the arm at home, by about half a turn about the base's z",
@@ -92,9 +94,9 @@ def check_sides(config: StationConfig) -> Finding:
     )
 
 
-def _way(x: float, y: float) -> Array:
-    """Direction from the base's axis to a place, (3,), of length 1."""
-    return np.array([x, y, 0.0]) / max(float(np.hypot(x, y)), 1e-9)
+def _flat(place: ArrayLike) -> Array:
+    """A place on the table, (2,), as a vector from the base's axis, (3,)."""
+    return np.append(place, 0.0)
 
 
 def check_contacts(config: StationConfig) -> Iterator[Finding]:

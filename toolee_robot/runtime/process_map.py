@@ -9,6 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from typing import Any, Generic, Self, TypeVar
 
+import cv2
 import torch
 
 from toolee_robot.errors import TooleeError, UserError
@@ -88,7 +89,9 @@ _state: list[Any] = []
 
 
 def _begin(begin: Callable[[], Any]) -> None:
+    # One core each: threads of every process for every core of a large machine leave none of them any.
     torch.set_num_threads(1)
+    cv2.setNumThreads(1)
     _state.append(begin())
 
 

@@ -127,6 +127,39 @@ def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
         )
 
 
+def check_learnt_from(plan: TrialPlan, folder: Path, done: Iterable[Record]) -> None:
+    """Read the jobs of which the arm `learnt_grasp` knows the mean, where the plan has it: before the first job.
+
+    Args:
+        plan: The plan.
+        folder: The trials' own folder.
+        done: The results that there are.
+
+    Raises:
+        UserError: As of `learn_shifts`; the folder holds the trials' own, or lies in it (`user.learnt_from_own`); or
+            its jobs are others than those of the results (`user.other_jobs`).
+    """
+    if not plan.learnt_from:
+        return
+    from toolee_robot.tasks.hammering.learnt_grasp import learn_shifts  # takes a second to import
+
+    earlier, own = Path(plan.learnt_from).resolve(), folder.resolve()
+    if earlier == own or earlier in own.parents or own in earlier.parents:
+        raise UserError(
+            f"learnt_from: {plan.learnt_from} and the trials' own folder {folder} hold one another, and the trials "
+            "would learn from themselves: give folders of their own",
+            code="user.learnt_from_own",
+        )
+    now = {shift.figures["sha256"] for shift in learn_shifts(Path(plan.learnt_from)).values()}
+    records = (record.figures.get("learnt_grasp") for record in done if record.trial.arm is Arm.LEARNT_GRASP)
+    if {figures["sha256"] for figures in records if figures} - now:
+        raise UserError(
+            f"learnt_from: {plan.learnt_from} holds other jobs than when the finished trials learnt from it: put those "
+            "back, or give another --out",
+            code="user.other_jobs",
+        )
+
+
 def _needed(plan: TrialPlan, trial: Trial) -> tuple[str, ...]:
     """Options for what an arm alone needs."""
     if trial.arm is Arm.LEARNT_GRASP:

@@ -29,7 +29,7 @@ from toolee_robot.perception.dataset.figures.shape_distances import distances
 from toolee_robot.perception.dataset.index_files import listed
 from toolee_robot.perception.dataset.instances import read_ply
 from toolee_robot.perception.dataset.scene_reader import load, read_json
-from toolee_robot.perception.dataset.spec import DatasetSpec
+from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.dataset.validation.validate import validate
 from toolee_robot.perception.io import bop_images
 from toolee_robot.perception.synthesis.bodies import tool_meshes
@@ -97,6 +97,9 @@ def test_a_broken_scene_stops_a_resumed_run_and_nothing_half_written_stays(copy:
 def test_another_data_set_or_a_full_folder_is_not_touched(copy: Path, tmp_path: Path) -> None:
     with raises(UserError, code="user.other_data_set"):
         generate(DatasetSpec("hard", 7, 11), copy)
+    (copy / DESCRIPTION).write_text(json.dumps({k: v for k, v in SPEC.to_json().items() if k != "kinds"}))
+    with pytest.raises(UserError, match="--kinds 13 to go on"):
+        generate(SPEC, copy)
     (tmp_path / "thesis.txt").write_text("mine")
     with raises(UserError, code="user.folder_not_empty"):
         generate(SPEC, tmp_path)

@@ -9,7 +9,8 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.errors import UserError
-from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
+from toolee_robot.perception.dataset.catalogue import GENERATED, generated_tools
+from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec, generated_catalogue_of
 from toolee_robot.sensor_kinds import KINDS, SensorKind
 
 
@@ -33,6 +34,21 @@ def test_a_data_set_from_before_it_said_from_how_many_kinds_was_drawn_from_thirt
         assert len(spec.catalogue(tmp_path).numbers("train")) == 120 * spec.kinds
     with raises(UserError, code="user.kinds"):
         DatasetSpec("hard", 10, kinds=12)
+
+
+def test_what_is_rendered_beside_a_data_set_is_of_its_kinds(tmp_path: Path) -> None:
+    assert generated_catalogue_of(tmp_path) is GENERATED
+    for kinds in (13, 17):
+        (tmp_path / DESCRIPTION).write_text(json.dumps(DatasetSpec("hard", 10, 3, kinds=kinds).to_json()))
+        for folder in (tmp_path, tmp_path / "test"):
+            folder.mkdir(exist_ok=True)
+            assert generated_catalogue_of(folder) is generated_tools(kinds)
+
+
+def test_a_data_set_of_a_newer_version_is_refused_as_such(tmp_path: Path) -> None:
+    (tmp_path / DESCRIPTION).write_text(json.dumps({**DatasetSpec("hard", 10, 3).to_json(), "kinds": 25}))
+    with raises(UserError, code="user.newer_data_set"):
+        DatasetSpec.read(tmp_path)
 
 
 def test_an_unknown_sensor_and_one_for_a_camera_without_noise_are_refused() -> None:

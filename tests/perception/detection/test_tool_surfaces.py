@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from toolee_robot.perception.detection.backgrounds import Backgrounds
+from toolee_robot.perception.detection.patches import Patches
 from toolee_robot.perception.detection.tool_surfaces import stickers, wear
 from toolee_robot.perception.detection.training_data import ImageSample, augment
 
@@ -84,6 +85,25 @@ def test_a_sticker_covers_a_part_of_one_tool(backgrounds: Backgrounds, bars: tup
             long.append(int(columns.max() - columns.min()) / 120)
     assert len(long) > 8
     assert 0.1 < float(np.median(long)) < 0.7
+
+
+def test_the_middle_of_a_narrow_patch_is_opaque() -> None:
+    torch.manual_seed(2)
+    n = 200
+    half = torch.tensor([30.0, 2.5]).repeat(n, 1)
+    patches = Patches.random(torch.tensor([48.0, 32.0]).repeat(n, 1), half, torch.zeros(n), (64, 96))
+    assert (patches.cover[:, 32, 48] > 0.999).all()
+    assert (patches.cover[:, 0] == 0).all()
+
+
+@pytest.mark.parametrize("size", [0, 5], ids=["no tool", "a tool between the grid's pixels"])
+def test_photographs_lie_anywhere_where_no_tool_is_found(size: int, backgrounds: Backgrounds) -> None:
+    torch.manual_seed(4)
+    images = torch.full((300, 3, 96, 128), 120.0)
+    tool = torch.zeros((300, 96, 128), dtype=torch.bool)
+    tool[:, 81 : 81 + size, 113 : 113 + size] = True
+    changed = (backgrounds.beside(images, tool, 1.0) != images).any(1).float().mean(0)
+    assert changed[:24, :32].mean() < changed.mean(), "in a corner no more than elsewhere"
 
 
 def test_augmented_images_are_the_same_for_the_same_seed_and_keep_labels(backgrounds: Backgrounds) -> None:

@@ -22,9 +22,10 @@ from tests.errors import raises
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import transform
+from toolee_robot.perception.dataset.catalogue import GENERATED, generated_tools
 from toolee_robot.perception.dataset.scene_reader import SegmentationSet, load
 from toolee_robot.perception.dataset.scene_writer import write_scene
-from toolee_robot.perception.dataset.spec import DatasetSpec
+from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation import metrics, pose, views
 from toolee_robot.perception.evaluation.breakdown import held_out_breakdown
@@ -32,10 +33,11 @@ from toolee_robot.perception.evaluation.estimates import Ranked, answer, load_es
 from toolee_robot.perception.evaluation.examples import collect, of_role
 from toolee_robot.perception.evaluation.records import Examples
 from toolee_robot.perception.evaluation.report.pages import page, pictures
-from toolee_robot.perception.evaluation.run import Evaluation
+from toolee_robot.perception.evaluation.run import Evaluation, Plan, evaluate_pose
 from toolee_robot.perception.evaluation.samplers import sampler_table
 from toolee_robot.perception.evaluation.segmentation import STATISTICS, CocoTask, coco_task, statistics
 from toolee_robot.perception.evaluation.shapes import ee_shape
+from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.trust import Trust
@@ -353,7 +355,7 @@ def test_what_is_no_target_is_neither_found_nor_missed(images: SegmentationSet, 
 
 
 def test_five_views_of_a_held_hammer_and_empty_frames() -> None:
-    hammer = next(h for index in itertools.count() if (h := views.held_hammer(3, index)) is not None)
+    hammer = next(h for index in itertools.count() if (h := views.held_hammer(3, index, GENERATED)) is not None)
     assert len(hammer.frames) == len(hammer.Xs_camera_hand) == views.VIEWS
     faces = [np.stack([X @ X_hand_ee for X in hammer.Xs_camera_hand]) for X_hand_ee in hammer.Xs_hand_ee]
     # The views differ, and a face is in every image, before the camera.
@@ -371,5 +373,17 @@ def test_five_views_of_a_held_hammer_and_empty_frames() -> None:
                 patch = frame.depth[max(int(v) - 6, 0) : int(v) + 7, max(int(u) - 6, 0) : int(u) + 7]
                 seen.append(bool((np.abs(patch - z) < 0.08).any()))
         assert any(seen)
-    frame = views.empty_frame(seed=3, index=0)
+    frame = views.empty_frame(3, 0, GENERATED)
     assert frame.depth.max() > 0.3
+
+
+def test_held_hammers_are_of_the_data_sets_kinds(tmp_path: Path) -> None:
+    spec, tools = DatasetSpec("hard", 2, 5, 1.0, kinds=13), generated_tools(13)
+    (tmp_path / DESCRIPTION).write_text(json.dumps(spec.to_json()))
+    (tmp_path / "test").mkdir()
+    write_scene(tmp_path / "test" / "000000", examples_of(spec, "test", 0, 2), catalogue=tools)
+    found = evaluate_pose(Plan(tmp_path, {"ours": None}, hammers=1, seed=3), lambda _stage, _done, _all: None)
+    hammer = next(h for index in itertools.count() if (h := views.held_hammer(3, index, tools)) is not None)
+    perception = ToolPerception(Segmenter.load(), PoseEstimator.load(), Trust.load(None, None))
+    expected = views.fused([views.fuse(perception, hammer)])
+    assert found.report["fused"]["one_frame"] == pytest.approx(expected["one_frame"], rel=1e-3, nan_ok=True)

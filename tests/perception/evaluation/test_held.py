@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from toolee_robot.cli.app import run
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception import StageTimes
+from toolee_robot.perception.dataset.records import SHOWN_HAND, Example
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.detection.hand_crop import hand_crop
@@ -26,10 +28,15 @@ TIMES = StageTimes(1.0, 1.0, 1.0, whole_image=False)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def examples() -> list[Example]:
+    return list(examples_of(DatasetSpec("hard", 12, 9, 1.0), "test", 0, 12))
+
+
+@pytest.fixture(scope="module")
+def folder(examples: list[Example], tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("held")
     (root / "test").mkdir()
-    write_scene(root / "test" / "000000", examples_of(DatasetSpec("hard", 12, 9, 1.0), "test", 0, 12))
+    write_scene(root / "test" / "000000", examples)
     return root
 
 
@@ -66,6 +73,23 @@ def test_the_held_tool_is_in_the_region_and_alone_is_asked_for(held: list[HeldTo
             # A target may be cut by the image's border, its origin beyond it.
             assert crop.x0 <= np.clip(u, 0, K.width - 1) < crop.x1
             assert crop.y0 <= np.clip(v, 0, K.height - 1) < crop.y1
+
+
+def test_a_tool_that_is_held_the_other_way_round_is_left_out(
+    examples: list[Example], held: list[HeldTool], tmp_path: Path
+) -> None:
+    """Of one frame with two hands about the same tool, half a turn apart, a job asks for one."""
+    shown = next(e for e in examples if np.array_equal(e.frame.depth, held[0].frame.depth))
+    across = SHOWN_HAND.grasp.R_hand_tool[:, 0]
+    X_camera_hand = shown.table.X_camera_hand @ transform(Rotation.from_rotvec(np.pi * across)).astype(np.float32)
+    turned = replace(shown, table=replace(shown.table, X_camera_hand=X_camera_hand))
+    (tmp_path / "test").mkdir()
+    write_scene(tmp_path / "test" / "000000", [turned, shown])
+    (found,) = held_tools(tmp_path)
+    np.testing.assert_allclose(found.hand.X_camera_hand, held[0].hand.X_camera_hand, atol=1e-5)
+    row = int(np.isfinite(shown.table.X_camera_hand[:, 0, 0]).argmax())
+    X_hand_tool = inverse(found.hand.X_camera_hand) @ shown.table.X_camera_tool[row]
+    assert X_hand_tool[0, 2] > 0, "from the butt to the head is towards the thumb"
 
 
 def test_an_uncertain_hand_widens_the_region(folder: Path, held: list[HeldTool]) -> None:

@@ -14,7 +14,7 @@ from toolee_robot.perception.dataset.spec import DESCRIPTION, TEST_SEEDS, Datase
 from toolee_robot.perception.evaluation import ledger
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.runtime.files import sha256
-from toolee_robot.tools.catalog import role, split
+from toolee_robot.tools.catalog import TOOL_SPECS, role, split
 
 pytestmark = pytest.mark.sim(seconds=20)
 
@@ -45,6 +45,7 @@ def test_every_scoring_of_a_test_set_enters_itself(made: Path, entries: Path) ->
     assert first["data"] == of_split["data"]
     assert first["data"]["sha256"] == sha256(made / "SHA256SUMS")
     assert (first["data"]["config"], first["data"]["seed"], first["limit"]) == ("hard", 5, 2)
+    assert (first["data"]["sensor"], first["data"]["kinds"]) == ("time-of-flight", len(TOOL_SPECS))
     assert list(first["weights"]) == ["ours"], "the detector was not scored"
     assert first["weights"]["ours"] == of_split["weights"]["ours"]
     assert 0 <= first["figures"]["5deg2cm"]["ours"]["truth"]["average"] <= 1

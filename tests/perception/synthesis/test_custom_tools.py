@@ -120,6 +120,13 @@ def test_a_changed_tool_is_another_data_set(made: Path, tmp_path: Path, capsys: 
     assert "another data set (other tools)" in capsys.readouterr().err
 
 
+def test_ones_own_tools_have_no_kinds(tools: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--config", "hard", "--size", "4", "--tools", str(tools), "--kinds", "13"]
+    assert run(["dataset", "generate", *options, "--out", str(tmp_path / "own")]) == 2
+    assert "--kinds 13" in capsys.readouterr().err
+    assert not (tmp_path / "own").exists()
+
+
 def test_frames_handle_and_parts(made: Path) -> None:
     """Whatever frame the mesh was drawn in, the tool's is the project's."""
     catalogue = catalogue_of(made / "test")

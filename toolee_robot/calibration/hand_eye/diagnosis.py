@@ -141,7 +141,7 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
     off = float(np.linalg.norm(place - expected))
     remedy = "measure that again, look for another station's poses, or for the board on another robot"
     if axes_swapped(place, expected):
-        remedy = "x and y of the camera are swapped in the file: correct them, and those of what it looks at"
+        remedy += "; or x and y are swapped there: then correct them, and those of what the camera looks at"
     raise UserError(
         f"the camera comes out at {_text(place)} m in base_link, {off:.2f} m from the station file's {_text(expected)} "
         f"m: {remedy}",

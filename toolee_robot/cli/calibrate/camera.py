@@ -13,7 +13,7 @@ from rich.console import Console
 from toolee_robot.cli.calibrate.board import BARS_MISSING
 from toolee_robot.cli.options import Flag
 from toolee_robot.config import SIMULATED, StationConfig, load_lab_station, load_station
-from toolee_robot.errors import UserError
+from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.runtime.clock import check_real_time_factor
 
 SIMULATED_PLATE = 0.12, 1.2
@@ -34,7 +34,8 @@ class Camera:
     somebody holds the switch; with --rehearse every device is emulated. With --images the poses and images of a folder
     are taken. Without either a simulated lab is calibrated.
 
-    Exit code 0: the record is written; 1: a device failed; 2: poses or images are refused, for the reason given.
+    Exit code 0: the record is written; 1: a device failed; 2: poses or images are refused, for the reason given. Images
+    that were taken until then stay, for --images.
     """
 
     images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
@@ -74,6 +75,7 @@ class Camera:
         else:
             config = StationConfig() if self.config is None else load_station(self.config)
         console = Console(stderr=self.json, highlight=False)
+        from toolee_robot.calibration.session import FILE
         from toolee_robot.cli.calibrate.camera_job import RECORD, CameraJob
         from toolee_robot.cli.run_folder import run_folder
         from toolee_robot.runtime.yaml_edit import set_fields
@@ -82,16 +84,21 @@ class Camera:
         bars = None if self.bars_mm is None else (self.bars_mm[0] / 1e3, self.bars_mm[1] / 1e3)
         distance, mass = self.plate_distance or SIMULATED_PLATE[0], self.plate_mass or SIMULATED_PLATE[1]
         with run_folder(self.out, "camera") as folder:
-            if self.images is not None:
-                assert bars is not None
-                job.from_images(folder.path, self.images, bars, measured_camera=self.config is not None)
-            elif self.station is None:
-                job.simulate(folder.path, self.poses, distance, mass, self.seed)
-            elif self.rehearse:
-                job.rehearse(folder.path, self.poses, distance, mass, self.seed, self.real_time_factor)
-            else:
-                assert bars is not None
-                job.live(folder.path, self.poses, distance, mass, self.seed, bars)
+            try:
+                if self.images is not None:
+                    assert bars is not None
+                    job.from_images(folder.path, self.images, bars, measured_camera=self.config is not None)
+                elif self.station is None:
+                    job.simulate(folder.path, self.poses, distance, mass, self.seed)
+                elif self.rehearse:
+                    job.rehearse(folder.path, self.poses, distance, mass, self.seed, self.real_time_factor)
+                else:
+                    assert bars is not None
+                    job.live(folder.path, self.poses, distance, mass, self.seed, bars)
+            except (TooleeError, KeyboardInterrupt):
+                if (folder.path / FILE).is_file():  # images were taken, which cost a person's time
+                    job.tell_kept(folder.keep())
+                raise
             place = folder.keep()
         if self.write:
             assert self.station is not None

@@ -18,7 +18,7 @@ from toolee_robot.calibration.build_record import build_record
 from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.calibration.record import CalibrationRecord, write_record
-from toolee_robot.calibration.session import Seen, Session, observe, read_session, write_session
+from toolee_robot.calibration.session import Seen, Session, SessionPose, observe, read_session, write_session
 from toolee_robot.cli.calibrate.recorded_images import check_undistorted
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig
@@ -144,15 +144,18 @@ class CameraJob:
         with self.console.status("planning views of the board"):
             views = plan_views(robot, config, plate, poses, seed)
         self.console.print(f"[bold]Views[/bold]  [dim]{len(views)} planned[/dim]")
-        taken = []
-        for view in Collector(station, config, robot, plate.board, self._note).take_all(views):
-            taken.append(save(folder, view))
-            seen = "[yellow]the board is not seen[/yellow]"
-            if view.X_camera_board is not None:
-                seen = f"{view.corners} corners at {view.X_camera_board[2, 3]:.2f} m"
-            self.console.print(f"  {view.number:>3}  {seen}")
+        taken: list[SessionPose] = []
+        try:
+            for view in Collector(station, config, robot, plate.board, self._note).take_all(views):
+                taken.append(save(folder, view))
+                seen = "[yellow]the board is not seen[/yellow]"
+                if view.X_camera_board is not None:
+                    seen = f"{view.corners} corners at {view.X_camera_board[2, 3]:.2f} m"
+                self.console.print(f"  {view.number:>3}  {seen}")
+        finally:  # what was taken before an error is a session, too
+            if taken:
+                write_session(folder, session_of(station, taken))
         session = session_of(station, taken)
-        write_session(folder, session)
         return self._solve(folder, session, plate.board, bars, robot, config.camera.X_base_camera[:3, 3])
 
     def _true_error(self, calibration: CameraCalibration) -> None:
@@ -187,6 +190,14 @@ class CameraJob:
         if expected is None:
             self._note("without --config nobody tells where the camera is: a half turn of the base is not noticed")
         self._solve(folder, session, board, bars, RobotModel.of_station(self.config), expected, images)
+
+    def tell_kept(self, folder: Path) -> None:
+        """Tell where the images are that were taken before an error.
+
+        Args:
+            folder: The calibration's folder.
+        """
+        self._note(f"the images so far are kept: to compute with them, give --images {folder}")
 
     def conclude(self, folder: Path, written_to: Path | None, as_json: bool) -> None:
         """Tell the result.

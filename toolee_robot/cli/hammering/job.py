@@ -36,6 +36,7 @@ from toolee_robot.sim_backend.ground_truth.verdict import NOT_BY_FACE, NailTruth
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome
 from toolee_robot.tasks.hammering.ablation import Ablation
+from toolee_robot.tasks.hammering.learnt_grasp import learn_shift
 from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.tools import Tool
 
@@ -100,6 +101,8 @@ class HammerJob:
         """
         began = time.perf_counter()
         perception = None if self.perfect_perception else job_networks(self.paper_weights, self.device)
+        hand = str(self.source.config.hand.model)
+        shift = None if self.learnt_from is None else learn_shift(self.learnt_from, hand)
         names, flush = self.nails or self.source.config.work.names, self.source.config.task.flush_protrusion
         screen, collector = ConsoleObserver(console, flush, len(names)), PictureCollector(flush)
         with (
@@ -118,7 +121,7 @@ class HammerJob:
             if opened.shape is not None:
                 recorder.attach("tool.glb", "model/gltf-binary", tool_model(opened.shape))
             keeper = RecordingObserver(recorder, station, opened.config)
-            perceiver, config = job_perceiver(self.ablation, perception, opened, self.learnt_from)
+            perceiver, config = job_perceiver(self.ablation, perception, opened, shift)
             task = HammeringTask(
                 station, perceiver, config, opened.grasp,
                 correction=self.correction,
@@ -141,6 +144,7 @@ class HammerJob:
             verdict = None if opened.truth is None else opened.truth.verdict(result.estimates)
             truths = () if opened.truth is None else opened.truth.strikes
         figures = self._figures(result, verdict, opened, time.perf_counter() - began, longest_stall)
+        figures["learnt_grasp"] = None if shift is None else shift.figures
         self._write(folder, figures, result, truths, collector, opened)
         return HammerReport(figures)
 
@@ -270,7 +274,7 @@ class HammerJob:
             "version": code_version(),
             "strike_log": [{"nail": nail.name, **asdict(s)} for nail in result.nails for s in nail.strikes],
             "strike_truth": [asdict(truth) for truth in truths],
-            "nominal_X_hand_ee": opened.grasp.X_hand_ee.tolist(),
+            "nominal_X_hand_ee": None if opened.grasp.ee_off else opened.grasp.X_hand_ee.tolist(),
             "looks": [
                 {
                     "stamp": stamp,

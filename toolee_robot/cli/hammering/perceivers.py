@@ -17,7 +17,7 @@ from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
-from toolee_robot.tasks.hammering.learnt_grasp import learn_shift
+from toolee_robot.tasks.hammering.learnt_grasp import LearntShift
 
 SURFACE = 20_000
 """Number of points on the tool's surface that a registration uses."""
@@ -51,7 +51,7 @@ def job_perceiver(
     ablation: Ablation | None,
     perception: ToolPerception | None,
     opened: Opened,
-    learnt_from: Path | None = None,
+    shift: LearntShift | None = None,
 ) -> tuple[Perceiver, StationConfig]:
     """Build the perception of a job.
 
@@ -59,15 +59,14 @@ def job_perceiver(
         ablation: What it leaves out or does instead; None for nothing.
         perception: The networks; None for the simulation's ground truth.
         opened: The station.
-        learnt_from: Folder with the runs of earlier jobs, for `Ablation.LEARNT_GRASP`.
+        shift: How the hand moves tools as it closes, for `Ablation.LEARNT_GRASP`.
 
     Returns:
         The perception, and the configuration of the job.
 
     Raises:
         UserError: `ICP` without the tool's shape, which only a simulation has; code `user.no_tool_shape`. What believes
-            a part of the face's nominal pose, of a tool whose face nobody has measured; code `user.unknown_face`. As of
-            `learn_shift`.
+            a part of the face's nominal pose, of a tool whose face nobody has measured; code `user.unknown_face`.
     """
     if opened.grasp.ee_off and ablation in BELIEVES_NOMINAL:
         raise UserError(
@@ -78,9 +77,7 @@ def job_perceiver(
     if perception is None:
         assert opened.truth is not None, "the command refuses it"
         return PerfectPerception(opened.truth), opened.config
-    pose_of, shift = None, None
-    if learnt_from is not None:
-        shift = learn_shift(learnt_from, str(opened.config.hand.model))
+    pose_of = None
     if ablation is Ablation.MASK_CENTROID:
         pose_of = partial(classical.pose_of, classical.centroid_pose)
     elif ablation is Ablation.ICP:

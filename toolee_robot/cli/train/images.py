@@ -76,8 +76,9 @@ class Segmentation(_ImageCommand):
     batch: Count = None
     """Images a GPU (default: 32)."""
     wide: Number = None
-    """Share of images with apparent sizes from 0.35 to 4 times the rendered ones; above 0, all images also get bright
-    and plain tools and the effects of cameras and depth sensors (default: 0)."""
+    """Share of images with apparent sizes from 0.35 to 4 times the rendered ones; above 0, all images also get bright,
+    plain and worn tools, stickers and print on them, coloured and mixed light, and the effects of cameras and depth
+    sensors (default: 0)."""
     backgrounds: Folder = None
     """Folder of photographs without tools, put behind, beside and on the rendered ones; it needs --wide."""
     init_share: Number = None

@@ -27,7 +27,8 @@ SETTLING = 0.4
 STILL = 1e-3
 """Turn of a joint between before and after the image up to which the arm stood still [rad]."""
 UNSEEN = 4
-"""Number of first images after which, if none shows the board, the others would not show it, either."""
+"""Number of first images after which, if none shows the board, the others would not show it, either: in the first it
+is nearest to the middle."""
 HOLD_SWITCH = "Release the hold-to-run switch, then hold it: the arm moves slowly to {}."
 """Prompt before every motion."""
 

@@ -99,7 +99,8 @@ def plan_views(robot: RobotModel, config: StationConfig, plate: Plate, count: in
     """Choose poses of the arm that show the board in different ways, in the order of a short tour.
 
     The views are planned with the camera where the station file has it. That need not be exact: where the board
-    does not come into the image as planned, a view is lost.
+    does not come into the image as planned, a view is lost. The tour begins with the view that is the last to be lost,
+    that with the board nearest to the middle of the image.
 
     Args:
         robot: Kinematic model of the arm with the plate.
@@ -135,7 +136,10 @@ def plan_views(robot: RobotModel, config: StationConfig, plate: Plate, count: in
             "what is in the way, ask for fewer, or use a smaller board",
             code="unreachable.calibration_views",
         )
-    return _tour([q[i] for i in chosen], home)
+    middle = np.array([camera.width, camera.height]) / 2
+    centers = camera.intrinsics.project((Xs_camera_board[row[chosen]] @ [*board.center, 1.0])[:, :3])
+    first = chosen[int(np.argmin(np.linalg.norm(centers - middle, axis=1)))]
+    return [q[first], *_tour([q[i] for i in chosen if i != first], q[first])]
 
 
 def _sample(board: Board, camera: CameraConfig, rng: np.random.Generator) -> Array:

@@ -36,9 +36,9 @@ POSTURES = 5
 HAND_SHARE, HAND_PLACE = 0.1, 0.01
 """Standard deviations of what a lab says of its hand: of the mass, as a share of it, and of its centre [m]. Assumed."""
 SINCE_EMPTY, PRESSED = (0.9, 0.14), (0.65, 0.1)
-"""Change of the wrench since the empty hand was felt, beside the tool, in all postures, and what else presses on the
-arm in one reading [N, Nm]: hand and cables are touched in between, and 3 N in one of the first readings, or in all of
-those with the empty hand, must not pass for a certain mass. Assumed."""
+"""What presses on the arm since the empty hand was felt, beside the tool, in all postures, and what else does in one
+reading [N, Nm]: hand and cables are touched in between, and 3 N in one of the first readings, or in all of those with
+the empty hand, must not pass for a certain mass. Assumed."""
 WARM_UP = 600.0
 """Time in which the wrench's error changes by as much as from posture to posture [s]. Assumed, as the simulated arm."""
 BESIDE = 0.04
@@ -98,8 +98,9 @@ class Weighing:
         goals, turns = list[Array](), list[Trajectory]()
         with suppress(PlanningError):  # the reading here is enough
             goals = [turn.q[-1] for turn in self._turns(grasp, 1, with_tool)]
-            turns = self._turns(grasp, 1, motions.world(), goals) if goals else []
-        if turns and _same(turns[0].q[-1], goals[0]):
+            turns = self._turns(grasp, 0, motions.world(), goals)
+        if turns:
+            self._observer.message("stay out of reach: the wrist turns twice, and the arm feels the empty hand")
             motions.transfer("to feel the empty hand", turns[0], speed)
             self._qs.append(motions.q)
             self._empty.append(self._reading(SHORT))
@@ -167,8 +168,10 @@ class Weighing:
         empty = self._empty if paired else self._empty[:1]
         return weigh(held, empty, config.arm.gravity, self._prior(grasp)), len(held)
 
-    def _turns(self, grasp: Grasp, count: int, world: CollisionWorld, first: Sequence[Array] = ()) -> list[Trajectory]:
-        """Motions to postures in which the tool is felt, or will be; to `first` before all others."""
+    def _turns(
+        self, grasp: Grasp, count: int, world: CollisionWorld, first: Sequence[Array] | None = None
+    ) -> list[Trajectory]:
+        """Motions to postures in which the tool is felt, or will be; see `plan_wrist_turns`."""
         force, torque = (sigma * (LONG / SHORT) ** 0.5 for sigma in self._empty[0].noise)
         prior, q = self._prior(grasp), self._motions.q
         return plan_wrist_turns(self._robot, self._config, world, q, (force, torque), prior, count, first)
@@ -223,7 +226,8 @@ class Weighing:
             posture=ARM_DATA[self._config.arm.model].wrench_drift,
             hand_mass=HAND_SHARE * hand.mass,
             hand_moment=hand.mass * np.hypot(HAND_SHARE * hand.center_of_mass, HAND_PLACE),
-            time=since_empty(
+            time=SINCE_EMPTY,
+            aged=since_empty(
                 self._config.arm.model, self._clock.now() - self._felt_at, self._motions.readied != self._readied
             ),
             pressed=PRESSED,
@@ -255,19 +259,19 @@ def _same(q: Array, other: Array) -> bool:
 
 
 def since_empty(model: ArmModel, age: float, reset: bool) -> tuple[float, float]:
-    """How far the readings of the empty hand are believed.
+    """How far the wrench's own error may have changed since the empty hand was felt.
 
     Args:
         model: Model of the arm.
-        age: Time since the first of them [s].
+        age: Time since the first of the readings [s].
         reset: Whether the arm was stopped and reset since, which may have changed the error as a posture does.
 
     Returns:
-        Standard deviation of the wrench's change since, per axis: force [N] and torque [Nm].
+        Standard deviation of the change, per axis of the flange: force [N] and torque [Nm].
     """
     share = age / WARM_UP + float(reset)
-    force, torque = (now + share * drift for now, drift in zip(SINCE_EMPTY, ARM_DATA[model].wrench_drift, strict=True))
-    return force, torque
+    force, torque = ARM_DATA[model].wrench_drift
+    return share * force, share * torque
 
 
 def in_words(weight: ToolWeight) -> str:

@@ -103,6 +103,8 @@ def serial_ports() -> list[str]:
     Returns:
         Their paths: those that stay the same, where the system has such, else those of the devices.
     """
-    if _BY_ID.is_dir():
-        return sorted(str(path) for path in _BY_ID.iterdir())
-    return sorted(port.device for port in comports())
+    try:
+        named = sorted(str(path) for path in _BY_ID.iterdir())
+    except OSError:  # there is no such folder, or no more: it goes with the last device
+        named = []
+    return named or sorted(port.device for port in comports())
