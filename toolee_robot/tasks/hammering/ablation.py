@@ -68,17 +68,18 @@ class Wrapped:
 
 
 class PartlyNominal(Wrapped):
-    """A perceiver whose fused pose is in part that of the nominal grasp.
+    """A perceiver whose fused pose is in part, or wholly, one that was believed before it looked.
 
     Args:
         perceiver: The whole perception.
-        X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
-        position: Whether the estimated position is kept; else the estimated orientation.
+        X_hand_ee: The believed pose of the end effector in the hand, (4, 4).
+        position: Whether the estimated position is kept.
+        orientation: Whether the estimated orientation is kept.
     """
 
-    def __init__(self, perceiver: Perceiver, X_hand_ee: Array, *, position: bool) -> None:
+    def __init__(self, perceiver: Perceiver, X_hand_ee: Array, *, position: bool, orientation: bool) -> None:
         super().__init__(perceiver, X_hand_ee)
-        self._position = position
+        self._position, self._orientation = position, orientation
 
     def fuse(
         self,
@@ -87,29 +88,11 @@ class PartlyNominal(Wrapped):
         category: Category | None = None,
         camera: CameraError | None = None,
     ) -> InHandEstimate:
-        """See `Perceiver`; a part of the pose is nominal."""
+        """See `Perceiver`; what is not kept is the believed pose's."""
         fused = super().fuse(estimates_per_frame, Xs_camera_hand, category, camera)
-        place, turn = (fused.X_hand_ee, self._nominal) if self._position else (self._nominal, fused.X_hand_ee)
+        place = fused.X_hand_ee if self._position else self._nominal
+        turn = fused.X_hand_ee if self._orientation else self._nominal
         return replace(fused, X_hand_ee=transform(turn[:3, :3], place[:3, 3]))
-
-
-class Believed(Wrapped):
-    """A perceiver whose fused pose is one that was believed before it looked.
-
-    Args:
-        perceiver: The whole perception.
-        X_hand_ee: The pose of the end effector in the hand that is believed, (4, 4).
-    """
-
-    def fuse(
-        self,
-        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
-        Xs_camera_hand: Sequence[Array],
-        category: Category | None = None,
-        camera: CameraError | None = None,
-    ) -> InHandEstimate:
-        """See `Perceiver`; the pose is the believed one."""
-        return replace(super().fuse(estimates_per_frame, Xs_camera_hand, category, camera), X_hand_ee=self._nominal)
 
 
 class OtherPoses(Wrapped):
@@ -165,7 +148,8 @@ def ablated(
     if ablation is Ablation.ONE_VIEW:
         return perceiver, replace(config, task=replace(config.task, views=1, views_again=1))
     if ablation in (Ablation.POSITION_ONLY, Ablation.NORMAL_ONLY):
-        return PartlyNominal(perceiver, X_hand_ee, position=ablation is Ablation.POSITION_ONLY), config
+        position = ablation is Ablation.POSITION_ONLY
+        return PartlyNominal(perceiver, X_hand_ee, position=position, orientation=not position), config
     if shift is not None:
-        return Believed(perceiver, shift.X_hand @ X_hand_ee), config
+        return PartlyNominal(perceiver, shift.X_hand @ X_hand_ee, position=False, orientation=False), config
     return perceiver if pose_of is None else OtherPoses(perceiver, X_hand_ee, pose_of), config
