@@ -11,8 +11,8 @@ import numpy as np
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.perception.dataset.catalogue import StoredTool
 from toolee_robot.perception.dataset.records import SHOWN_HAND
-from toolee_robot.render import Body, Material, Mesh
-from toolee_robot.render.palette import any_color, finish, skin_tone
+from toolee_robot.render import Body, Material, Mesh, Pattern
+from toolee_robot.render.palette import any_color, any_glove_color, any_skin_tone, finish, linear, skin_tone
 from toolee_robot.render.robot_look import LookPart, arm_link_parts
 from toolee_robot.robots import arm_link_poses, arm_meshes, wrap_fingers
 from toolee_robot.robots.description import robot_tree
@@ -176,6 +176,34 @@ class HandStyle:
             tips = palm if rng.random() < 0.5 else finish("rubber", any_color(rng), 0.7, 0.0, rng)
             sleeve = finish("rubber", any_color(rng), 0.8, 0.0, rng)
         return HandStyle(rng.random() < 0.4, palm, tips, sleeve)
+
+    @staticmethod
+    def varied(rng: np.random.Generator) -> HandStyle:
+        """A random hand: half of them as `random`, the others people's, of all skin tones and in working gloves."""
+        if rng.random() < 0.5:
+            return HandStyle.random(rng)
+        skin = finish("skin", any_skin_tone(rng), float(rng.uniform(0.4, 0.7)), 0.0, rng)
+        cuff = skin if rng.random() < 0.45 else _cloth(rng)
+        kind = rng.random()
+        if kind < 0.55:
+            palm = tips = skin
+        elif kind < 0.8:  # thin gloves: nitrile, latex
+            palm = finish("plastic", any_glove_color(rng), float(rng.uniform(0.25, 0.6)), 0.0, rng)
+            tips = palm
+        else:  # knitted or leather gloves, half of them with dipped finger tips
+            palm = _cloth(rng)
+            tips = palm if rng.random() < 0.5 else finish("rubber", any_glove_color(rng), 0.7, 0.0, rng)
+        return HandStyle(rng.random() < 0.4, palm, tips, cuff)
+
+
+def _cloth(rng: np.random.Generator) -> Material:
+    """Cloth of one colour, striped, checked or mottled."""
+    cloth = finish("rubber", any_color(rng), float(rng.uniform(0.75, 0.95)), 0.0, rng)
+    if rng.random() < 0.5:
+        return cloth
+    pattern = (Pattern.STRIPES, Pattern.CHECKER, Pattern.SPECKLE)[int(rng.integers(3))]
+    second = linear(any_color(rng))
+    return replace(cloth, color2=second, pattern=pattern, scale=float(rng.uniform(0.002, 0.02)))
 
 
 def tuple_of(grey: float) -> tuple[float, float, float]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, random_rotation, rotation_z, transform
+from toolee_robot.frames import Array, random_rotation, rotation_z, transform, transform_points
 from toolee_robot.perception.dataset.holdout import ROOMS
 from toolee_robot.perception.synthesis.surfaces import Surfaces, room_rng
 from toolee_robot.render import Body, Material, Mesh
@@ -59,6 +61,25 @@ def any_object(rng: np.random.Generator, surfaces: Surfaces, X: Array, body_id: 
             mesh = cylinder(float(length * rng.uniform(0.05, 0.16)), float(length * rng.uniform(0.02, 0.3)), 20)
         parts.append(Body(mesh, X @ place, other, body_id))
     return parts
+
+
+def corners_of(bodies: Sequence[Body]) -> Array:
+    """Vertices of bodies, world frame, (N, 3) [m]."""
+    return np.concatenate([transform_points(b.X_world_body, b.mesh.vertices.astype(float)) for b in bodies])
+
+
+def settled(bodies: Sequence[Body], height: float) -> list[Body]:
+    """The bodies of an object, moved up or down together until the lowest point is at a height.
+
+    Args:
+        bodies: The bodies.
+        height: The height, world frame [m].
+
+    Returns:
+        The moved bodies.
+    """
+    X = transform(p=(0.0, 0.0, height - corners_of(bodies)[:, 2].min()))
+    return [replace(body, X_world_body=X @ body.X_world_body) for body in bodies]
 
 
 def cable(rng: np.random.Generator, length: float, radius: float) -> Mesh:

@@ -15,7 +15,7 @@ from toolee_robot.perception.dataset.paper_camera import CIRCLE, FOCAL, FULL_HEI
 from toolee_robot.perception.dataset.records import HEIGHT, SCENES, SHOWN_HAND, WIDTH
 from toolee_robot.perception.synthesis.bodies import Grasp, HandStyle, hand_bodies, tool_bodies
 from toolee_robot.perception.synthesis.clutter import walls
-from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample, X_world_hand_of, look
+from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample, Stance, X_world_hand_of, look
 from toolee_robot.render import Material, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.palette import linear
@@ -71,6 +71,6 @@ def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> Sc
     bodies = hand_bodies(grasp, HandStyle(False, _SKIN, _SKIN, _SKIN), X_world_hand, _HAND)
     bodies += tool_bodies(tool, X_world_tool, 1, rng, repaint=True)
     bodies += walls(rng, pool.surfaces, _ROOM, min(float((X_world_tool @ [0, 0, tool.handle.z_min, 1])[2]), 0.0) - 0.8)
-    placed = PlacedTool(tool, X_world_tool, X_world_hand, False, 1)
+    placed = PlacedTool(tool, X_world_tool, X_world_hand, False, 1, Stance.HELD)
     scene = Scene(bodies, lamps(rng), environment(rng))
     return SceneSample(scene, window, X_world_camera, (placed,), SCENES.index("paper"), CIRCLE)

@@ -1,12 +1,12 @@
-"""Placement in synthetic scenes: poses in the view of a camera, on a table, in a hand; the pool of tools."""
+"""Placement in synthetic scenes: poses in the view of a camera and in a hand; the pool of tools."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import (
@@ -16,7 +16,6 @@ from toolee_robot.frames import (
     random_rotation,
     rotation_z,
     transform,
-    transform_points,
 )
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
 from toolee_robot.perception.dataset.records import FARTHEST, HEIGHT, NEAREST, WIDTH
@@ -107,6 +106,17 @@ class Pool:
         return self._grasps[number]
 
 
+class Stance(StrEnum):
+    """How a tool is placed: in a hand, in the air, or at rest on a plane, a support or another tool."""
+
+    HELD = "held"
+    FLOATING = "floating"
+    LYING = "lying"
+    STANDING = "standing"
+    LEANING = "leaning"
+    STACKED = "stacked"
+
+
 @dataclass(frozen=True, eq=False)
 class PlacedTool:
     """A tool in a scene.
@@ -117,6 +127,7 @@ class PlacedTool:
         X_world_hand: Pose of the hand frame in the world frame, 4x4 [m]; None if no hand holds the tool.
         mirrored: Whether a left hand holds it.
         body_id: Id of the tool in the images, 1..3.
+        stance: How it is placed.
     """
 
     tool: ToolShape
@@ -124,6 +135,7 @@ class PlacedTool:
     X_world_hand: Array | None
     mirrored: bool
     body_id: int
+    stance: Stance
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +161,8 @@ class SceneSample:
 
 
 def random_intrinsics(rng: np.random.Generator) -> CameraIntrinsics:
-    """Random intrinsics: focal length 0.6 to 1.3 image widths, or that of a Kinect v2 (one third); centre perturbed."""
-    f = 365.5 * np.exp(rng.normal(0.0, 0.01)) if rng.random() < 0.33 else WIDTH * rng.uniform(0.6, 1.3)
+    """Random intrinsics: focal length 0.6 to 1.6 image widths, or that of a Kinect v2 (one third); centre perturbed."""
+    f = 365.5 * np.exp(rng.normal(0.0, 0.01)) if rng.random() < 0.33 else WIDTH * rng.uniform(0.6, 1.6)
     cx, cy = rng.normal([WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5], [8.0, 8.0])
     return CameraIntrinsics(float(f), float(f), float(cx), float(cy), WIDTH, HEIGHT)
 
@@ -206,24 +218,6 @@ def tool_in_view(tool: ToolShape, intrinsics: CameraIntrinsics, rng: np.random.G
         anchor = tool.ees[int(rng.integers(len(tool.ees)))].X_tool_ee[:3, 3]
     p = intrinsics.rays(random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
     return transform(R, p - R @ anchor)
-
-
-def lying(tool: ToolShape, point: Array, rng: np.random.Generator) -> Array:
-    """Draw the pose of a tool that lies on one of its four sides on a horizontal plane.
-
-    Args:
-        tool: The tool.
-        point: Point of the plane below the tool's origin, world frame, (3,) [m].
-        rng: Random generator.
-
-    Returns:
-        X_world_tool, (4, 4).
-    """
-    quarter = Rotation.from_euler("z", int(rng.integers(4)) * np.pi / 2)
-    R = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * Rotation.from_euler("y", np.pi / 2) * quarter
-    X = transform(R, point)
-    X[2, 3] += point[2] - transform_points(X, np.asarray(tool.mesh.vertices))[:, 2].min() + 0.0005
-    return X
 
 
 def on_plane(

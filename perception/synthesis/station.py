@@ -24,7 +24,7 @@ from toolee_robot.perception.synthesis.bodies import (
     tuple_of,
 )
 from toolee_robot.perception.synthesis.hard import ARM, HAND, OBJECT, ROOM
-from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample, look, sees_an_ee
+from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample, Stance, look, sees_an_ee
 from toolee_robot.perception.synthesis.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
 from toolee_robot.render.mesh import box, cylinder, sphere
@@ -94,7 +94,7 @@ def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
     if rng.random() < 0.35:
         bodies += _person(rng)
     scene = Scene(bodies, room.lights, room.environment)
-    placed = PlacedTool(tool, X_base_tool, X_base_hand, False, 1)
+    placed = PlacedTool(tool, X_base_tool, X_base_hand, False, 1, Stance.HELD)
     return SceneSample(scene, intrinsics, X_base_camera, (placed,), 1)
 
 

@@ -1,7 +1,7 @@
 """Accuracy floor of the shipped weights: results of `ToolPerception` on 60 frozen frames, and the files' hashes.
 
-The frames are a data set of the `hard` configuration with seed 7411, 20 frames to a scene: held-out tools (30 of them),
-textures and backgrounds; 70 end effectors to be found, 10 frames without a tool. No training, fit or published figure
+The frames are a data set of the `hard` configuration with seed 7411, 20 frames to a scene: held-out tools of all kinds,
+textures and backgrounds; 77 end effectors to be found, and frames without a tool. No training, fit or published figure
 uses this seed.
 
 Each bound is two or three instances (medians: at most 30 %) worse than the measured figure, about the resolution of so
@@ -34,7 +34,7 @@ from toolee_robot.types import Detection, RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=100)
 
-FRAMES = DatasetSpec("hard", 60, seed=7411, test_share=1.0, scene_size=20, kinds=13)
+FRAMES = DatasetSpec("hard", 60, seed=7411, test_share=1.0, scene_size=20)
 SURE = 0.5
 """Score above which a detection that shows no end effector counts as a false alarm."""
 
@@ -141,34 +141,34 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Scores:
 
 @pytest.mark.nightly
 def test_end_effectors_are_detected(scores: Scores) -> None:
-    """Measured: 68 of 70, mean mask IoU 0.902, AP50 0.952, 7 false alarms."""
-    assert 68 <= scores.targets <= 72, "a rounding may add or remove one: these are other frames than those measured"
-    assert scores.found >= 66 / 70
-    assert scores.mask_iou >= 0.9
+    """Measured: 76 of 77, mean mask IoU 0.877, AP50 0.954, 12 false alarms."""
+    assert 75 <= scores.targets <= 79, "a rounding may add or remove one: these are other frames than those measured"
+    assert scores.found >= 74 / 77
+    assert scores.mask_iou >= 0.874
     assert scores.AP50 >= 0.94
-    assert scores.false_alarms <= 7
+    assert scores.false_alarms <= 13
 
 
 @pytest.mark.nightly
 def test_poses_are_accurate(scores: Scores) -> None:
-    """Measured: of 70 targets 67 within 5 deg 2 cm, 64 within 5 deg 5 mm, 40 within 2 deg 2 mm."""
-    assert scores.poses["5deg2cm"] >= 64 / 70
-    assert scores.poses["5deg5mm"] >= 61 / 70
-    assert scores.poses["2deg2mm"] >= 36 / 70
+    """Measured: of 77 targets 66 within 5 deg 2 cm, 62 within 5 deg 5 mm, 37 within 2 deg 2 mm."""
+    assert scores.poses["5deg2cm"] >= 63 / 77
+    assert scores.poses["5deg5mm"] >= 59 / 77
+    assert scores.poses["2deg2mm"] >= 34 / 77
 
 
 @pytest.mark.nightly
 def test_hammer_heads_are_accurate(scores: Scores) -> None:
-    """Measured: medians 1.27 mm and 1.17 deg."""
+    """Measured: medians 1.39 mm and 1.19 deg."""
     assert scores.head_median_mm <= 1.5
-    assert scores.head_median_deg <= 1.7
+    assert scores.head_median_deg <= 1.5
 
 
 @pytest.mark.nightly
 def test_usable_poses_are_right(scores: Scores) -> None:
-    """Measured: 69 poses marked usable, 64 of them within 10 deg 2 cm, 5 not; none without a tool."""
-    assert scores.usable_right >= 62 / 70
-    assert scores.usable_wrong <= 6
+    """Measured: 66 poses marked usable, 64 of them within 10 deg 2 cm, 2 not; none without a tool."""
+    assert scores.usable_right >= 62 / 77
+    assert scores.usable_wrong <= 4
     assert scores.usable_without_tool == 0
 
 

@@ -8,6 +8,11 @@ from toolee_robot.render.material import Material, Pattern
 
 Color = tuple[float, float, float]
 
+_MONK = (0xF6EDE4, 0xF3E7DB, 0xF7EAD0, 0xEADABA, 0xD7BD96, 0xA07E56, 0x825C43, 0x604134, 0x3A312A, 0x292420)
+"""The ten tones of the Monk Skin Tone Scale (E. Monk, 2019), sRGB."""
+_GLOVES = ((0.15, 0.35, 0.75), (0.08, 0.08, 0.09), (0.92, 0.92, 0.90), (0.95, 0.45, 0.10), (0.20, 0.60, 0.35))
+"""Usual colours of working gloves: blue, black, white, orange and green."""
+
 
 def linear(srgb: Color) -> Color:
     """Linear RGB of an sRGB colour in [0, 1]."""
@@ -66,6 +71,24 @@ def skin_tone(rng: np.random.Generator) -> Color:
     """A random skin colour, sRGB in [0, 1]."""
     light, dark = np.array([0.92, 0.74, 0.64]), np.array([0.28, 0.17, 0.12])
     c = np.clip(dark + rng.uniform() * (light - dark) + rng.normal(0.0, 0.02, 3), 0.0, 1.0)
+    return float(c[0]), float(c[1]), float(c[2])
+
+
+def any_skin_tone(rng: np.random.Generator) -> Color:
+    """A random skin colour, sRGB in [0, 1]: between neighbours of the Monk scale, more or less reddened."""
+    scale = np.array([[tone >> 16, tone >> 8 & 255, tone & 255] for tone in _MONK]) / 255.0
+    k = rng.uniform(0.0, len(_MONK) - 1.0)
+    tone = np.array([np.interp(k, np.arange(len(_MONK)), channel) for channel in scale.T])
+    red = rng.uniform(0.0, 0.16)
+    c = np.clip(tone * [1.0 + 0.3 * red, 1.0 - red, 1.0 - red] + rng.normal(0.0, 0.015, 3), 0.0, 1.0)
+    return float(c[0]), float(c[1]), float(c[2])
+
+
+def any_glove_color(rng: np.random.Generator) -> Color:
+    """A random colour of a glove, sRGB in [0, 1]: a usual one, varied, or any."""
+    if rng.random() < 0.3:
+        return any_color(rng)
+    c = np.clip(np.array(_GLOVES[int(rng.integers(len(_GLOVES)))]) + rng.normal(0.0, 0.06, 3), 0.0, 1.0)
     return float(c[0]), float(c[1]), float(c[2])
 
 
