@@ -10,7 +10,7 @@ from toolee_robot.render.scene import Environment, Light, Lobe
 
 
 def uneven_light(rng: np.random.Generator) -> tuple[tuple[Light, ...], Environment]:
-    """Draw lamps and ambient light in which one side of things is several times as bright as the other.
+    """Draw lamps and ambient light of a high range: from one side, or from small lamps all over.
 
     Args:
         rng: Random generator.

@@ -141,7 +141,7 @@ def test_focal_lengths_reach_from_a_kinects_to_a_long_lens() -> None:
     assert 1.5 < focal.max() <= 1.6
 
 
-def test_uneven_light_is_finite_and_brighter_on_one_side() -> None:
+def test_uneven_light_is_finite_and_its_lamps_stand_out() -> None:
     rng = np.random.default_rng(7)
     for _ in range(100):
         lights, ambient = uneven_light(rng)
