@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,7 @@ from toolee_robot.sensor_kinds import SensorKind
 
 if TYPE_CHECKING:
     from toolee_robot.perception.dataset.custom_tools import CustomMesh
+    from toolee_robot.perception.dataset.spec import DatasetSpec
 
 _Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 
@@ -73,30 +75,44 @@ class Generate:
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
-    def run(self) -> int:
+    def custom_tools(self) -> tuple[CustomMesh, ...]:
+        """The tools of `--tools`; none without it.
+
+        Raises:
+            UserError: `--kinds` is given as well, or the folder is none of tools.
+            ConfigError: A tool's description is invalid.
+        """
+        if self.tools is None:
+            return ()
+        if self.kinds is not None:
+            raise UserError(
+                f"--kinds {self.kinds}: the tools of --tools have no kinds, leave one of the two out",
+                code="user.kinds",
+            )
+        from toolee_robot.perception.synthesis.custom_tool_reader import read_custom_tools
+
+        return read_custom_tools(self.tools)
+
+    def spec(self, custom_tools: Sequence[CustomMesh]) -> DatasetSpec:
+        """What the options ask for.
+
+        Args:
+            custom_tools: What `custom_tools` gives.
+
+        Raises:
+            UserError: An option is out of range, or two of them exclude each other.
+        """
         from toolee_robot.perception.dataset.spec import DatasetSpec
-        from toolee_robot.perception.synthesis.generate import generate
         from toolee_robot.render.path_tracing.surroundings import surroundings_files
 
-        custom_tools: tuple[CustomMesh, ...] = ()
-        if self.tools is not None:
-            if self.kinds is not None:
-                raise UserError(
-                    f"--kinds {self.kinds}: the tools of --tools have no kinds, leave one of the two out",
-                    code="user.kinds",
-                )
-            from toolee_robot.perception.synthesis.custom_tool_reader import read_custom_tools
-
-            custom_tools = read_custom_tools(self.tools)
         held_out = bool(custom_tools) or self.renderer != "built-in"
         share = self.test_share if self.test_share is not None else 1.0 if held_out else DatasetSpec.test_share
-        tools = tuple(tool.record for tool in custom_tools)
-        spec = DatasetSpec(
+        return DatasetSpec(
             self.config,
             self.size,
             self.seed,
             share,
-            tools=tools,
+            tools=tuple(tool.record for tool in custom_tools),
             device=self.device,
             test_set=self.test_set,
             sensor=self.sensor,
@@ -104,6 +120,12 @@ class Generate:
             surroundings=() if self.surroundings is None else surroundings_files(self.surroundings),
             kinds=DatasetSpec.kinds if self.kinds is None else self.kinds,
         )
+
+    def run(self) -> int:
+        from toolee_robot.perception.synthesis.generate import generate
+
+        custom_tools = self.custom_tools()
+        spec = self.spec(custom_tools)
         workers = _cores() if self.workers is None else self.workers
         console = Console(stderr=self.json, highlight=False)
         began = time.monotonic()
