@@ -71,6 +71,14 @@ def test_the_command_for_the_intrinsics_names_the_mode() -> None:
     assert entry.source == "toolee camera show --driver realsense --serial 832112070123 --size 640 H"
 
 
+def test_that_for_a_recording_plays_it() -> None:
+    lab = yaml.safe_load(LAB.read_text())
+    del lab["camera"]["fx"]
+    lab["camera"]["device"] |= {"driver": "recorded", "folder": "my frames"}
+    (entry,) = (entry for entry in open_fields(lab, FILE) if "fx" in entry.names)
+    assert entry.source == "toolee camera show --recording 'my frames'"
+
+
 def test_the_lens_is_asked_of_a_driver_that_may_not_tell_it() -> None:
     lab = yaml.safe_load(LAB.read_text())
     assert "camera.distortion" not in {q.name for q in questions(lab)}, "a RealSense tells it"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.stations.camera import WITH_MODE
+from toolee_robot.stations.camera import RECORDED, WITH_MODE
 from toolee_robot.stations.interview import INTRINSICS, questions
 
 _SOURCES = {
@@ -121,7 +121,10 @@ def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> I
     arm, servo, camera = (data.get(name) or {} for name in ("arm", "servo", "camera"))
     if intrinsics:
         device = camera.get("device") or {}
-        which = f"--driver {device.get('driver', 'NAME')} --serial {device.get('serial', 'NUMBER')}"
+        if device.get("driver") == RECORDED:
+            which = f"--recording {shlex.quote(str(device.get('folder', 'DIR')))}"
+        else:
+            which = f"--driver {device.get('driver', 'NAME')} --serial {device.get('serial', 'NUMBER')}"
         if device.get("driver") in WITH_MODE:
             which += f" --size {camera.get('width', 'W')} {camera.get('height', 'H')}"
         yield OpenFields("camera", intrinsics, f"toolee camera show {which}", typed=False)

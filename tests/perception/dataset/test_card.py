@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -52,7 +53,7 @@ def brought(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a tool of one's own, and with a panorama."""
     folder = tmp_path_factory.mktemp("brought")
     bars = ([[0, 0, 0], [0, 0, 250]], [[-50, 0, 250], [60, 0, 250]])
-    mesh: trimesh.Trimesh = trimesh.util.concatenate([trimesh.creation.cylinder(14.0, segment=bar) for bar in bars])
+    mesh: Any = trimesh.util.concatenate([trimesh.creation.cylinder(14.0, segment=np.array(bar)) for bar in bars])
     (folder / "mallet").mkdir()
     mesh.export(folder / "mallet/mallet.stl")
     description = {

@@ -65,11 +65,12 @@ class CameraOptions:
         device = CameraDevice(self.driver, self.serial, UNKNOWN_RANGE, self.fps, self.exposure)
         return replace(CameraConfig(device=device), width=self.size[0], height=self.size[1])
 
-    def open(self, clock: Clock) -> StreamedCamera:
+    def open(self, clock: Clock, *, own_lens: bool = False) -> StreamedCamera:
         """The camera, not yet entered: by the station file's lens where it states a distortion, else by its own.
 
         Args:
             clock: The station's clock.
+            own_lens: Whether the camera's own lens is taken, whatever the station file states.
 
         Raises:
             UserError: As `camera`.
@@ -78,4 +79,4 @@ class CameraOptions:
         from toolee_robot.stations.camera import open_camera
 
         config = self.camera()
-        return open_camera(config, clock, check_intrinsics=config.distortion is not None)
+        return open_camera(config, clock, check_intrinsics=config.distortion is not None and not own_lens)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from toolee_robot.cli.camera.options import CameraOptions
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import CameraConfig
+from toolee_robot.errors import TooleeError
 
 if TYPE_CHECKING:
-    from toolee_robot.hardware.cameras import CameraProfile
+    from toolee_robot.hal import Clock
+    from toolee_robot.hardware.cameras import CameraProfile, StreamedCamera
     from toolee_robot.hardware.cameras.lens_choice import ChosenLens
 
 
@@ -24,6 +28,8 @@ class Show(CameraOptions):
     """Open a camera, say what it is, and print what the station file needs to know of it.
 
     Example: toolee camera show --driver realsense --serial 832112070123 --size 848 480 --picture seen.png
+
+    A lens of the station file that a job would refuse keeps nobody from looking: the camera's own is taken, and said.
 
     Exit code 0: it gives frames; 1: it does not; 2: invalid input.
     """
@@ -37,10 +43,15 @@ class Show(CameraOptions):
 
         console = Console(stderr=self.json, highlight=False)
         config, clock = self.camera(), HostClock()
-        with console.status("opening the camera"), self.open(clock) as camera:
+        with console.status("opening the camera"), ExitStack() as stack:
+            camera, refused = self._entered(stack, clock)
             frame = camera.newer(0.0)
             age = clock.now() - frame.stamp
             profile, chosen = camera.profile, camera.lens
+        if refused is not None:
+            config = replace(config, distortion=None, intrinsics_record=None, lens_serial=None)
+            told = f"[yellow]Without the station file's lens, which a job refuses:[/yellow] {escape(refused)}\n"
+            console.print(told, soft_wrap=True)
         k = frame.intrinsics
         known = float((frame.depth > 0).mean())
         table = Table.grid(padding=(0, 2, 0, 0))
@@ -57,7 +68,8 @@ class Show(CameraOptions):
         for name, value in facts.items():
             table.add_row(name, value)
         console.print(table)
-        console.print("\nFor the station file:\n")
+        instead = "" if refused is None else ", instead of the lens that it states"
+        console.print(f"\nFor the station file{instead}:\n")
         console.print(_station_lines(config, profile, chosen), soft_wrap=True, markup=False)
         if self.picture is not None:
             write_picture(self.picture, frame)
@@ -65,12 +77,24 @@ class Show(CameraOptions):
         if self.json:
             intrinsics = {"fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height}
             lens = chosen.lens
-            told = {
+            distortion = {
                 "model": lens.model, "coefficients": lens.coefficients, "from": chosen.source,
                 "largest_displacement": lens.largest_displacement() if lens.known else None,
             }  # fmt: skip
-            print(json_line({**facts, "intrinsics": intrinsics, "distortion": told, "known_depth": known}), flush=True)
+            record = {"intrinsics": intrinsics, "distortion": distortion, "known_depth": known, "refused_lens": refused}
+            print(json_line({**facts, **record}), flush=True)
         return 0
+
+    def _entered(self, stack: ExitStack, clock: Clock) -> tuple[StreamedCamera, str | None]:
+        """Open the camera by the station file's lens; by its own where that one is refused, with the reason."""
+        from toolee_robot.hardware.cameras.lens_choice import REFUSED
+
+        try:
+            return stack.enter_context(self.open(clock)), None
+        except TooleeError as error:
+            if error.code not in {*REFUSED, "config.intrinsics_rehearsed"}:
+                raise
+            return stack.enter_context(self.open(clock, own_lens=True)), str(error)
 
 
 def _registered(profile: CameraProfile, chosen: ChosenLens) -> str:

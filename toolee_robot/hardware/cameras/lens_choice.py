@@ -15,6 +15,9 @@ OTHER_LENS = 0.05
 """Difference of a lens from what the camera tells above which it is another camera's, or of another mode, as a share of
 the image's width. Assumed: some five times what a factory's calibration and a lab's differ by."""
 
+REFUSED = frozenset(f"not_ready.camera_{what}" for what in ("size", "intrinsics", "distortion", "undistorted", "lens"))
+"""Codes of the errors by which a lens that a station file states is refused (`choose_lens`)."""
+
 
 class LensSource(StrEnum):
     """Where the lens that holds is from."""

@@ -101,10 +101,10 @@ class Collector:
             shown.append(taken.X_camera_board is not None)
             if len(shown) == UNSEEN and not any(shown):
                 raise UserError(
-                    f"none of the first {UNSEEN} images shows the board: look with `toolee camera show --picture` "
-                    "whether the camera stands and looks as camera.position and camera.target say (x and y swapped, or "
-                    "half a turn of the base, are the usual mistakes), whether the print faces out of the flange, and "
-                    "whether --sheet is its size",
+                    f"none of the first {UNSEEN} images shows the board: look with `toolee camera show --config "
+                    "FILE --picture seen.png` whether the camera stands and looks as camera.position and camera.target "
+                    "say (x and y swapped, or half a turn of the base, are the usual mistakes), whether the print "
+                    "faces out of the flange, and whether --sheet is its size",
                     code="user.board_not_seen",
                 )
         self._move(np.array(self._config.scene.home), "home")
