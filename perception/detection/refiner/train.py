@@ -21,9 +21,9 @@ from torch import Tensor, nn
 
 from toolee_robot.errors import UserError
 from toolee_robot.perception.detection.detector_weights import trained_detector
-from toolee_robot.perception.detection.losses import mask_overlap, outline_losses, weighted_mean
 from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.refiner.training_data import Examples, RefinementData
+from toolee_robot.perception.detection.training.losses import mask_overlap, outline_losses, weighted_mean
 from toolee_robot.perception.training.distributed import Distributed, init_distributed
 from toolee_robot.perception.training.image_training import ImageTraining, ImageTrainingRun
 from toolee_robot.perception.training.scene_stream import SceneStream

@@ -15,7 +15,7 @@ from toolee_robot.perception.detection.config import working_size
 from toolee_robot.perception.detection.detector import TOOL, Detector
 from toolee_robot.perception.detection.inputs import encode_rgbd
 from toolee_robot.perception.detection.refiner.crops import Images, MaskAt, Squares, sample_squares
-from toolee_robot.perception.detection.training_data import recolour
+from toolee_robot.perception.detection.training.images import recolour
 from toolee_robot.perception.detection.zoom_pass import MAGNIFICATION
 from toolee_robot.perception.training.labelled_images import DeviceStore, SegmentationImages
 

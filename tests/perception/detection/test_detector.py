@@ -21,11 +21,11 @@ from toolee_robot.perception.detection.config import DetectorConfig
 from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector
 from toolee_robot.perception.detection.inputs import CHANNELS, encode_rgbd
 from toolee_robot.perception.detection.instances import associate, without_duplicates
-from toolee_robot.perception.detection.losses import instances_from_maps
 from toolee_robot.perception.detection.mask_head import _near
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.detection.train import SegmentationTraining, train
-from toolee_robot.perception.detection.training_data import DeviceImages, augment
+from toolee_robot.perception.detection.training.images import DeviceImages, _warp, augment
+from toolee_robot.perception.detection.training.losses import instances_from_maps
+from toolee_robot.perception.detection.training.trainer import SegmentationTraining, train
 from toolee_robot.perception.evaluation.segmentation import coco_task, report
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
@@ -97,10 +97,8 @@ def test_augmentation_moves_image_and_maps_together() -> None:
     # The image is the map itself, so after any warp they must still agree where neither was painted over.
     as_image = np.repeat((scenes.tool > 0)[..., None] * np.uint8(255), 3, axis=3)
     depth_mm = np.where(scenes.tool > 0, 600, 900).astype(np.uint16)
-    from toolee_robot.perception.detection import training_data
-
     data = DeviceImages(replace(scenes, rgb=as_image, depth_mm=depth_mm), torch.device("cpu"))
-    images, depth, scale, warped = training_data._warp(data.sample(8), (80, 120), 1.0)
+    images, depth, scale, warped = _warp(data.sample(8), (80, 120), 1.0)
     tool = warped[:, 1] > 0
     assert tool.sum() > 500
     assert (images[:, 0][tool] > 100).float().mean() > 0.97

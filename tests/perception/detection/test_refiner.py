@@ -41,8 +41,8 @@ from toolee_robot.perception.detection.refiner.training_data import (
     RefinementData,
 )
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
-from toolee_robot.perception.detection.train import SegmentationTraining
-from toolee_robot.perception.detection.train import train as train_detector
+from toolee_robot.perception.detection.training.trainer import SegmentationTraining
+from toolee_robot.perception.detection.training.trainer import train as train_detector
 from toolee_robot.perception.evaluation.segmentation import frame_of
 from toolee_robot.perception.weight_files import load_weights, save_weights
 

@@ -85,7 +85,7 @@ class Segmentation(_ImageCommand):
     """Share of the weights of --init in the exported ones (default: 0)."""
 
     def run(self) -> int:
-        from toolee_robot.perception.detection.train import SegmentationTraining, train
+        from toolee_robot.perception.detection.training.trainer import SegmentationTraining, train
 
         training, resumed = self._begin(SegmentationTraining, CHECKPOINT, backgrounds=self.backgrounds)
         train(training)

@@ -9,10 +9,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from toolee_robot.perception.detection.backgrounds import Backgrounds
-from toolee_robot.perception.detection.camera_effects import camera_effects, lose_depth
 from toolee_robot.perception.detection.inputs import STRIDE, RgbdBatch, encode_rgbd
-from toolee_robot.perception.detection.tool_surfaces import stickers, wear
+from toolee_robot.perception.detection.training.backgrounds import Backgrounds
+from toolee_robot.perception.detection.training.camera_effects import camera_effects, lose_depth
+from toolee_robot.perception.detection.training.tool_surfaces import stickers, wear
 from toolee_robot.perception.training.labelled_images import DeviceStore, SegmentationImages, grown
 
 

@@ -19,12 +19,12 @@ from torch import Tensor
 
 from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.reserved import refuse_test_set
-from toolee_robot.perception.detection.backgrounds import Backgrounds
 from toolee_robot.perception.detection.config import DetectorConfig, working_size
 from toolee_robot.perception.detection.detector import CLASSES, Detector
 from toolee_robot.perception.detection.detector_weights import WEIGHTS_NAME, load_detector
-from toolee_robot.perception.detection.losses import DetectorLoss, instances_from_maps
-from toolee_robot.perception.detection.training_data import DeviceImages, augment
+from toolee_robot.perception.detection.training.backgrounds import Backgrounds
+from toolee_robot.perception.detection.training.images import DeviceImages, augment
+from toolee_robot.perception.detection.training.losses import DetectorLoss, instances_from_maps
 from toolee_robot.perception.training.distributed import Distributed, init_distributed
 from toolee_robot.perception.training.image_training import ImageTraining, ImageTrainingRun
 from toolee_robot.perception.training.labelled_images import SegmentationImages

@@ -20,8 +20,8 @@ from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.detection.detector import TOOL
 from toolee_robot.perception.detection.inputs import STRIDE
-from toolee_robot.perception.detection.losses import instances_from_maps
-from toolee_robot.perception.detection.training_data import DeviceImages, augment
+from toolee_robot.perception.detection.training.images import DeviceImages, augment
+from toolee_robot.perception.detection.training.losses import instances_from_maps
 from toolee_robot.perception.evaluation.segmentation import true_instances
 from toolee_robot.perception.training.labelled_images import DeviceStore
 from toolee_robot.perception.training.scene_stream import SceneStream

@@ -9,8 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from toolee_robot.perception.detection.backgrounds import Backgrounds
-from toolee_robot.perception.detection.patches import Patches, some
+from toolee_robot.perception.detection.training.backgrounds import Backgrounds
+from toolee_robot.perception.detection.training.patches import Patches, some
 
 _STEP = 4
 """Pixels between those that tell a tool's place and extent."""

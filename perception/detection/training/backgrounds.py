@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from toolee_robot.errors import UserError
-from toolee_robot.perception.detection.patches import Patches, some
+from toolee_robot.perception.detection.training.patches import Patches, some
 
 _SIZE = (424, 512)
 """Height and width to which photographs are cut [px]."""

@@ -11,10 +11,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from toolee_robot.perception.detection.backgrounds import Backgrounds
-from toolee_robot.perception.detection.patches import Patches
-from toolee_robot.perception.detection.tool_surfaces import stickers, wear
-from toolee_robot.perception.detection.training_data import ImageSample, augment
+from toolee_robot.perception.detection.training.backgrounds import Backgrounds
+from toolee_robot.perception.detection.training.images import ImageSample, augment
+from toolee_robot.perception.detection.training.patches import Patches
+from toolee_robot.perception.detection.training.tool_surfaces import stickers, wear
 
 CPU = torch.device("cpu")
 COUNT = 60

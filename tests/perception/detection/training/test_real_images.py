@@ -11,10 +11,10 @@ import torch
 
 from tests.errors import raises
 from toolee_robot.errors import UserError
-from toolee_robot.perception.detection import camera_effects
-from toolee_robot.perception.detection.backgrounds import Backgrounds
-from toolee_robot.perception.detection.train import SegmentationTraining
-from toolee_robot.perception.detection.training_data import ImageSample, augment
+from toolee_robot.perception.detection.training import camera_effects
+from toolee_robot.perception.detection.training.backgrounds import Backgrounds
+from toolee_robot.perception.detection.training.images import ImageSample, augment
+from toolee_robot.perception.detection.training.trainer import SegmentationTraining
 
 CPU = torch.device("cpu")
 
