@@ -72,6 +72,9 @@ class CameraOptions:
             clock: The station's clock.
             own_lens: Whether the camera's own lens is taken, whatever the station file states.
 
+        Returns:
+            The camera.
+
         Raises:
             UserError: As `camera`.
             ConfigError: As `camera`, and as `stations.camera.open_camera`.
