@@ -33,7 +33,7 @@ from toolee_robot.trials.attended_plan import option
 from toolee_robot.trials.report import ERRORS
 from toolee_robot.trials.results import RESULTS, Happened, Record, read_results
 from toolee_robot.trials.sweeps import UNITS
-from toolee_robot.trials.tasks import check_learnt_from
+from toolee_robot.trials.tasks import check_needed
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLAN = TrialPlan("three hammers", 40, 3, (Arm.FULL, Arm.NO_CORRECTION), {"camera_position": 0.004})
@@ -125,7 +125,7 @@ def test_the_learnt_grasp_needs_earlier_jobs_that_stay_as_they_are(tmp_path: Pat
             replace(plan, arms=arms, learnt_from=folder)
     for own in (tmp_path / "earlier", tmp_path / "earlier" / "own", tmp_path):
         with raises(UserError, code="user.learnt_from_own"):
-            check_learnt_from(plan, own, ())
+            check_needed(plan, own, ())
     with raises(UserError, code="user.too_few_runs"):
         run_trials(replace(plan, learnt_from=str(tmp_path / "none")), tmp_path / "other", 1, quietly, asked)
     _earlier(tmp_path / "earlier", transform(p=(0.0, 0.01, 0.0)).tolist())

@@ -15,7 +15,7 @@ from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.process import run_at_terminal
 from toolee_robot.trials.results import Event, Happened, Record, Results, now
 from toolee_robot.trials.run import told
-from toolee_robot.trials.tasks import Job, Task, check_learnt_from, check_paper_weights, task_of
+from toolee_robot.trials.tasks import Job, Task, check_needed, task_of
 
 READY = "r: it is so, begin; s: skip this trial; q: stop, and go on later? "
 """The question before each trial."""
@@ -48,16 +48,14 @@ def lead_trials(
         The results, in the plan's order; not all where the person skipped some or stopped.
 
     Raises:
-        UserError: The folder holds another plan's trials (`user.other_plan`); or as of `check_paper_weights` and
-            `check_learnt_from`.
-        AssetError: As of `check_paper_weights`.
+        UserError: The folder holds another plan's trials (`user.other_plan`); or as of `check_needed`.
+        AssetError: As of `check_needed`.
         ConfigError: The station file is not complete, or lacks a tool or nail of the plan (`config.plan`).
     """
     station = load_lab_station(Path(str(option(plan.options, "--station"))))
     _check(plan, station)
     with Results(plan, folder) as results:
-        check_paper_weights(plan, results.records)
-        check_learnt_from(plan, folder, results.records)
+        check_needed(plan, folder, results.records)
         order = plan.order()
         tell(f"{len(results.done)} of {len(order)} trials are done, in the order that the plan's hash drew")
         results.note(Happened.SESSION)

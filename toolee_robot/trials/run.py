@@ -19,7 +19,7 @@ from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.trials.plan import Trial, TrialPlan
 from toolee_robot.trials.process import run_job, stop_jobs
 from toolee_robot.trials.results import Happened, Record, Results
-from toolee_robot.trials.tasks import Job, Task, check_learnt_from, check_paper_weights, run_task, task_of
+from toolee_robot.trials.tasks import Job, Task, check_needed, run_task, task_of
 
 MOST_CRASHES = 3
 """Least number of jobs one after the other that crash, none ending between them, after which a plan is given up; where
@@ -68,16 +68,15 @@ def run_trials(
 
     Raises:
         UserError: The folder holds another plan's trials (`user.other_plan`), or a person is led through this one's
-            (`user.attended`); or as of `check_paper_weights` and `check_learnt_from`.
-        AssetError: As of `check_paper_weights`.
+            (`user.attended`); or as of `check_needed`.
+        AssetError: As of `check_needed`.
         TooleeError: Jobs did not come to an end of their own; code `trials.crashed`. The others are done before it is
             raised, unless so many crash one after the other (`MOST_CRASHES`) that the plan is given up.
     """
     if plan.led:
         raise UserError("a person is led through this plan's trials: `lead_trials`", code="user.attended")
     with Results(plan, folder) as results:
-        check_paper_weights(plan, results.records)
-        check_learnt_from(plan, folder, results.records)
+        check_needed(plan, folder, results.records)
         todo = [task_of(plan, trial, folder) for trial in plan.order() if trial not in results.done]
         if results.done:
             tell(f"{len(results.done)} of {len(results.done) + len(todo)} trials are there already")

@@ -97,25 +97,32 @@ def run_task(job: Job, task: Task) -> Record:
     return Record(task.trial, {**figures, "tries": tries}, task.command)
 
 
-def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
-    """Read the weights of the paper's estimator, where the plan has its arm: before the first job, not after hours.
+def check_needed(plan: TrialPlan, folder: Path, done: Iterable[Record]) -> None:
+    """Read what some of the plan's arms alone need, before the first job: the paper's weights, the jobs learnt from.
 
     Args:
         plan: The plan.
+        folder: The trials' own folder.
         done: The results that there are.
 
     Raises:
-        AssetError: They are missing or unreadable.
-        UserError: They are for clouds of whole tools (`user.paper_column`), or others than those of the results
-            (`user.other_weights`).
+        AssetError: The weights of the paper's estimator are missing or unreadable.
+        UserError: These are for clouds of whole tools (`user.paper_column`), or others than those of the results
+            (`user.other_weights`); the folder of the jobs learnt from is unfit (as of `learn_shifts`), holds the
+            trials' own or lies in it (`user.learnt_from_own`), or has other jobs than when the results were made
+            (`user.other_jobs`).
     """
-    if not plan.paper_weights:
-        return
+    if plan.paper_weights:
+        _check_paper_weights(Path(plan.paper_weights), done)
+    if plan.learnt_from:
+        _check_learnt_from(Path(plan.learnt_from), folder, done)
+
+
+def _check_paper_weights(folder: Path, done: Iterable[Record]) -> None:
     # Networks take seconds to import, which no other plan needs here.
     from toolee_robot.perception.research.tooleenet import PaperEstimator
     from toolee_robot.perception.weight_files import weights_hash
 
-    folder = Path(plan.paper_weights)
     PaperEstimator.load_for_job(folder)
     now = weights_hash(folder)
     before = {record.figures.get("paper_weights") for record in done if record.trial.arm is Arm.PAPER} - {now}
@@ -127,34 +134,21 @@ def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
         )
 
 
-def check_learnt_from(plan: TrialPlan, folder: Path, done: Iterable[Record]) -> None:
-    """Read the jobs of which the arm `learnt_grasp` knows the mean, where the plan has it: before the first job.
-
-    Args:
-        plan: The plan.
-        folder: The trials' own folder.
-        done: The results that there are.
-
-    Raises:
-        UserError: As of `learn_shifts`; the folder holds the trials' own, or lies in it (`user.learnt_from_own`); or
-            its jobs are others than those of the results (`user.other_jobs`).
-    """
-    if not plan.learnt_from:
-        return
+def _check_learnt_from(source: Path, folder: Path, done: Iterable[Record]) -> None:
     from toolee_robot.tasks.hammering.learnt_grasp import learn_shifts  # takes a second to import
 
-    earlier, own = Path(plan.learnt_from).resolve(), folder.resolve()
+    earlier, own = source.resolve(), folder.resolve()
     if earlier == own or earlier in own.parents or own in earlier.parents:
         raise UserError(
-            f"learnt_from: {plan.learnt_from} and the trials' own folder {folder} hold one another, and the trials "
+            f"learnt_from: {source} and the trials' own folder {folder} hold one another, and the trials "
             "would learn from themselves: give folders of their own",
             code="user.learnt_from_own",
         )
-    now = {shift.figures["sha256"] for shift in learn_shifts(Path(plan.learnt_from)).values()}
+    now = {shift.figures["sha256"] for shift in learn_shifts(source).values()}
     records = (record.figures.get("learnt_grasp") for record in done if record.trial.arm is Arm.LEARNT_GRASP)
     if {figures["sha256"] for figures in records if figures} - now:
         raise UserError(
-            f"learnt_from: {plan.learnt_from} holds other jobs than when the finished trials learnt from it: put those "
+            f"learnt_from: {source} holds other jobs than when the finished trials learnt from it: put those "
             "back, or give another --out",
             code="user.other_jobs",
         )
