@@ -34,7 +34,7 @@ from toolee_robot.types import Detection, RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=100)
 
-FRAMES = DatasetSpec("hard", 60, seed=7411, test_share=1.0, scene_size=20)
+FRAMES = DatasetSpec("hard", 60, seed=7411, test_share=1.0, scene_size=20, kinds=22)
 SURE = 0.5
 """Score above which a detection that shows no end effector counts as a false alarm."""
 

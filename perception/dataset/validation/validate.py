@@ -152,4 +152,6 @@ def _agree(path: Path, derived: Path) -> bool:
 
 
 def _without_command(card: bytes) -> list[bytes]:
-    return [line for line in card.splitlines() if not line.startswith(GENERATED_BY.encode())]
+    lines = card.splitlines()
+    told = [line.startswith(GENERATED_BY.encode()) for line in lines]
+    return [line for k, line in enumerate(lines) if not told[k] or k != told.index(True)]

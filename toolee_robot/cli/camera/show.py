@@ -68,7 +68,7 @@ class Show(CameraOptions):
         for name, value in facts.items():
             table.add_row(name, value)
         console.print(table)
-        instead = "" if refused is None else ", instead of the lens that it states"
+        instead = "" if refused is None else ", to open this camera as it is"
         console.print(f"\nFor the station file{instead}:\n")
         console.print(_station_lines(config, profile, chosen), soft_wrap=True, markup=False)
         if self.picture is not None:
