@@ -31,7 +31,7 @@ RENDERERS = ("built-in", "mitsuba")
 """Renderers; what another than the built-in one shows is for evaluation only."""
 LICENCE = "MIT"
 TEST_SEEDS = frozenset({7001, 7002, 7004, 7010, 7601, 7801})
-"""Seeds of test sets: those from before data sets could say so themselves, and the one that the site's figures are of."""
+"""Seeds of test sets: those from before data sets could say so themselves, and the one of the published figures."""
 FORMAT = 1
 """Version of the format, a field of `DESCRIPTION`."""
 DESCRIPTION = "dataset.json"
