@@ -21,7 +21,7 @@ _STANCES = (Stance.LYING, Stance.STANDING, Stance.LEANING, Stance.STACKED)
 _SHARES = (0.42, 0.18, 0.2, 0.2)
 """Shares of the stances that are tried; a tool that cannot stand, or finds no other one to lie on, lies."""
 _CLEARANCE = 0.006
-"""Least distance of tools that do not touch, and of tools and hands [m]; points on their surfaces are 5 mm apart."""
+"""Least distance of tools that do not touch, and of tools and hands [m], between points some 5 to 10 mm apart."""
 _TRIES = 8
 _SAMPLES = 1500
 _SIDES = Rotation.from_euler("x", [[0.0], [np.pi / 2]]).as_matrix()

@@ -110,17 +110,22 @@ def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
     assert 4.0 < told["largest_displacement"] < 9.0
 
 
+def measured_lens(folder: Path, serial: str) -> str:
+    """Write a record of LENS beside the station file; returns its name."""
+    record = IntrinsicsRecord(
+        FORMAT, "2026-11-28T00:00:00+00:00", "0", serial, SHEETS["a3"].board, INTRINSICS, LENS, (0.1,) * 4,
+        (1e-4,) * 4, 0.1, 0.1, 5.0, 0.9, 30,
+    )  # fmt: skip
+    write_intrinsics(folder.parent / "intrinsics.json", record)
+    return "intrinsics.json"
+
+
 def refused(state: str, config: Path, folder: Path) -> str:
     """Let a station file state a lens that a job refuses; returns words of the reason."""
     say_undistorted(folder, {"recording": True, "unsaid": None}.get(state, False))
     said = yaml.safe_load(config.read_text())
     if state == "rehearsed":
-        record = IntrinsicsRecord(
-            FORMAT, "2026-11-28T00:00:00+00:00", "0", "simulated", SHEETS["a3"].board, INTRINSICS, LENS, (0.1,) * 4,
-            (1e-4,) * 4, 0.1, 0.1, 5.0, 0.9, 30,
-        )  # fmt: skip
-        write_intrinsics(folder.parent / "intrinsics.json", record)
-        said["camera"]["intrinsics"] = "intrinsics.json"
+        said["camera"]["intrinsics"] = measured_lens(folder, "simulated")
     else:
         said["camera"]["distortion"] = list(LENS)
         wrong: dict[str, dict[str, float]] = {
@@ -167,22 +172,17 @@ def test_a_recording_is_not_undistorted_again_by_the_lens_of_then(
     measured: bool, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config, out = station(folder.parent / "lab.yaml", folder), folder.parent / "again"
-    said, lens = yaml.safe_load(config.read_text()), (-0.2, 0.0, 0.0, 0.0)
+    said = yaml.safe_load(config.read_text())
     if measured:
-        record = IntrinsicsRecord(
-            FORMAT, "2026-11-28T00:00:00+00:00", "0", SERIAL, SHEETS["a3"].board, INTRINSICS, lens, (0.1,) * 4,
-            (1e-4,) * 4, 0.1, 0.1, 5.0, 0.9, 30,
-        )  # fmt: skip
-        write_intrinsics(folder.parent / "intrinsics.json", record)
-        said["camera"]["intrinsics"] = "intrinsics.json"
+        said["camera"]["intrinsics"] = measured_lens(folder, SERIAL)
     else:
-        said["camera"]["distortion"] = list(lens)
+        said["camera"]["distortion"] = list(LENS)
     config.write_text(yaml.safe_dump(said))
     assert run(["camera", "show", "--config", str(config)]) == 0
     shown = capsys.readouterr().out
     assert "undistorted when it was recorded" in shown
     entered = yaml.safe_load(shown[shown.index("camera:") :])["camera"]
-    assert entered["intrinsics"] == "intrinsics.json" if measured else entered["distortion"] == list(lens)
+    assert entered["intrinsics"] == "intrinsics.json" if measured else entered["distortion"] == list(LENS)
     assert run(["camera", "record", "--config", str(config), "--out", str(out), "--seconds", "0.5"]) == 0
     played, again = open_recording(folder), open_recording(out)
     assert again.undistorted is True

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from toolee_robot.errors import UserError
-from toolee_robot.perception.detection.training.patches import Patches, some
+from toolee_robot.perception.detection.training.patches import Patches, painted
 
 _SIZE = (424, 512)
 """Height and width to which photographs are cut [px]."""
@@ -90,14 +90,7 @@ class Backgrounds:
         Returns:
             The images, (B, 3, H, W) in 0..255.
         """
-        rows = some(len(images), _BESIDE * strength, images.device)
-        if not len(rows):
-            return images
-        images = images.clone()
-        for chosen in (rows, rows[: len(rows) // 2]):
-            if len(chosen):
-                images[chosen] = self._pasted(images[chosen], tool[chosen])
-        return images
+        return painted(images, tool, _BESIDE * strength, self._pasted, layers=2)
 
     def pieces(self, count: int, side: int) -> Tensor:
         """Cut random squares out of random photographs.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -64,16 +65,27 @@ class Patches:
         return F.grid_sample(pictures, grid, padding_mode="reflection", align_corners=False)
 
 
-def some(count: int, share: float, device: torch.device) -> Tensor:
-    """Draw a share of the images of a batch, without waiting for the device.
+def painted(
+    images: Tensor, tool: Tensor, share: float, paint: Callable[[Tensor, Tensor], Tensor], layers: int = 1
+) -> Tensor:
+    """Paint a share of the images of a batch, drawn without waiting for the device.
 
     Args:
-        count: Number of images.
-        share: The share, 0 to 1.
-        device: torch device.
+        images: The images, (B, 3, H, W).
+        tool: What `paint` is told of each image's tool, (B, H, W).
+        share: Share of the images on average, 0 to 1.
+        paint: Paints the images (K, 3, H, W) with tools (K, H, W) that are given to it.
+        layers: How often it may paint; of the painted images half are painted again.
 
     Returns:
-        Indices of the images, (K,); K is `share` times `count` on average.
+        The images, (B, 3, H, W).
     """
-    chosen = int(share * count + float(torch.rand(())))
-    return torch.randperm(count, device=device)[:chosen]
+    count = int(share * len(images) + float(torch.rand(())))
+    rows = torch.randperm(len(images), device=images.device)[:count]
+    for layer in range(layers):
+        chosen = rows[: len(rows) >> layer]
+        if not len(chosen):
+            break
+        images = images.clone() if layer == 0 else images
+        images[chosen] = paint(images[chosen], tool[chosen])
+    return images

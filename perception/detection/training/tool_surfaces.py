@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from toolee_robot.perception.detection.training.backgrounds import Backgrounds
-from toolee_robot.perception.detection.training.patches import Patches, some
+from toolee_robot.perception.detection.training.patches import Patches, painted
 
 _STEP = 4
 """Pixels between those that tell a tool's place and extent."""
@@ -91,14 +92,7 @@ def stickers(images: Tensor, tool: Tensor, strength: float, backgrounds: Backgro
     Returns:
         The images, (B, 3, H, W) in 0..255, unchanged where there is no tool.
     """
-    rows = some(len(images), _STICKERS * strength, images.device)
-    if not len(rows):
-        return images
-    images = images.clone()
-    for chosen in (rows, rows[: len(rows) // 2]):
-        if len(chosen):
-            images[chosen] = _stuck(images[chosen], tool[chosen], backgrounds)
-    return images
+    return painted(images, tool, _STICKERS * strength, partial(_stuck, backgrounds=backgrounds), layers=2)
 
 
 def wear(images: Tensor, tool: Tensor, strength: float) -> Tensor:
@@ -112,12 +106,7 @@ def wear(images: Tensor, tool: Tensor, strength: float) -> Tensor:
     Returns:
         The images, (B, 3, H, W) in 0..255, unchanged where there is no tool.
     """
-    rows = some(len(images), _WEAR * strength, images.device)
-    if not len(rows):
-        return images
-    images = images.clone()
-    images[rows] = _worn(images[rows], tool[rows])
-    return images
+    return painted(images, tool, _WEAR * strength, _worn)
 
 
 def _stuck(images: Tensor, tool: Tensor, backgrounds: Backgrounds | None) -> Tensor:

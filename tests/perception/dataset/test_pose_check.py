@@ -6,8 +6,22 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from toolee_robot.frames import Array
 from toolee_robot.perception.dataset.validation.pose_check import pose_fault
 from toolee_robot.types import CameraIntrinsics
+
+
+def wrong(rod: Array, seen: Array, K: CameraIntrinsics, depth: float, moved: tuple[float, ...], thin: bool) -> bool:
+    """Whether a rod's pose is called wrong that is moved from where its points were seen."""
+    X = np.eye(4)
+    X[:3, 3] = np.add((0.0, 0.0, depth), moved)
+    return pose_fault(seen, np.ones(len(seen), np.bool_), X, cKDTree(rod), K, thin=thin) is not None
+
+
+def rod_of(radius: float, half: float, rng: np.random.Generator) -> Array:
+    """Points on a rod along y."""
+    angle, along = rng.uniform(0, 2 * np.pi, 6000), rng.uniform(-half, half, 6000)
+    return np.column_stack([radius * np.cos(angle), along, radius * np.sin(angle)])
 
 
 @pytest.mark.parametrize(
@@ -18,16 +32,11 @@ def test_pixels_beside_a_thin_tool_are_no_fault_of_its_pose(moved: tuple[float, 
     """A rod of 6 mm, 0.8 m away, of whose pixels three in five show the wall behind: the sensor's jitter."""
     K = CameraIntrinsics(366.0, 366.0, 256.0, 212.0, 512, 424)
     rng = np.random.default_rng(3)
-    angle, along = rng.uniform(0, 2 * np.pi, 6000), rng.uniform(-0.05, 0.05, 6000)
-    rod = np.column_stack([0.003 * np.cos(angle), along, 0.003 * np.sin(angle)])
-    X = np.eye(4)
-    X[2, 3] = 0.8
+    rod = rod_of(0.003, 0.05, rng)
     seen = np.column_stack([rng.uniform(-0.003, 0.003, 250), rng.uniform(-0.05, 0.05, 250), np.full(250, 0.797)])
     wall = rng.random(250) < 0.6
     seen[wall] *= 1.1 / seen[wall, 2:]
-    X[:3, 3] += moved
-    fault = pose_fault(seen, np.ones(250, np.bool_), X, cKDTree(rod), K, thin=True)
-    assert (fault is None) == sound
+    assert wrong(rod, seen, K, 0.8, moved, thin=True) != sound
 
 
 @pytest.mark.parametrize(
@@ -48,15 +57,10 @@ def test_neither_are_they_of_a_long_screwdrivers_shaft(
     """5 mm, 0.5 m away, so near that the mask is not thin; 3 mm of noise; a share of the points is behind it."""
     K = CameraIntrinsics(720.0, 720.0, 256.0, 212.0, 512, 424)
     rng = np.random.default_rng(5)
-    angle, along = rng.uniform(0, 2 * np.pi, 6000), rng.uniform(-0.1, 0.1, 6000)
-    shaft = np.column_stack([0.0025 * np.cos(angle), along, 0.0025 * np.sin(angle)])
-    X = np.eye(4)
-    X[2, 3] = 0.5
+    shaft = rod_of(0.0025, 0.1, rng)
     seen = np.column_stack(
         [rng.uniform(-0.0025, 0.0025, 400), rng.uniform(-0.05, 0.05, 400), rng.normal(0.498, 0.003, 400)]
     )
     wall = rng.random(400) < behind
     seen[wall] *= rng.uniform(0.55, 0.6, 400)[wall, None] / seen[wall, 2:]
-    X[:3, 3] += moved
-    fault = pose_fault(seen, np.ones(400, np.bool_), X, cKDTree(shaft), K, thin=False)
-    assert (fault is None) == sound
+    assert wrong(shaft, seen, K, 0.5, moved, thin=False) != sound
