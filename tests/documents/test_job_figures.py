@@ -77,15 +77,27 @@ def _flush(records: Sequence[Record]) -> str:
 
 
 def test_two_hundred_hammers_are_counted_as_the_page_says() -> None:
-    plan, records = _kept("whole_system")
-    of = share([record.success for record in records])
-    tools = {record.figures["tool"] for record in records}
-    assert f"seeds {plan.first_seed} to {plan.first_seed + plan.trials - 1}, {len(tools)} distinct tools" in PAGE
-    assert f"**{of.hits} of {of.of} are flush: {of.hits / of.of:.2f} ({of.low:.2f} to {of.high:.2f})**" in PAGE
-    assert f"| told what a person measures | {of.hits} of {of.of} |" in README
-    failed = {record.trial.seed for record in records if not record.success}
-    (told,) = re.findall(r"^Both failures .*$", PAGE, re.MULTILINE)
-    assert {int(seed) for seed in re.findall(r"\b9\d{3}\b", told)} == failed
+    plan, records = _kept("distinct_hammers")
+    arms = [of_arm(records, arm) for arm in plan.arms]
+    full, *_, uncorrected = arms
+    assert len({record.figures["tool"] for record in full}) == plan.trials == len(full)
+    hits = [share([record.success for record in arm]).hits for arm in arms]
+    assert "| flush: corrected, true poses, not corrected | {}, {}, {} of 200 |".format(*hits) in README
+    failed = {record.trial.seed for record in full if not record.success}
+    (told,) = re.findall(r"^(13\d{3}) is a .*$", PAGE, re.MULTILINE)
+    assert {int(told)} == failed
+    called = {
+        "nail_missed": "{} miss the nail",
+        "stuck": "{} are stuck",
+        "bent": "{} nails bend",
+        "overload": "{} overload",
+        "device_fault": "{} times the arm feels over 20 N",
+        "no_plan": "{} have no path",
+    }
+    ends = [record.figures["outcome"] for record in uncorrected if not record.success]
+    cell = _rows("Two hundred distinct hammers")["not corrected"][-1]
+    assert all(told.format(ends.count(outcome)) in cell for outcome, told in called.items())
+    assert f"{ends.count('flush')} are called flush and stand" in cell
 
 
 FIGURES: dict[str, tuple[tuple[str, ...], str]] = {
@@ -103,20 +115,30 @@ FIGURES: dict[str, tuple[tuple[str, ...], str]] = {
 
 @pytest.mark.parametrize("row", FIGURES)
 def test_the_table_of_two_hundred_hammers_is_of_their_records(row: str) -> None:
-    _, records = _kept("whole_system")
+    records = of_arm(_kept("distinct_hammers")[1], Arm.FULL)
     names, form = FIGURES[row]
     if row == "flush nails over the wood":
         records = [record for record in records if record.success]
     values = [[f for record in records if (f := record.figures[name]) is not None] for name in names]
     kinds: list[Callable[[Any], Any]] = [np.median, lambda x: np.quantile(x, 0.95), np.max]
-    assert _rows("Two hundred hammers")[row] == [", ".join(form.format(kind(v)) for v in values) for kind in kinds]
+    assert _rows("Two hundred distinct hammers")[row] == [
+        ", ".join(form.format(kind(v)) for v in values) for kind in kinds
+    ]
 
 
-@pytest.mark.parametrize("row", ARMS)
-def test_the_table_of_arms_is_of_their_records(row: str) -> None:
-    _, records = _kept("paired_trials")
+TABLES = [("What each part is worth", "paired_trials", row) for row in ARMS] + [
+    ("Two hundred distinct hammers", "distinct_hammers", row)
+    for row, arm in ARMS.items()
+    if arm in (Arm.FULL, Arm.PERFECT_PERCEPTION, Arm.NO_CORRECTION)
+]
+"""Tables of arms: heading, plan, row."""
+
+
+@pytest.mark.parametrize(("heading", "plan", "row"), TABLES)
+def test_the_tables_of_arms_are_of_their_records(heading: str, plan: str, row: str) -> None:
+    _, records = _kept(plan)
     mine, first = of_arm(records, ARMS[row]), of_arm(records, Arm.FULL)
-    flush, against, *_ = _rows("What each part is worth")[row]
+    flush, against, *_ = _rows(heading)[row]
     assert flush == _flush(mine)
     if mine != first:
         found = compare(mine, first)
@@ -168,7 +190,7 @@ def test_what_was_told_exactly_is_counted_as_the_page_says() -> None:
     groups = (direct["correction"], direct["no correction"], driver["correction"])
     shares = [share([figures["success"] for figures in group]) for group in groups]
     corrected, uncorrected, through = (f"{of.hits} of {of.of}" for of in shares)
-    assert f"| told exactly: corrected, not, `ur-rtde` | {corrected}, {uncorrected}, {through} |" in README
+    assert f"| earlier, told exactly: corrected, not, `ur-rtde` | {corrected}, {uncorrected}, {through} |" in README
     rows = {line.split("|")[1].strip(): line for line in PAGE.splitlines() if line.startswith("|")}
     for row, of in zip(
         ("with correction, seeds 7401 to 7500", "`--no-correction`, 7401 to 7420",

@@ -263,11 +263,11 @@ def test_a_plans_hash_is_of_what_it_says(tmp_path: Path) -> None:
 def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Path) -> None:
     """What is kept beside the results on this site: other trials go on with such files."""
     kept = EXAMPLES.parent / "docs" / "benchmark"
-    shutil.copy(kept / "whole_system.jsonl", tmp_path / RESULTS)
-    plan = load_plan(kept / "whole_system.yaml")
-    assert plan.hash.startswith("9e64e3f394f4")
+    shutil.copy(kept / "paired_trials.jsonl", tmp_path / RESULTS)
+    plan = load_plan(kept / "paired_trials.yaml")
+    assert plan.hash.startswith("c786fec342f8")
     records = finished(plan, tmp_path)
-    assert len(records) == len((tmp_path / RESULTS).read_text().splitlines()) - 1
+    assert len(records) == len(list(plan.jobs())) == 1600
     assert load_plan(kept / "sweep.yaml").hash.startswith("122b571a6722")
 
 
@@ -275,13 +275,14 @@ def test_the_site_s_own_results_have_their_report_by_one_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = EXAMPLES.parent / "docs" / "benchmark"
-    command = ["trials", str(kept / "whole_system.yaml"), "--out", str(tmp_path / "out"), "--results"]
-    assert run([*command, str(kept / "whole_system.jsonl")]) == 0
-    assert "198 of 200 flush (0.96 to 1.00)" in capsys.readouterr().out
+    command = ["trials", str(kept / "distinct_hammers.yaml"), "--out", str(tmp_path / "out"), "--results"]
+    assert run([*command, str(kept / "distinct_hammers.jsonl")]) == 0
+    assert capsys.readouterr().out.count("199 of 200 flush (0.97 to 1.00)") == 2
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "<b>195</b><span>distinct tools</span>" in page
-    assert page.count(">toolee hammer --seed 9053<") == page.count(">toolee hammer --seed 9119<") == 1
-    assert "the camera sees the nail lean by 20" in page
+    assert "<b>200</b><span>distinct tools</span>" in page
+    assert page.count(">toolee hammer --seed 13019<") == 1
+    assert page.count(">toolee hammer --seed 13019 --perfect-perception<") == 1
+    assert "the hand has lost the tool" in page
     assert not (tmp_path / "out" / RESULTS).exists(), "they are no trials of this folder"
 
 
@@ -295,13 +296,13 @@ def test_the_report_of_a_file_of_results_takes_a_folder_that_is_named(
     run_trials(PLAN, own, 1, quietly, job)
     write_report(PLAN, own)
     before = {file.name: file.read_bytes() for file in own.iterdir() if file.is_file()}
-    command = ["trials", str(kept / "whole_system.yaml"), "--results", str(kept / "whole_system.jsonl")]
+    command = ["trials", str(kept / "distinct_hammers.yaml"), "--results", str(kept / "distinct_hammers.jsonl")]
     assert run(command) == 2
     assert "--results without --out: give the folder" in " ".join(capsys.readouterr().err.split())
     assert {file.name: file.read_bytes() for file in own.iterdir() if file.is_file()} == before
     assert run([*command, "--out", "trials"]) == 0
     assert (own / RESULTS).read_bytes() == before[RESULTS]
-    assert "<b>195</b><span>distinct tools</span>" in (own / "report.html").read_text()
+    assert "<b>200</b><span>distinct tools</span>" in (own / "report.html").read_text()
 
 
 @pytest.mark.parametrize("run_folder", ["runs/..", "..", ".", "/", "runs/full/../..", ""])
@@ -336,7 +337,7 @@ def test_a_file_without_a_plan_s_results_is_refused(tmp_path: Path, name: str) -
     kept = EXAMPLES.parent / "docs" / "benchmark"
     code = "user.other_plan" if name == "sweep.jsonl" else "user.no_results"
     with raises(UserError, code=code) as refused:
-        write_report(load_plan(kept / "whole_system.yaml"), tmp_path, kept / name)
+        write_report(load_plan(kept / "distinct_hammers.yaml"), tmp_path, kept / name)
     assert name in str(refused.value)
     assert not list(tmp_path.iterdir())
 
