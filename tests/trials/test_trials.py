@@ -280,9 +280,11 @@ def test_the_site_s_own_results_have_their_report_by_one_command(
     assert capsys.readouterr().out.count("199 of 200 flush (0.97 to 1.00)") == 2
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<b>200</b><span>distinct tools</span>" in page
-    assert page.count(">toolee hammer --seed 13019<") == 1
     assert page.count(">toolee hammer --seed 13019 --perfect-perception<") == 1
     assert "the hand has lost the tool" in page
+    links = re.findall(r'href="([^"]*13019/[a-z.]*)"', page)
+    assert {Path(link).name for link in links} == {"picture.png", "recording.mcap"}
+    assert all((tmp_path / "out" / link).is_file() for link in links), "beside the results"
     assert not (tmp_path / "out" / RESULTS).exists(), "they are no trials of this folder"
 
 

@@ -22,10 +22,10 @@ from toolee_robot.trials.panels import BLUE, errors, panels, png, rates
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.report_attended import agreement, attended_section
 from toolee_robot.trials.results import Event, Record, read_results, read_results_file
+from toolee_robot.trials.run_links import RunLinks
 from toolee_robot.trials.statistics import Share, by_conditions, by_size, compare, median, of_arm, share
 from toolee_robot.trials.sweeps import Sweep, curves, sweeps
 from toolee_robot.trials.table import TABLE, write_table
-from toolee_robot.trials.tasks import out_of
 
 REPORT, FIGURES = "report.html", "report.json"
 """Names of the page and of its figures, in the trials' folder."""
@@ -74,7 +74,8 @@ def write_report(plan: TrialPlan, folder: Path, results: Path | None = None) -> 
     Args:
         plan: The plan.
         folder: The trials' folder, which gets the page, its figures and the table in the place of those there.
-        results: File of the results; None for the folder's own, which are not read with it.
+        results: File of the results, with the jobs' folders beside it if they came with it; None for the folder's own,
+            which are not read with it.
 
     Returns:
         The page.
@@ -88,7 +89,8 @@ def write_report(plan: TrialPlan, folder: Path, results: Path | None = None) -> 
     found = sweeps(plan, first)
     made = _figures(plan, records, events, first, found)
     write_atomic(folder / FIGURES, (json.dumps(made, indent=1) + "\n").encode())
-    write_atomic(folder / REPORT, _page(plan, made, records, first, found, folder).encode())
+    runs = RunLinks(folder, folder if results is None else results.parent)
+    write_atomic(folder / REPORT, _page(plan, made, records, first, found, runs).encode())
     write_table(records, plan.hash, folder / TABLE)
     return folder / REPORT
 
@@ -128,7 +130,7 @@ def _figures(
 
 def _page(
     plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], first: Sequence[Record], found: Sequence[Sweep],
-    folder: Path,
+    runs: RunLinks,
 ) -> str:  # fmt: skip
     page = Page(plan.name, f"plan {plan.hash[:12]} · {made['finished']} of {made['of']} trials finished")
     page.section("Result")
@@ -167,7 +169,7 @@ def _page(
         for arm in plan.arms:
             if mine := of_arm(failed, arm):
                 page.heading(f"Failures: {arm.replace('_', ' ')}")
-                _listed(page, head, [_failure(r, folder, plan.on_robot) for r in mine], 7)
+                _listed(page, head, [_failure(r, runs, plan.on_robot) for r in mine], 7)
     else:
         page.paragraph("None.")
     if plan.led:
@@ -178,7 +180,7 @@ def _page(
         _drawn(page, plan, first)
     page.section("Every trial")
     head = ["arm", pair, CONDITIONS, "tool", "outcome", "strikes", "robot's time, s", "tries"]
-    _listed(page, head, [_row(record, folder) for record in records], 5)
+    _listed(page, head, [_row(record, runs) for record in records], 5)
     page.section("The plan")
     simulated = ("errors", "sweep") if plan.on_robot else ()
     said = {name: _words(value) for name, value in asdict(plan).items() if name not in simulated}
@@ -280,21 +282,21 @@ def _failure_kind(record: Record) -> tuple[str, str]:
     return str(record.figures.get("stage") or ""), _outcome(record)
 
 
-def _failure(record: Record, folder: Path, on_robot: bool) -> list[Any]:
+def _failure(record: Record, runs: RunLinks, on_robot: bool) -> list[Any]:
     f, (stage, outcome) = record.figures, _failure_kind(record)
     words = outcome.replace("_", " ")
-    number, recording = _link(record, folder, str(record.trial.seed), PICTURE), _link(record, folder, "mcap", RECORDING)
+    number, recording = runs.link(record, str(record.trial.seed), PICTURE), runs.link(record, "mcap", RECORDING)
     if not isinstance(recording, Markup) and not on_robot:
         recording = f"toolee hammer {shlex.join(record.command)}"
     return [number, recording, record.trial.conditions, f["tool"], stage, words, cause(f["reason"])]
 
 
-def _row(record: Record, folder: Path) -> list[Any]:
+def _row(record: Record, runs: RunLinks) -> list[Any]:
     f, arm = record.figures, str(record.trial.arm).replace("_", " ")
     time = _figure(f.get("robot_seconds"))
     return [
         arm,
-        _link(record, folder, str(record.trial.seed), PICTURE),
+        runs.link(record, str(record.trial.seed), PICTURE),
         record.trial.conditions,
         f["tool"],
         _outcome(record).replace("_", " "),
@@ -302,17 +304,6 @@ def _row(record: Record, folder: Path) -> list[Any]:
         time,
         str(f["tries"]),
     ]
-
-
-def _link(record: Record, folder: Path, words: str, file: str) -> Markup | str:
-    """The words, with a link to a file of the job's folder where that is here: results may have come alone."""
-    run = Path(record.figures.get("run_folder") or "").name
-    if run in ("", ".."):  # a file of results may say anything
-        return words
-    place = out_of(record.trial, folder) / run / file
-    if not place.is_file():
-        return words
-    return Markup('<a href="{0}">{1}</a>').format(place.relative_to(folder).as_posix(), words)
 
 
 def _figure(value: float | None) -> str:
