@@ -208,7 +208,8 @@ class Reading:
     def measured(self) -> Measured:
         """What the safety system compares with its limits."""
         arm = self._tip - self._chain.origins[-1]
-        return Measured(self.q, self.qd, self.tcp_speed, self._jacobian, arm)
+        wrench = self._robot.machine.sensors.wrench
+        return Measured(self.q, self.qd, self.tcp_speed, self._jacobian, arm, wrench)
 
     @cached_property
     def tcp_pose(self) -> list[float]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
-from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import CollisionDetection, Measured
+from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import CollisionDetection, Measured, Planned
 from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
 
 UNLOCK_DELAY = 5.0  # [s] after a protective stop during which it cannot be unlocked, as on a real robot
@@ -88,7 +88,7 @@ class Safety:
         resume_program: Callable[[], bool],
         power_time: float = 0.5,
     ) -> None:
-        self.detection = CollisionDetection(machine, limits)
+        self.detection = CollisionDetection(machine.model, limits)
         self.robot_mode = RobotMode.RUNNING
         self.mode = SafetyMode.NORMAL
         self.reason = ""
@@ -231,7 +231,11 @@ class Safety:
         self._step_power(dt)
         if self.emergency and self.powered and not np.any(np.abs(self._machine.plant.qd) > SETTLE_SPEED):
             self._power(RobotMode.POWER_OFF)
-        error = self.detection.step(dt, measured)
+        machine = self._machine
+        planned = Planned(
+            machine.q_target, machine.qd_target, machine.payload, machine.sensors.dynamics, machine.uncommanded
+        )
+        error = self.detection.step(dt, measured, planned)
         if error is not None and self.mode in _RUNS and self.robot_mode is RobotMode.RUNNING:
             self.protective_stop(error)
 
