@@ -17,7 +17,9 @@ from toolee_robot.motion.trajectory_checks import check_payload, check_trajector
 from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor
 from toolee_robot.sim_backend.devices.motion_fault import Fault, motion_fault
 from toolee_robot.sim_backend.devices.motion_log import MotionLog
+from toolee_robot.sim_backend.devices.own_stops import OwnStops
 from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
+from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory
 
@@ -34,13 +36,14 @@ LATE = 0.6  # delay of an injected late command, as a fraction of the cycle
 class SimArm:
     """A `hal.Arm` that moves the simulated UR10.
 
-    Faults can be injected with `cut_link`, `protective_stop`, `emergency_stop`, `block_joint` and `delay_commands`;
-    `make_ready` and `restore_link` undo them, as a person does at the robot.
+    It stops by itself where the controller stand-in would (`OwnStops`): it brakes as that does, and is latched until a
+    person has made it ready. Faults can be injected with `cut_link`, `protective_stop`, `emergency_stop`,
+    `block_joint` and `delay_commands`; `make_ready` and `restore_link` undo them, as a person does at the robot.
 
     Args:
         world: The simulated world.
-        wrench_errors: Size of the errors of the wrench as a share of those of the arm's generation (`ReadingErrors`);
-            0 for an exact reading.
+        wrench_errors: Size of the errors of the wrench as a share of those of the arm's generation (`ReadingErrors`),
+            whose limits of the protective stops the arm then has; 0 for an exact reading and the limits of `ideal`.
         seed: Seed of these errors.
     """
 
@@ -50,12 +53,15 @@ class SimArm:
         self._lower, self._upper = robot.lower[:6], robot.upper[:6]
         self._limits = world.config.arm
         self._velocity = np.minimum(np.array(self._limits.velocity), robot.velocity[:6])
-        errors = ReadingErrors(self._limits.model, wrench_errors, seed, 1 / RATE) if wrench_errors > 0.0 else None
+        errors = None if wrench_errors <= 0.0 else ReadingErrors(self._limits.model, wrench_errors, seed, 1 / RATE)
+        self._q = world.robot.q_arm_target.copy()
+        self._stops = OwnStops(self._limits.model, errors, self._q, 1 / RATE)
         self._sensor = FlangeSensor(world, robot.hand_payload(robot.hand_open), 1 / RATE, errors)
+        self._sensor.q_target, self._sensor.watch = lambda: self._stops.q_before, self._check
         world.wrench = lambda: self._sensor.wrench.copy()
-        self._q, self._qd = world.robot.q_arm_target.copy(), np.zeros(6)
         self._open, self._moving, self._stop_asked = True, False, False
         self._status, self._latched = ArmStatus.READY, ""
+        self._stopped_by: ErrorCode | None = None  # since the last motion began
         self._stuck: dict[int, float] = {}
         self._late, self._since = 0, 0.0
         self._last: ArmState | None = None  # the last state received, while the link is down
@@ -102,7 +108,24 @@ class SimArm:
 
     def _read(self) -> ArmState:
         q, qd = self._world.robot.arm_state()
-        return ArmState(JointState(q, qd, self._world.time), self._q.copy(), self._sensor.wrench.copy(), self._status)
+        deviation, collision = self._stops.ratios or (None, None)
+        return ArmState(
+            JointState(q, qd, self._world.time),
+            self._q.copy(),
+            self._sensor.wrench.copy(),
+            self._status,
+            position_deviation_ratio=deviation,
+            collision_ratio=collision,
+            error_code=None if self._stopped_by is None else self._stopped_by.name,
+        )
+
+    def _check(self, q: Array, qd: Array) -> None:
+        """Stop the arm where its controller would, after each reading of the force."""
+        sensor = self._sensor
+        found = self._stops.check(sensor.wrench + sensor.offset, q, qd, sensor.payload.mass)
+        if found is not None and self._status is ArmStatus.READY:
+            self._status, self._stopped_by = ArmStatus.PROTECTIVE_STOP, found
+            self._latched = self._latched or f"the robot made a protective stop: {found}"
 
     def _newest(self) -> ArmState:
         return self._read() if self._last is None else self._last
@@ -133,6 +156,7 @@ class SimArm:
     def make_ready(self) -> None:
         """Act as the person at the robot: release stops, free blocked joints, enable the robot."""
         self._status = ArmStatus.READY
+        self._stops.forget()
         self._stuck.clear()
         self._late = 0
 
@@ -203,12 +227,12 @@ class SimArm:
         contact: JointState | None = None
         force = None if guard is None else ContactForce(guard, 1 / RATE)
         outcome, fault = MotionOutcome.COMPLETED, None
-        self._stop_asked, self._moving = False, True
+        self._stop_asked, self._moving, self._stopped_by = False, True, None
         t = 0.0
         try:
             for k in range(1, int(np.ceil(trajectory.duration * RATE - 1e-9)) + 1):
                 t = min(k / RATE, trajectory.duration)
-                self._command(*trajectory.sample(t), log)
+                self._command(trajectory.sample(t)[0], log)
                 self._tick(log)
                 fault = self._fault(watch, log)
                 if fault is not None or self._stop_asked:
@@ -223,18 +247,22 @@ class SimArm:
             # After an exception too, the arm must come to rest before this returns.
             self._brake(trajectory, t, log)
             self._moving = False
-        # A motion that ended for another reason, such as a contact, may have a tracking error as well.
-        fault = fault or self._fault(watch, log)
+        # A motion that ended for another reason, such as a contact, may have a tracking error as well; and the robot
+        # may have stopped itself meanwhile.
+        if fault is None or self._stopped_by is not None:
+            fault = self._fault(watch, log)
         report = log.report(outcome, contact)
         if fault is not None:
             error, message = fault
             self._latched = self._latched or message
-            raise error(f"{message}; the arm has stopped on its path and is latched", report)
+            where = " on its path" if self._stopped_by is None else ""
+            raise error(f"{message}; the arm has stopped{where} and is latched", report)
         return report
 
     def _fault(self, watch: MotionWatch, log: MotionLog) -> Fault | None:
         """The fault that must end the motion now, if any."""
-        return motion_fault(self._status, self._world.time - self._newest().joints.stamp, watch, log)
+        age = self._world.time - self._newest().joints.stamp
+        return motion_fault(self._status, age, watch, log, self._stopped_by)
 
     def stop(self) -> None:
         """Stop on the path; called from a callback during `execute`, it ends that motion."""
@@ -254,8 +282,9 @@ class SimArm:
         if self._last is not None:
             raise DeviceError("the arm does not answer: check its network link", code="device.link_down")
         self._latched = ""
-        self._q, self._qd = self._world.robot.arm_state()[0], np.zeros(6)
-        self._world.robot.command_arm(self._q, self._qd)
+        self._q = self._world.robot.arm_state()[0]
+        self._stops.place(self._q)
+        self._world.robot.command_arm(self._q, np.zeros(6))
 
     def _check_latch(self) -> None:
         if self._latched:
@@ -265,7 +294,7 @@ class SimArm:
         if not self._open:
             raise DeviceError("the arm is closed: use it inside its `with` block", code="device.closed")
 
-    def _command(self, q: Array, qd: Array, log: MotionLog) -> None:
+    def _command(self, q: Array, log: MotionLog) -> None:
         """Command the position due at the end of the tick; the robot moves to it at the tick's mean velocity."""
         late = self._late > 0
         self._since = LATE / RATE if late else 0.0
@@ -274,11 +303,17 @@ class SimArm:
             self._late -= 1
             self._sensor.begin()
             self._world.advance(self._since)  # with the previous command
-        target, step = self._q.copy(), (q - self._q) * RATE
+        self._q = np.array(q)
+        self._move(self._q)
+
+    def _move(self, q: Array) -> None:
+        """Move the set-point to q, (6,) [rad], within the tick."""
+        target = self._stops.q_target.copy()
+        step = (q - target) * RATE
         for joint, place in self._stuck.items():
             target[joint], step[joint] = place, 0.0
         self._world.robot.command_arm(target + self._since * step, step)
-        self._q, self._qd = np.array(q), np.array(qd)
+        self._stops.move(q)
 
     def _tick(self, log: MotionLog) -> None:
         if self._since == 0.0:
@@ -286,15 +321,24 @@ class SimArm:
         self._world.advance(1 / RATE - self._since)
         self._since = 0.0
         newest = self._newest()
-        log.add(self._world.time, self._q, newest.joints, newest.wrench, self._world.robot.torques_commanded)
+        torques = self._world.robot.torques_commanded
+        log.add(self._world.time, self._q, newest.joints, newest.wrench, torques, self._stops.ratios)
 
     def _brake(self, trajectory: Trajectory, t: float, log: MotionLog) -> None:
-        """Stop on the trajectory's path, from its time t [s] on, and wait for standstill."""
+        """Stop on the trajectory's path, from its time t [s] on, or as the robot stops itself; wait for standstill."""
         limits = self._limits
-        for q, qd in stop_on_path(trajectory, t, 1 / RATE, limits.stop_acceleration, limits.stop_jerk):
-            self._command(q, qd, log)
+        for q, _ in stop_on_path(trajectory, t, 1 / RATE, limits.stop_acceleration, limits.stop_jerk):
+            if self._stopped_by is not None:
+                break
+            self._command(q, log)
             self._tick(log)
-        self._command(self._q, np.zeros(6), log)
+        if self._stopped_by is None:
+            self._command(self._q, log)
+        else:
+            log.end_commands()
+            for q in self._stops.braking():
+                self._move(q)
+                self._tick(log)
         still = 0
         for _ in range(int(SETTLE_TIME * RATE)):
             self._tick(log)

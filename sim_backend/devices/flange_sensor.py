@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from toolee_robot.frames import Array, cross
@@ -29,6 +31,8 @@ class FlangeSensor:
         payload: Payload to compensate.
         period: Averaging time [s].
         offset: What is subtracted from the means to come, (6,) [N, Nm], axes of `base`.
+        q_target: Tells the set-point, (6,) [rad], by which the errors are computed.
+        watch: Called after each mean with the joints' positions and velocities; None for nobody.
         wrench: Latest mean, (6,): force [N] and torque [Nm] about the flange's origin, axes of `base`.
     """
 
@@ -37,6 +41,8 @@ class FlangeSensor:
         self.period = period
         self.offset = np.zeros(6)
         self.wrench = np.zeros(6)
+        self.q_target: Callable[[], Array] = lambda: world.robot.q_arm_target
+        self.watch: Callable[[Array, Array], None] | None = None
         self._world, self._errors = world, errors
         hand = world.robot.robot.hand
         self._X_flange_root = hand.X_flange_root
@@ -87,10 +93,14 @@ class FlangeSensor:
         force = R_com.dot(mean[:3])
         carried = np.concatenate([force, R_com.dot(mean[3:]) + cross(p_flange_com, force)])
         self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried - self.offset
-        if self._errors is not None:
-            robot = self._world.robot
-            self.wrench += self._errors.step(robot.q_arm_target, *robot.arm_state(), self.payload)
         self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
+        if self._errors is None and self.watch is None:
+            return
+        q, qd = self._world.robot.arm_state()
+        if self._errors is not None:
+            self.wrench += self._errors.step(self.q_target(), q, qd, self.payload)
+        if self.watch is not None:
+            self.watch(q, qd)
 
     def _payload_velocity(self) -> tuple[Array, Array, Array, Array]:
         """Motion of the payload and geometry of the flange, axes of `base`.

@@ -14,12 +14,15 @@ from toolee_robot.errors import (
 )
 from toolee_robot.hal import ArmStatus, MotionWatch
 from toolee_robot.sim_backend.devices.motion_log import MotionLog
+from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
 
 # Class and message of the error.
 Fault = tuple[type[MotionFaultError], str]
 
 
-def motion_fault(status: ArmStatus, age: float, watch: MotionWatch, log: MotionLog) -> Fault | None:
+def motion_fault(
+    status: ArmStatus, age: float, watch: MotionWatch, log: MotionLog, found: ErrorCode | None = None
+) -> Fault | None:
     """The fault that must end the motion now, if any.
 
     Args:
@@ -27,12 +30,15 @@ def motion_fault(status: ArmStatus, age: float, watch: MotionWatch, log: MotionL
         age: Age of the newest state [s].
         watch: Bounds of the motion.
         log: The motion so far.
+        found: The error for which the robot has stopped itself, where it has.
 
     Returns:
         Class and message of the error; None without a fault.
     """
     if status is ArmStatus.EMERGENCY_STOP:
         return EmergencyStopError, "the emergency stop was pressed: release it at the robot"
+    if status is ArmStatus.PROTECTIVE_STOP and found is not None:
+        return ProtectiveStopError, f"the robot made a protective stop: {found}: find out why, release it at the robot"
     if status is not ArmStatus.READY:
         return ProtectiveStopError, f"the robot stopped itself ({status}): find out why, release it at the robot"
     if age > watch.data_cycles / log.rate + 1e-9:

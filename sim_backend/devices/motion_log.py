@@ -23,6 +23,8 @@ class MotionLog:
         velocities: Measured joint velocities, (6,) [rad/s] each.
         wrenches: Wrenches, (6,) [N, Nm] each.
         torques: Joint torques of the commanded motion, (6,) [Nm] each; none of an arm that has none.
+        ratios: Deviation and collision ratios, each sample's; none of an arm that does not report them.
+        commands: Number of rows with a command of its own; None while every row has one.
         late: Number of late commands.
         late_in_a_row: Number of consecutive late commands up to the newest.
     """
@@ -35,10 +37,18 @@ class MotionLog:
         self.velocities: list[Array] = []
         self.wrenches: list[Array] = []
         self.torques: list[Array] = []
+        self.ratios: list[tuple[float, float]] = []
+        self.commands: int | None = None
         self.late, self.late_in_a_row = 0, 0
 
     def add(
-        self, stamp: float, commanded: Array, measured: JointState, wrench: Array, torques: Array | None = None
+        self,
+        stamp: float,
+        commanded: Array,
+        measured: JointState,
+        wrench: Array,
+        torques: Array | None = None,
+        ratios: tuple[float, float] | None = None,
     ) -> None:
         """Append a row.
 
@@ -48,6 +58,7 @@ class MotionLog:
             measured: Measured state of the joints.
             wrench: Wrench, (6,) [N, Nm].
             torques: Joint torques of the commanded motion, (6,) [Nm]; None of an arm that has none.
+            ratios: Deviation and collision ratios, see `ArmState`; None of an arm that does not report them.
         """
         self.stamps.append(stamp)
         self.commanded.append(commanded.copy())
@@ -56,6 +67,12 @@ class MotionLog:
         self.wrenches.append(wrench)
         if torques is not None:
             self.torques.append(torques)
+        if ratios is not None:
+            self.ratios.append(ratios)
+
+    def end_commands(self) -> None:
+        """Note that no row from now on has a command."""
+        self.commands = len(self.stamps)
 
     def count(self, late: bool) -> None:
         """Count a command, and whether it was sent late."""
@@ -75,6 +92,7 @@ class MotionLog:
         stamps, commanded, measured, wrenches = map(
             np.array, (self.stamps, self.commanded, self.measured, self.wrenches)
         )
+        ratios = np.array(self.ratios) if self.ratios else None
         return MotionReport(
             outcome,
             stamps,
@@ -83,6 +101,9 @@ class MotionLog:
             wrenches,
             contact,
             self.late,
+            position_deviation_ratios=None if ratios is None else ratios[:, 0],
+            collision_ratios=None if ratios is None else ratios[:, 1],
+            commands=self.commands,
             qd_measured=np.array(self.velocities),
             torques=np.array(self.torques) if self.torques else None,
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import profile
-from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT, ArmDynamics
+from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT, ArmDynamics, Dynamics
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.sensing.force_errors import WrenchErrors
 from toolee_robot.sim_backend.ur_controller.robot.sensing.noise import Noise
@@ -30,14 +30,23 @@ class ReadingErrors:
         size: Size of the errors as a share of those of the profile.
         seed: Seed of all that is drawn.
         period: Time between two readings [s].
+
+    Attributes:
+        dynamics: Torques, momentum and geometry of the set-point in the latest reading, in the controller's base; None
+            before the first.
     """
 
     def __init__(self, model: ArmModel, size: float, seed: int | Sequence[int], period: float) -> None:
         self._model = replace(MODELS[model.value], rate=1.0 / period)
         force = profile("harsh", self._model.e_series).force
         self._errors = WrenchErrors(self._model, force, Noise(seed))
-        self._dynamics = ArmDynamics(self._model)
+        self.dynamics: Dynamics | None = None
+        self.place()
         self._size, self._period = size, period
+
+    def place(self) -> None:
+        """Note that the set-point is put elsewhere, and does not move there."""
+        self._arm = ArmDynamics(self._model)
 
     def step(self, q_target: Array, q: Array, qd: Array, payload: Payload) -> Array:
         """The error of the next reading.
@@ -52,6 +61,6 @@ class ReadingErrors:
             Force [N] and torque [Nm] about the flange's origin, (6,), axes of `base`.
         """
         carried = payload.mass, payload.center_of_mass
-        dynamics = self._dynamics.step(self._model, q_target, *carried, UPRIGHT, self._period)
+        self.dynamics = dynamics = self._arm.step(self._model, q_target, *carried, UPRIGHT, self._period)
         steady, noise = self._errors.step(self._period, q, qd, dynamics)
         return np.asarray(self._size * TURN * (steady + noise))

@@ -17,6 +17,9 @@ ProfileName = Literal["ideal", "harsh"]
 REFERENCE_GAIN, REFERENCE_LOOKAHEAD = 1200.0, 0.03
 """`gain` and `lookahead_time` [s] of servoj at which a lag is given: those at which a UR10e's was measured."""
 
+RATIOS_SINCE = (5, 15)
+"""Version from which a controller reports joint_position_deviation_ratio and collision_detection_ratio."""
+
 
 @dataclass(frozen=True)
 class ServoLag:
@@ -191,6 +194,11 @@ class Profile:
     stops: StopDecelerations = StopDecelerations()
     version: tuple[int, int, int, int] | None = None
     safeguard_resumes: bool = False
+
+    @property
+    def reports_ratios(self) -> bool:
+        """Whether the version is one that reports how near deviation and collision detection are to a stop."""
+        return self.version is not None and self.version[:2] >= RATIOS_SINCE
 
 
 IDEAL = Profile("ideal")

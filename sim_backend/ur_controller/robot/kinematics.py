@@ -7,6 +7,7 @@ the Universal Robots UR-5/UR-10 Arms" (2013), in the three-parallel-axes form: s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import acos, asin, atan2, cos, hypot, pi, sin
 
 import numpy as np
@@ -32,6 +33,11 @@ class Chain:
     axes: Array
     origins: Array
     X_base_flange: Array
+
+    @cached_property
+    def flange_jacobian(self) -> Array:
+        """Jacobian of the flange's origin, see `jacobian`."""
+        return self.jacobian(self.origins[6])
 
     def jacobian(self, tip: Array) -> Array:
         """Jacobian of a point that is fixed to the flange.

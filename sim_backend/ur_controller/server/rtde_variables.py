@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from toolee_robot.sim_backend.ur_controller.profile import RATIOS_SINCE
 from toolee_robot.sim_backend.ur_controller.robot.registers import REGISTERS
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import width
@@ -91,8 +92,10 @@ OUTPUTS: dict[str, Output] = {
     "payload_inertia": Output(_VECTOR, lambda r: r.machine.payload_inertia, (3, 15), (5, 11)),
     "ft_raw_wrench": Output(_VECTOR, lambda r: r.reading.raw_wrench, None, (5, 9)),
     # DOUBLE, 1 stops the arm: RTDE guide; the first versions that have them were not found: assumed.
-    "joint_position_deviation_ratio": Output("DOUBLE", lambda r: r.safety.detection.deviation_ratio, None, (5, 15)),
-    "collision_detection_ratio": Output("DOUBLE", lambda r: r.safety.detection.collision_ratio, None, (5, 15)),
+    "joint_position_deviation_ratio": Output(
+        "DOUBLE", lambda r: r.safety.detection.deviation_ratio, None, RATIOS_SINCE
+    ),
+    "collision_detection_ratio": Output("DOUBLE", lambda r: r.safety.detection.collision_ratio, None, RATIOS_SINCE),
     "actual_qdd": Output(_VECTOR, lambda r: r.machine.qdd_target, None, (5, 23)),
     "output_bit_registers0_to_31": Output("UINT32", lambda r: _bits(r.registers.bool_out[:32])),
     "output_bit_registers32_to_63": Output("UINT32", lambda r: _bits(r.registers.bool_out[32:64])),

@@ -1,4 +1,4 @@
-"""Detection of collisions and of motions beyond the safety limits, for any arm that tells what it plans and measures."""
+"""Detection of collisions and of motions beyond the safety limits, of any arm that tells what it plans and measures."""
 
 from __future__ import annotations
 

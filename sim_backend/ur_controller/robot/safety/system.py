@@ -13,7 +13,11 @@ import numpy as np
 
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
-from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import CollisionDetection, Measured, Planned
+from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import (
+    CollisionDetection,
+    Measured,
+    Planned,
+)
 from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
 
 UNLOCK_DELAY = 5.0  # [s] after a protective stop during which it cannot be unlocked, as on a real robot

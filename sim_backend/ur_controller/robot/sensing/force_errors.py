@@ -65,7 +65,7 @@ class WrenchErrors:
         if errors.friction > 0.0 or errors.inertia > 0.0:
             missed = errors.friction * self._torque * np.tanh(qd / FRICTION_SPEED)
             missed += errors.inertia * dynamics.acceleration
-            J = links.jacobian(links.origins[6])
+            J = links.flange_jacobian
             wrench += np.linalg.solve(J.dot(J.T) + _DAMPED, J.dot(missed))
         return wrench, noise
 
