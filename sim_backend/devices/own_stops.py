@@ -20,8 +20,6 @@ from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection imp
 from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
 from toolee_robot.types import ArmModel
 
-_NO_TOOL = np.zeros(3)  # the driver of real arms leaves the TCP at the flange
-
 
 class OwnStops:
     """The set-point of the arm's controller, and whether it stops the arm.
@@ -96,7 +94,7 @@ class OwnStops:
         dynamics = None if self._errors is None else self._errors.dynamics
         links = chain(self._model, q) if dynamics is None else dynamics.links
         J = links.flange_jacobian
-        measured = Measured(q, qd, J.dot(qd), J, _NO_TOOL, TURN * wrench)
+        measured = Measured(q, qd, J.dot(qd), J, TURN * wrench)
         planned = Planned(self.q_target, self._qd, payload, dynamics)
         self.q_before = self.q_target  # unless it moves on
         return self._detection.step(self._period, measured, planned)

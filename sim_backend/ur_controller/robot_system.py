@@ -207,9 +207,8 @@ class Reading:
     @property
     def measured(self) -> Measured:
         """What the safety system compares with its limits."""
-        arm = self._tip - self._chain.origins[-1]
-        wrench = self._robot.machine.sensors.wrench
-        return Measured(self.q, self.qd, self.tcp_speed, self._jacobian, arm, wrench)
+        wrench = self._at_tcp(self._robot.machine.sensors.wrench)
+        return Measured(self.q, self.qd, self.tcp_speed, self._jacobian, wrench)
 
     @cached_property
     def tcp_pose(self) -> list[float]:
@@ -236,8 +235,7 @@ class Reading:
     def tcp_force(self) -> Array:
         """Wrench of the environment at the TCP, (6,) [N, Nm], base axes."""
         wrench = self._robot.machine.force_sensor.wrench(self._chain.X_base_flange[:3, :3])
-        arm = self._tip - self._chain.origins[-1]
-        return np.concatenate([wrench[:3], wrench[3:] - cross(arm, wrench[:3])])
+        return self._at_tcp(wrench)
 
     @cached_property
     def raw_wrench(self) -> Array:
@@ -275,6 +273,11 @@ class Reading:
     def elbow(self) -> Array:
         """Position of the elbow in the controller's base, (3,) [m]."""
         return self._chain.origins[2]
+
+    def _at_tcp(self, wrench: Array) -> Array:
+        """The wrench at the TCP, (6,), of one at the flange's origin."""
+        arm = self._tip - self._chain.origins[-1]
+        return np.concatenate([wrench[:3], wrench[3:] - cross(arm, wrench[:3])])
 
     @cached_property
     def _chain(self) -> Chain:

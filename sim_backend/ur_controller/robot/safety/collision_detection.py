@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 
-from toolee_robot.frames import Array, cross
+from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import Dynamics
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
@@ -24,15 +24,13 @@ class Measured:
         qd: Joint velocities, (6,) [rad/s].
         twist: Velocity of the TCP, (6,) [m/s, rad/s].
         jacobian: Jacobian of the TCP, (6, 6).
-        arm: From the flange's origin to the TCP, (3,) [m], base axes.
-        wrench: Wrench of the environment at the flange's origin, (6,) [N, Nm], base axes, not zeroed.
+        wrench: Wrench of the environment at the TCP, (6,) [N, Nm], base axes, not zeroed.
     """
 
     q: Array
     qd: Array
     twist: Array
     jacobian: Array
-    arm: Array
     wrench: Array
 
 
@@ -71,9 +69,19 @@ class CollisionDetection:
     def __init__(self, model: ControllerModel, limits: SafetyLimits) -> None:
         self.limits = limits
         self.deviation_ratio = self.collision_ratio = 0.0
-        self._largest = np.array(model.torque)
-        self._range = np.array(limits.joint_position) * np.array(model.position)
-        self._fastest = limits.joint_speed * np.array(model.velocity)
+        largest = np.array(model.torque)
+        # Each joint's values, a row a kind, and what they are shares of: numpy takes as long for six numbers as for 36.
+        self._rows = np.zeros((6, 6))
+        self._scales = np.array(
+            [
+                np.full(6, limits.following_error),
+                np.array(limits.joint_position) * np.array(model.position),
+                limits.joint_speed * np.array(model.velocity),
+                limits.collision_torque * largest,
+                largest,
+                largest,
+            ]
+        )
         self._force = np.zeros(3)
         self._torque = np.zeros(6)
         self._power = 0.0
@@ -97,56 +105,51 @@ class CollisionDetection:
         Returns:
             The error that stops the arm, or None.
         """
-        limits, wrench = self.limits, measured.wrench
+        limits, wrench, rows, dynamics = self.limits, measured.wrench, self._rows, planned.dynamics
         share = min(1.0, dt / limits.force_time)
         self._force += share * (wrench[:3] - self._force)
-        found = self._deviation(measured, planned) or self._violation(measured, planned)
         if min(limits.collision_torque, limits.power) < inf:
-            at_tcp = np.concatenate([wrench[:3], wrench[3:] - cross(measured.arm, wrench[:3])])
-            outside = measured.jacobian.T @ at_tcp
+            outside = measured.jacobian.T.dot(wrench)
             self._torque += share * (outside - self._torque)
-            self._power += share * (abs(float(outside @ measured.qd)) - self._power)
-            found = found or self._collision(planned)
-        return found or self._motion(planned)
+            self._power += share * (abs(float(outside.dot(measured.qd))) - self._power)
+        rows[0], rows[1], rows[2], rows[3] = planned.q - measured.q, measured.q, measured.qd, self._torque
+        if dynamics is not None:
+            rows[4] = dynamics.torques
+            rows[5] = 0.0 if self._torques is None else dynamics.torques - self._torques
+            self._torques = dynamics.torques
+        self._uncommanded = self._uncommanded + 1 if planned.uncommanded else 0
+        shares = np.abs(rows) / self._scales
+        largest = shares.max(axis=1).tolist()
+        self.deviation_ratio, self.collision_ratio = largest[0], largest[3]
+        return (
+            self._deviation(shares, largest, planned.payload)
+            or self._violation(shares, largest, measured, dynamics)
+            or self._collision(shares, largest, planned.payload)
+            or self._motion(shares, largest, planned.qd)
+        )
 
-    def _deviation(self, measured: Measured, planned: Planned) -> ErrorCode | None:
-        limit = self.limits.following_error
-        error = np.abs(planned.q - measured.q)
-        joint = int(error.argmax())
-        self.deviation_ratio = float(error[joint]) / limit
-        if self.deviation_ratio < 1.0:
+    def _deviation(self, shares: Array, largest: list[float], payload: float) -> ErrorCode | None:
+        if largest[0] < 1.0:
             return None
-        code = codes.POSITION_DEVIATES if planned.payload > 0.0 else codes.POSITION_DEVIATES_NO_PAYLOAD
-        return ErrorCode(code, joint, f"joint {joint} is {error[joint]:.2f} rad from its set-point")
+        joint = int(shares[0].argmax())
+        code = codes.POSITION_DEVIATES if payload > 0.0 else codes.POSITION_DEVIATES_NO_PAYLOAD
+        return ErrorCode(code, joint, f"joint {joint} is {abs(self._rows[0, joint]):.2f} rad from its set-point")
 
-    def _collision(self, planned: Planned) -> ErrorCode | None:
-        limits = self.limits
-        ratios = np.abs(self._torque) / (limits.collision_torque * self._largest)
-        joint = int(ratios.argmax())
-        self.collision_ratio = float(ratios[joint])
-        if self.collision_ratio >= 1.0:
-            code = codes.COLLISION if planned.payload > 0.0 else codes.COLLISION_NO_PAYLOAD
-            return ErrorCode(code, joint, f"torque of {abs(self._torque[joint]):.0f} Nm from outside")
-        if self._power > limits.power:
-            detail = f"power of {self._power:.0f} W is over {limits.power:.0f} W"
-            return ErrorCode(codes.SAFETY_VIOLATION, codes.POWER, detail)
-        return None
-
-    def _violation(self, measured: Measured, planned: Planned) -> ErrorCode | None:
+    def _violation(
+        self, shares: Array, largest: list[float], measured: Measured, dynamics: Dynamics | None
+    ) -> ErrorCode | None:
         limits = self.limits
         argument, detail = 0, ""
-        force = float(np.sqrt(self._force @ self._force))
-        over = np.abs(measured.qd) - self._fastest
-        speed = float(np.sqrt(measured.twist[:3] @ measured.twist[:3]))
-        dynamics = planned.dynamics
-        carried = 0.0 if dynamics is None else float(np.sqrt(dynamics.momentum @ dynamics.momentum))
+        force = sqrt(self._force.dot(self._force))
+        velocity = measured.twist[:3]
+        speed = sqrt(velocity.dot(velocity))
+        carried = 0.0 if dynamics is None else sqrt(dynamics.momentum.dot(dynamics.momentum))
         if force > limits.force:
             argument, detail = codes.TORQUE_WINDOW, f"force of {force:.0f} N is over {limits.force:.0f} N"
-        elif (beyond := np.abs(measured.q) - self._range).max() > 0.0:
-            joint = int(beyond.argmax())
-            argument, detail = codes.JOINT_POSITION, f"joint {joint} is at its limit"
-        elif over.max() > 0.0:
-            argument, detail = codes.JOINT_SPEED, f"joint {int(over.argmax())} is too fast"
+        elif largest[1] > 1.0:
+            argument, detail = codes.JOINT_POSITION, f"joint {int(shares[1].argmax())} is at its limit"
+        elif largest[2] > 1.0:
+            argument, detail = codes.JOINT_SPEED, f"joint {int(shares[2].argmax())} is too fast"
         elif speed > limits.tcp_speed:
             detail = f"TCP speed of {speed:.2f} m/s is over {limits.tcp_speed:.2f} m/s"
             argument = codes.TCP_SPEED
@@ -155,25 +158,27 @@ class CollisionDetection:
             argument = codes.MOMENTUM
         return ErrorCode(codes.SAFETY_VIOLATION, argument, detail) if detail else None
 
-    def _motion(self, planned: Planned) -> ErrorCode | None:
+    def _collision(self, shares: Array, largest: list[float], payload: float) -> ErrorCode | None:
+        limits = self.limits
+        if largest[3] >= 1.0:
+            joint = int(shares[3].argmax())
+            code = codes.COLLISION if payload > 0.0 else codes.COLLISION_NO_PAYLOAD
+            return ErrorCode(code, joint, f"torque of {abs(self._torque[joint]):.0f} Nm from outside")
+        if self._power > limits.power:
+            detail = f"power of {self._power:.0f} W is over {limits.power:.0f} W"
+            return ErrorCode(codes.SAFETY_VIOLATION, codes.POWER, detail)
+        return None
+
+    def _motion(self, shares: Array, largest: list[float], qd: Array) -> ErrorCode | None:
         """Errors of the planned motion: its torques, and its sudden end."""
         limits = self.limits
-        self._uncommanded = self._uncommanded + 1 if planned.uncommanded else 0
-        speed = float(np.abs(planned.qd).max())
-        if self._uncommanded > 1 and speed > limits.sudden_stop:
+        if self._uncommanded > 1 and (speed := float(np.abs(qd).max())) > limits.sudden_stop:
             detail = f"no command at {speed:.2f} rad/s"
             return ErrorCode(codes.PATH_SANITY, codes.SUDDEN_STOP, detail)
-        if limits.motion_torque == limits.torque_jump == inf or planned.dynamics is None:
-            return None
-        torques, last = planned.dynamics.torques, self._torques
-        self._torques = torques
-        shares = np.abs(torques) / self._largest
-        joint = int(shares.argmax())
-        if shares[joint] > limits.motion_torque:
-            return ErrorCode(codes.HIGH_TORQUE, joint, f"{abs(torques[joint]):.0f} Nm")
-        if last is not None:
-            jumps = np.abs(torques - last) / self._largest
-            joint = int(jumps.argmax())
-            if jumps[joint] > limits.torque_jump:
-                return ErrorCode(codes.TORQUE_JUMP, joint, f"{abs(torques[joint] - last[joint]):.0f} Nm in a tick")
+        if largest[4] > limits.motion_torque:
+            joint = int(shares[4].argmax())
+            return ErrorCode(codes.HIGH_TORQUE, joint, f"{abs(self._rows[4, joint]):.0f} Nm")
+        if largest[5] > limits.torque_jump:
+            joint = int(shares[5].argmax())
+            return ErrorCode(codes.TORQUE_JUMP, joint, f"{abs(self._rows[5, joint]):.0f} Nm in a tick")
         return None
