@@ -111,7 +111,10 @@ def test_arm_brakes_at_a_contact_within_its_limits(empty: SimStation) -> None:
     down = joints_for_hand(transform(p=[0.0, 0.0, -0.25]) @ hand, HOME)
     tip = (hand @ [0.0, 0.0, 0.15, 1.0])[:3]
     shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[0.1, 0.1, 0.05], physicsClientId=world.client)
-    pb.createMultiBody(0.0, shape, -1, [tip[0], tip[1], tip[2] - 0.13 - 0.05], physicsClientId=world.client)
+    at = [tip[0], tip[1], tip[2] - 0.13 - 0.05]
+    box = pb.createMultiBody(0.0, shape, -1, at, physicsClientId=world.client)
+    # As foam rubber: something rigid would have the robot stop itself, before the arm has braked on its path.
+    pb.changeDynamics(box, -1, contactStiffness=5e3, contactDamping=100.0, physicsClientId=world.client)
     report = station.arm.execute(line([HOME, down], 1.5), ContactGuard(force=15.0, ignore_before=0.05))
     assert report.outcome is MotionOutcome.CONTACT
     assert report.contact is not None
