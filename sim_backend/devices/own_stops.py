@@ -24,15 +24,17 @@ from toolee_robot.types import ArmModel
 class OwnStops:
     """The set-point of the arm's controller, and whether it stops the arm.
 
-    Detection and limits are the controller stand-in's (`CollisionDetection`), once in every reading, in motion and at
-    rest: those of the harsh profile of the arm's generation where the reading has errors, else those of `ideal`.
-    The detection sees the wrench that the controller estimates: with its errors, and not zeroed, since a driver's zero
-    is not known to it. The TCP is at the flange. Where the reading has errors, the set-point's torques, momentum and
-    geometry are those that the errors are computed from, which are of the set-point at the reading's beginning.
+    Detection and limits are the controller stand-in's (`CollisionDetection`), once per reading, in motion and at rest:
+    those of the harsh profile of the arm's generation where the reading has errors, else those of `ideal`.
+    `ur_controller.profile` says what of them is published, measured or assumed. The detection sees the wrench that the
+    controller estimates: with its errors, and not zeroed, since a driver's zero is not known to it. The TCP is at the
+    flange. Where the reading has errors, the set-point's torques, momentum and geometry are those that the errors are
+    computed from, which are of the set-point at the reading's beginning.
 
     Assumed, since nothing is published: that a controller compares its set-point with the joints on the link's side of
     their gears, as behind the stand-in with elastic joints, so that of the gears' deflection only what the controller
-    does not compensate counts. Unlike the stand-in it reads joints without noise, and an e-Series at 125 Hz.
+    does not compensate counts. Unlike the stand-in it reads joints without noise, and an e-Series at 125 Hz, where a
+    planned torque may jump in 8 ms by no more than the stand-in's may in 2 ms.
 
     Args:
         model: The arm's model.

@@ -22,7 +22,7 @@ GAP = 0.01
 
 def block(world: SimWorld) -> int:
     """Something hard under the hand, which moves down in a strike; pybullet's id."""
-    x, y, z = world.robot.link_pose(world.robot.palm)[:3, 3]
+    x, y, _ = world.robot.link_pose(world.robot.palm)[:3, 3]
     robot, client = world.robot_body, world.client
     links = [link for link in world.robot.link_index.values() if link >= world.robot.sensor_link]
     lowest = min(float(pb.getAABB(robot, link, physicsClientId=client)[0][2]) for link in links)

@@ -105,7 +105,7 @@ class CollisionDetection:
         Returns:
             The error that stops the arm, or None.
         """
-        limits, wrench, rows, dynamics = self.limits, measured.wrench, self._rows, planned.dynamics
+        limits, wrench, rows, last = self.limits, measured.wrench, self._rows, self._torques
         share = min(1.0, dt / limits.force_time)
         self._force += share * (wrench[:3] - self._force)
         if min(limits.collision_torque, limits.power) < inf:
@@ -113,17 +113,16 @@ class CollisionDetection:
             self._torque += share * (outside - self._torque)
             self._power += share * (abs(float(outside.dot(measured.qd))) - self._power)
         rows[0], rows[1], rows[2], rows[3] = planned.q - measured.q, measured.q, measured.qd, self._torque
-        if dynamics is not None:
-            rows[4] = dynamics.torques
-            rows[5] = 0.0 if self._torques is None else dynamics.torques - self._torques
-            self._torques = dynamics.torques
+        torques = self._torques = None if planned.dynamics is None else planned.dynamics.torques
+        rows[4] = 0.0 if torques is None else torques
+        rows[5] = 0.0 if torques is None or last is None else torques - last
         self._uncommanded = self._uncommanded + 1 if planned.uncommanded else 0
         shares = np.abs(rows) / self._scales
         largest = shares.max(axis=1).tolist()
         self.deviation_ratio, self.collision_ratio = largest[0], largest[3]
         return (
             self._deviation(shares, largest, planned.payload)
-            or self._violation(shares, largest, measured, dynamics)
+            or self._violation(shares, largest, measured, planned.dynamics)
             or self._collision(shares, largest, planned.payload)
             or self._motion(shares, largest, planned.qd)
         )
