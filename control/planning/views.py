@@ -154,7 +154,7 @@ def plan_views(
             views, here = [], q_start
             for i in chosen:
                 transfer = plan_transfer(robot, config, world, here, q[i])
-                views.append(View(q[i], transfer, *_nominal(config.camera, Xs_base_ee[i])))
+                views.append(View(q[i], transfer, *_nominal(config.camera.center, Xs_base_ee[i])))
                 here = q[i]
             return ViewPlan(tuple(views), clearance)
         except (CollisionError, LimitError):  # hand or tool would leave the workspace on the way
@@ -261,7 +261,8 @@ def _choices(
     robot: RobotModel, world: CollisionWorld, camera: CameraConfig, Xs_base_ee: Array, q: Array, near: Array, count: int
 ) -> Iterator[tuple[list[int], float]]:
     """Yield sets of views, best first: distinct for the camera, near to each other for the arm, free of collisions."""
-    angle = np.array([_nominal(camera, X)[1] for X in Xs_base_ee])
+    center = camera.center
+    angle = np.array([_nominal(center, X)[1] for X in Xs_base_ee])
     sigma = smallest_singular_value(robot.arm.fk_jacobian(q)[1])
     travel = np.max(np.abs(q - near), axis=-1)
     cost = travel / np.pi + np.abs(angle - np.deg2rad(40.0)) - 2 * np.minimum(sigma, 0.15)
@@ -310,8 +311,8 @@ def _tour(q: Array, chosen: list[int], start: Array) -> list[int]:
     return tour
 
 
-def _nominal(camera: CameraConfig, X_base_ee: Array) -> tuple[float, float]:
+def _nominal(center: tuple[float, float, float], X_base_ee: Array) -> tuple[float, float]:
     """Compute the distance of the EE from the camera [m] and the angle of its normal to the line of sight [rad]."""
-    sight = np.asarray(camera.center) - X_base_ee[:3, 3]
+    sight = np.asarray(center) - X_base_ee[:3, 3]
     distance = float(np.linalg.norm(sight))
     return distance, float(np.arccos(np.clip(sight @ X_base_ee[:3, 2] / distance, -1, 1)))

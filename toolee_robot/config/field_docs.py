@@ -5,10 +5,13 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
+from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 
-def field_docs(record: type[Any]) -> dict[str, str]:
+@cache  # to parse a source takes milliseconds, and an interview asks hundreds of times
+def field_docs(record: type[Any]) -> Mapping[str, str]:
     """Description of each field of a dataclass that has one: the docstring after it.
 
     Args:

@@ -9,7 +9,9 @@ A package of a lab names its drivers in its own pyproject.toml, and station file
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, entry_points
+import sys
+from functools import cache
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from typing import Any
 
 from toolee_robot.errors import ConfigError
@@ -27,8 +29,14 @@ def installed(kind: str) -> dict[str, EntryPoint]:
     Returns:
         Their entry points, by the name that a station file gives.
     """
-    found = (entry for entry in entry_points(group=GROUP) if entry.name.startswith(f"{kind}."))
+    found = (entry for entry in _entries(tuple(sys.path)) if entry.name.startswith(f"{kind}."))
     return {entry.name.removeprefix(f"{kind}."): entry for entry in found}
+
+
+@cache
+def _entries(path: tuple[str, ...]) -> EntryPoints:  # noqa: ARG001
+    """What packages on this search path name: to read what all of them say takes long, and each question asks."""
+    return entry_points(group=GROUP)
 
 
 def load(entry: EntryPoint) -> Any:
