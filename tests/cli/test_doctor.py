@@ -138,7 +138,11 @@ def terminal(monkeypatch: pytest.MonkeyPatch, keyboard: int) -> int:
 
 @pytest.mark.sim
 @pytest.mark.parametrize(
-    ("turned", "code", "expected_text"), [(False, 0, "0.0 mm from what the robot reports"), (True, 1, "half a turn")]
+    ("turned", "code", "expected_text"),
+    [
+        pytest.param(False, 0, "0.0 mm from what the robot reports", marks=pytest.mark.nightly),
+        (True, 1, "half a turn"),
+    ],
 )
 def test_at_a_terminal_the_jogged_point_is_asked_for_and_compared(
     robot: ControllerProcess,
@@ -161,7 +165,7 @@ def test_at_a_terminal_the_jogged_point_is_asked_for_and_compared(
 
 @pytest.mark.sim
 @pytest.mark.usefixtures("robot")
-@pytest.mark.parametrize("answer", [b"\n", b"\x04"])
+@pytest.mark.parametrize("answer", [b"\n", pytest.param(b"\x04", marks=pytest.mark.nightly)])
 def test_who_skips_the_question_has_the_yellow_line(
     lab: str, capsys: pytest.CaptureFixture[str], terminal: int, answer: bytes
 ) -> None:
@@ -175,7 +179,13 @@ def test_who_skips_the_question_has_the_yellow_line(
 @pytest.mark.sim
 @pytest.mark.usefixtures("robot", "terminal")
 @pytest.mark.parametrize(
-    "args", [["--json"], ["--jogged-point", "1", "2", "3"], ["--robot-host", "127.0.0.51"]], ids=lambda args: args[0]
+    "args",
+    [
+        pytest.param(["--json"], marks=pytest.mark.nightly),
+        ["--jogged-point", "1", "2", "3"],
+        pytest.param(["--robot-host", "127.0.0.51"], marks=pytest.mark.nightly),
+    ],
+    ids=lambda args: args[0],
 )
 def test_nobody_is_asked_without_need(lab: str, capsys: pytest.CaptureFixture[str], args: list[str]) -> None:
     """Neither by a program, nor of a point that is given, nor of a robot that does not answer: it would wait."""

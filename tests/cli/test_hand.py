@@ -56,7 +56,12 @@ def _hand(
 @pytest.mark.realtime(light=True)
 @pytest.mark.parametrize(
     ("name", "port", "handle"),
-    [("inspire", None, 400.0), ("inspire", TCP, 400.0), ("ability", None, 55.0), ("shadow", None, 55.0)],
+    [
+        ("inspire", None, 400.0),
+        pytest.param("inspire", TCP, 400.0, marks=pytest.mark.nightly),
+        ("ability", None, 55.0),
+        pytest.param("shadow", None, 55.0, marks=pytest.mark.nightly),
+    ],
     ids=["inspire-rs485", "inspire-modbus", "ability", "shadow"],
 )
 def test_every_hand_closes_on_a_handle_and_opens_again(
@@ -109,7 +114,7 @@ def test_a_fault_is_exit_1(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
 
 
 @pytest.mark.realtime(light=True)
-@pytest.mark.parametrize("port", [None, TCP], ids=["rs485", "modbus"])
+@pytest.mark.parametrize("port", [None, pytest.param(TCP, marks=pytest.mark.nightly)], ids=["rs485", "modbus"])
 def test_a_stall_is_cleared_once_a_person_has_looked(
     port: str | None, capsys: pytest.CaptureFixture[str], keyboard: int
 ) -> None:

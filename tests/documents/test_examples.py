@@ -166,6 +166,7 @@ def test_the_task_turns_a_screwdriver_about_its_tip_on_the_screw(perception: Too
     assert turned[-1] - turned[0] == pytest.approx(np.pi / 2, abs=np.deg2rad(2.0))
 
 
+@pytest.mark.nightly  # a whole job like that of every run, with another tool
 def test_a_hammer_known_from_its_data_sheet_drives_a_nail(perception: ToolPerception) -> None:
     config = StationConfig(work=WorkConfig(nail_protrusion=0.0015), task=TaskConfig(views=3))  # few strikes, few views
     hammer = make_tool(ToolKind.BALL_PEEN_HAMMER, 9)

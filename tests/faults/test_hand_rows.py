@@ -20,7 +20,6 @@ pytestmark = pytest.mark.realtime
 _QUICK = {
     ("finger stalled", Phase.REST, "Inspire RH56"),
     ("hand silent", Phase.SWING, "Ability Hand"),
-    ("tool slips in the hand", Phase.REST, "Shadow Hand"),
 }
 """What is measured in every run: nightly all of them."""
 _SLIPS_LATE = "an Inspire's slip is seen after the strike only"

@@ -299,7 +299,7 @@ def test_for_the_paper_s_estimator_true_masks_alone_are_kept(
     assert "no detector's" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("column", ["ee", "object-prior"])
+@pytest.mark.parametrize("column", ["ee", pytest.param("object-prior", marks=pytest.mark.nightly)])
 def test_the_paper_s_estimator_learns_from_rendered_images(
     paper_files: dict[str, Path], tmp_path: Path, column: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -127,7 +127,7 @@ def test_light_ones_run_one_after_another_beside_the_others_that_are_bound_to_th
     assert len(quiet | light | others) == 4, "in a process that has run no other test"
 
 
-@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.nightly), 3])
 def test_of_few_workers_one_runs_all_that_is_bound_to_the_clock_last(with_light: pytest.Pytester, workers: int) -> None:
     with_light.runpytest_subprocess("-n", str(workers)).assert_outcomes(passed=25)
     log = _log(with_light)
@@ -153,6 +153,7 @@ def test_a_worker_that_dies_is_replaced_and_only_its_test_fails(with_light: pyte
     assert sorted(names[-10:]) == sorted(_QUIET + _LIGHT)
 
 
+@pytest.mark.nightly  # those that die in a test in every run
 def test_those_that_die_while_they_wait_are_replaced(with_light: pytest.Pytester) -> None:
     with_light.makepyfile(
         test_d_kills="""

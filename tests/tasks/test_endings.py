@@ -217,7 +217,7 @@ def test_a_look_tells_how_far_the_camera_is_off(bench: Bench, millimetres: float
     assert ("calibrate it again" in text) is again
 
 
-@pytest.mark.parametrize("sees", [True, False])
+@pytest.mark.parametrize("sees", [pytest.param(True, marks=pytest.mark.nightly), False])
 def test_a_job_that_ends_without_a_pose_says_that_the_camera_is_too_near(bench: Bench, sees: bool) -> None:
     perceiver = ScriptedPerception(bench.sim.judge, unsure)
     perceiver.sees = sees
@@ -314,7 +314,11 @@ def test_a_nail_out_of_reach_is_refused_before_anyone_is_asked(bench: Bench) -> 
     ("change", "reason"),
     [
         ({"nail_xy": (0.785, 0.10)}, "nail should be and met nothing"),
-        ({"nail_xy": (0.785, 0.10), "stand_height": CONFIG.work.stand_height - 0.006}, "met nothing above the wood"),
+        pytest.param(
+            {"nail_xy": (0.785, 0.10), "stand_height": CONFIG.work.stand_height - 0.006},
+            "met nothing above the wood",
+            marks=pytest.mark.nightly,
+        ),
         ({"nail_protrusion": 0.012}, "mm too high"),
     ],
 )

@@ -101,7 +101,7 @@ def test_wood_that_was_felt_too_early_is_touched_again(bench: Bench, monkeypatch
     assert log.motions.count("touch the wood") == 3
 
 
-@pytest.mark.parametrize(("touch", "begun"), [(1, 2), (3, 1)])
+@pytest.mark.parametrize(("touch", "begun"), [pytest.param(1, 2, marks=pytest.mark.nightly), (3, 1)])
 def test_a_tool_that_is_pressed_from_the_side_is_lifted_and_looked_at_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, touch: int, begun: int
 ) -> None:

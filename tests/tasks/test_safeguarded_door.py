@@ -54,7 +54,7 @@ def test_nothing_is_asked_of_who_stops_nothing(bench: Bench) -> None:
     assert "inspection" not in bench.people.asked
 
 
-@pytest.mark.parametrize("looks", [True, False])
+@pytest.mark.parametrize("looks", [True, pytest.param(False, marks=pytest.mark.nightly)])
 def test_without_a_look_or_a_ready_robot_nothing_is_reset(bench: Bench, looks: bool) -> None:
     """And when it is ready in the end, the arm still learns what it carries."""
     log = Log()

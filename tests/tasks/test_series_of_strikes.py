@@ -111,6 +111,7 @@ def test_a_touch_that_reads_flush_after_a_strike_that_was_not_felt_is_believed_o
     assert nail.protrusion > CONFIG.task.flush_protrusion
 
 
+@pytest.mark.nightly  # the job that looks is in every run
 def test_a_nail_that_no_strike_was_felt_to_meet_is_not_called_flush(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -132,7 +133,7 @@ def test_a_nail_that_no_strike_was_felt_to_meet_is_not_called_flush(
     assert nail.protrusion > config.task.flush_protrusion
 
 
-@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("noisy", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_a_nail_that_a_noisy_force_tells_to_be_flush_is_struck_once_more(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, noisy: bool
 ) -> None:
@@ -179,6 +180,7 @@ def off_along_the_normal(bench: Bench, plans: list[StrikePlan]) -> list[float]:
     return [float((true @ X_hand_ee)[2, 3]) for X_hand_ee in planned]
 
 
+@pytest.mark.nightly  # with correction in every run
 def test_without_correction_what_the_first_touch_told_is_not_added_again(bench: Bench) -> None:
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=CONFIG.task.strikes_between_looks + 1))
     grasp, log = bench.true_grasp, Plans()

@@ -230,8 +230,14 @@ HAND_TROUBLE: dict[str, tuple[Callable[[Bench], None], type[DeviceError], str]] 
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("name", HAND_TROUBLE)
-@pytest.mark.parametrize("motion", ["strike", "transfer"])
+@pytest.mark.parametrize(
+    ("motion", "name"),
+    [
+        *(("strike", name) for name in HAND_TROUBLE),
+        ("transfer", "tool dropped"),
+        *(pytest.param("transfer", name, marks=pytest.mark.nightly) for name in HAND_TROUBLE if name != "tool dropped"),
+    ],
+)
 def test_the_hand_is_watched_all_the_way(swing: Swing, motion: str, name: str) -> None:
     """The arm brakes on its path, at once as a thread sees it; it does not latch, since it may have to retreat."""
     cause, error, expected_text = HAND_TROUBLE[name]

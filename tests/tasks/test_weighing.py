@@ -92,7 +92,7 @@ def _task(simulation: SimStation, config: StationConfig, observer: TaskObserver 
     )
 
 
-@pytest.mark.parametrize("model", list(ArmModel))
+@pytest.mark.parametrize("model", [ArmModel.UR10, pytest.param(ArmModel.UR10E, marks=pytest.mark.nightly)])
 def test_the_arm_weighs_the_tool_and_is_told_its_weight(model: ArmModel, monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(StationConfig(), arm=replace(StationConfig().arm, model=model))
     observer, told = Until(Stage.VIEW), list[Payload]()
@@ -158,6 +158,7 @@ def test_a_weight_that_is_too_uncertain_is_not_struck_with() -> None:
 
 
 @pytest.mark.usefixtures("never_stops")
+@pytest.mark.nightly  # the doubt itself is weighed in every run
 def test_a_device_that_fails_on_the_way_back_does_not_hide_the_reason() -> None:
     config = StationConfig()
     with SimStation.build(config, SEED, replace(ERRORS, wrench_errors=6.0)) as simulation:
@@ -189,6 +190,7 @@ def test_a_tool_heavier_than_the_job_is_planned_for_is_refused() -> None:
         assert "home" not in observer.fastest
 
 
+@pytest.mark.nightly  # another refusal is in every run
 def test_a_tool_that_the_arm_cannot_carry_leaves_the_arm_at_the_handover(monkeypatch: pytest.MonkeyPatch) -> None:
     config = StationConfig()
     with SimStation.build(config, SEED, ERRORS) as simulation:
@@ -253,7 +255,7 @@ def test_a_stop_while_the_tool_is_weighed_does_not_leave_it_unweighed() -> None:
         assert abs(weight.mass - simulation.tool.mass) < 3.0 * weight.mass_sigma
 
 
-@pytest.mark.parametrize(("blinks", "weighed"), [(1, True), (3, False)])
+@pytest.mark.parametrize(("blinks", "weighed"), [(1, True), pytest.param(3, False, marks=pytest.mark.nightly)])
 def test_a_doubt_about_the_grip_is_answered_by_weighing_again(
     blinks: int, weighed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

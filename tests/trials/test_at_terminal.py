@@ -58,7 +58,7 @@ def test_the_job_has_the_terminal_and_the_person_answers_both(tmp_path: Path) ->
     assert [record.figures["robot"]["outcome"] for record in records] == ["flush", "flush"]
 
 
-@pytest.mark.parametrize("by", ["the keyboard", "SIGTERM"])
+@pytest.mark.parametrize("by", ["the keyboard", pytest.param("SIGTERM", marks=pytest.mark.nightly)])
 def test_ctrl_c_in_a_job_stops_the_job_alone_and_the_person_measures_it(tmp_path: Path, by: str) -> None:
     plan = written(tmp_path, trials=1)
     with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:

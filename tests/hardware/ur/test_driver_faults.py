@@ -119,6 +119,7 @@ def test_emergency_stop(arm: UnsupervisedUrArm, controller: ControllerProcess) -
         arm.reset()
 
 
+@pytest.mark.nightly  # the emergency stop in every run
 def test_safeguard_stop(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, lambda: controller.fault("safeguard_stop"))
     assert isinstance(error, EmergencyStopError)
@@ -241,6 +242,7 @@ def test_the_program_ends_when_the_link_is_lost_beside_a_stop(
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
+@pytest.mark.nightly  # in a motion in every run
 def test_the_program_ends_when_the_link_is_lost_beside_a_stop_at_rest(
     arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:
@@ -417,6 +419,7 @@ def test_a_controller_that_pauses_at_rest_is_stale_meanwhile_and_no_more(
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
+@pytest.mark.nightly  # dropped and half-open links in every run
 def test_a_network_that_is_stuck_for_a_second_stops_the_motion(
     arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:

@@ -65,6 +65,7 @@ def test_an_arm_that_is_closed_without_its_link(controller: ControllerProcess) -
     assert not watching()
 
 
+@pytest.mark.nightly  # without one of its links in every run
 def test_an_arm_that_is_closed_without_any_link_says_so(controller: ControllerProcess) -> None:
     with ExitStack() as opened:
         opened.enter_context(UnsupervisedUrArm(patient(HOST), LIMITS))

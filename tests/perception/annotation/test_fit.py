@@ -70,8 +70,10 @@ def _runs(kind: str, n: int) -> tuple[float, np.ndarray]:
     return float(np.mean(inside)), np.array(rows)
 
 
-@pytest.mark.sim(seconds=40)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.sim(seconds=20)
+@pytest.mark.parametrize(
+    "kind", [kind if kind in ("face", "tip") else pytest.param(kind, marks=pytest.mark.nightly) for kind in KINDS]
+)
 def test_errors_are_as_large_as_the_covariance_says(kind: str) -> None:
     inside, rows = _runs(kind, 30)
     assert inside >= 0.85
@@ -93,7 +95,7 @@ def test_the_true_pose_lies_in_the_95_percent_region_in_90_to_99_percent_of_runs
 
 
 @pytest.mark.sim(seconds=10)
-@pytest.mark.parametrize("role", [Role.RIM, Role.SURFACE])
+@pytest.mark.parametrize("role", [Role.RIM, pytest.param(Role.SURFACE, marks=pytest.mark.nightly)])
 def test_one_wrong_click_is_named_and_left_out(role: Role) -> None:
     named, errors = 0, []
     for seed in range(12):

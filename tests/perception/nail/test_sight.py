@@ -75,7 +75,9 @@ def test_the_grain_of_wood_is_not_taken_for_a_nail_that_leans(lab: int) -> None:
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.004, 0.006])
-@pytest.mark.parametrize("towards", [0.0, 1.5, 3.0, 4.5])
+@pytest.mark.parametrize(
+    "towards", [0.0, *(pytest.param(angle, marks=pytest.mark.nightly) for angle in (1.5, 3.0, 4.5))]
+)
 def test_a_head_pushed_aside_is_seen_and_one_on_its_axis_is_not(
     simulation: SimStation, nail: Nail, sight: NailSight, aside: float, towards: float
 ) -> None:

@@ -61,7 +61,9 @@ def test_it_holds_by_contact_what_the_person_lays_into_it_and_tells_a_loss(
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize(("name", "knuckles"), [("ability", [0, 2, 4, 6]), ("shadow", [3, 7, 11, 16])])
+@pytest.mark.parametrize(
+    ("name", "knuckles"), [("ability", [0, 2, 4, 6]), pytest.param("shadow", [3, 7, 11, 16], marks=pytest.mark.nightly)]
+)
 def test_the_others_hold_by_contact_too(name: str, knuckles: list[int]) -> None:
     config = load_station(EXAMPLES / f"{name}.yaml")
     robot = RobotModel.of_station(config)

@@ -227,6 +227,7 @@ def test_a_driver_that_was_held_up_does_not_close_again_what_the_hand_may_have_o
     assert told(hand).fault == ""
 
 
+@pytest.mark.nightly  # the station's real-time factor is looked at in every run
 def test_a_rehearsal_in_slow_motion_gives_the_driver_its_slower_time(
     model: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
