@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import expit
 
 from toolee_robot.frames import Array
 from toolee_robot.trials.panels import BLUE, RED, errors, panels, png, rates
@@ -153,12 +154,15 @@ def _too_much(sizes: Array, flush: NDArray[np.bool_], end: float) -> float:
     """Where a logistic curve through the trials falls under `ENOUGH`, from 0 to `end`."""
     x, sign = sizes / end, np.where(flush, 1.0, -1.0)
 
-    def loss(w: Array) -> float:
+    def loss(w: Array) -> tuple[float, Array]:
+        """The loss and its gradient."""
         # Half a success and half a failure, spread over the sizes, keep a curve through separable trials finite.
         z = w[0] - w[1] * x
-        return float(np.sum(np.logaddexp(0.0, -sign * z)) + 0.5 * np.mean(np.logaddexp(0.0, z) + np.logaddexp(0.0, -z)))
+        spread = np.mean(np.logaddexp(0.0, z) + np.logaddexp(0.0, -z))
+        by_z = (expit(z) - 0.5) / len(x) - sign * expit(-sign * z)
+        return float(np.sum(np.logaddexp(0.0, -sign * z)) + 0.5 * spread), np.array([by_z.sum(), -by_z.dot(x)])
 
-    level, slope = minimize(loss, np.array([2.0, 2.0]), method="BFGS").x
+    level, slope = minimize(loss, np.array([2.0, 2.0]), method="BFGS", jac=True).x
     needed = np.log(ENOUGH / (1.0 - ENOUGH))
     if level <= needed:
         return 0.0
