@@ -94,7 +94,7 @@ def test_what_does_not_determine_them_is_refused(tilted: list[BoardView]) -> Non
     with raises(UserError, "user.intrinsics_undetermined"):
         _calibrate(_views(0.03))
     rng = np.random.default_rng(0)
-    shaken = [replace(view, pixels=view.pixels + rng.normal(0.0, 2.5, view.pixels.shape)) for view in tilted * 8]
+    shaken = [replace(view, pixels=view.pixels + rng.normal(0.0, 2.5, view.pixels.shape)) for view in tilted * 2]
     with raises(UserError, "user.intrinsics_misfit"):
         _calibrate(shaken)
 

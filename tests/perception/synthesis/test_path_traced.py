@@ -63,6 +63,7 @@ def test_it_is_sound_and_shows_the_scenes_of_the_built_in_renderer(made: Path) -
         assert images.rgb[i].std() > 5
 
 
+@pytest.mark.nightly  # with the built-in renderer in every run
 def test_interrupted_and_again_it_has_the_same_bytes(made: Path, tmp_path: Path) -> None:
     again = tmp_path / "again"
     shutil.copytree(made / "set", again)

@@ -18,7 +18,20 @@ def rig() -> Iterator[Bench]:
         yield bench
 
 
-class TestESeries(UrRtdeContract):
+@pytest.mark.nightly  # the CB3's in every run
+class TestESeriesContract(UrRtdeContract):
+    pass
+
+
+class TestESeries:
+    @pytest.fixture
+    def bench(self, rig: Bench) -> Bench:
+        rig.ready()
+        return rig
+
+    test_tells_what_it_is = UrRtdeContract.test_tells_what_it_is
+    test_servo_j_follows = UrRtdeContract.test_servo_j_follows
+
     def test_serial_number_and_remote_control(self, bench: Bench) -> None:
         assert bench.ur_rtde.call("dashboard", "getSerialNumber").isdigit()
         assert bench.ur_rtde.call("dashboard", "isInRemoteControl") is True
