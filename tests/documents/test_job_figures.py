@@ -43,6 +43,8 @@ SWEPT = {
     "specific gravity of the wood": "wood",
     "noise, offset and drift of the force": "wrench",
     "direction of the face on the tool": "face_angle",
+    "how the hammer is laid into the hand": "handover",
+    "the hammer's data are another one's": "other_tool",
 }
 """How the table of swept errors calls each, at the beginning of its row."""
 
@@ -57,7 +59,7 @@ def _kept(name: str) -> tuple[TrialPlan, list[Record]]:
 
 @cache
 def _sweeps() -> dict[str, Sweep]:
-    return {sweep.error: sweep for sweep in sweeps(*_kept("sweep"))}
+    return {sweep.error: sweep for name in ("sweep", "sweep_handover") for sweep in sweeps(*_kept(name))}
 
 
 def _rounded(value: float, like: str) -> float:
@@ -153,8 +155,8 @@ def test_the_tables_of_arms_are_of_their_records(heading: str, plan: str, row: s
 @pytest.mark.parametrize("row", SWEPT)
 def test_the_table_of_swept_errors_is_of_their_records(row: str) -> None:
     """The shares at the sizes of the plan, and where they fall under 90 %."""
-    plan, _ = _kept("sweep")
-    sweep, factor = _sweeps()[SWEPT[row]], UNITS[SWEPT[row]][1]
+    plan, _ = _kept("sweep_handover" if SWEPT[row] in ("handover", "other_tool") else "sweep")
+    sweep, factor = _sweeps()[SWEPT[row]], 1.0 if SWEPT[row] == "other_tool" else UNITS[SWEPT[row]][1]
     ((flush, falls, *_),) = [cells for name, cells in _rows("How large each error may be").items() if row in name]
     hits = {factor * size: of.hits for size, of in zip(sweep.sizes, sweep.shares, strict=True)}
     swept = {factor * size for size in plan.sweep[SWEPT[row]]}
