@@ -277,7 +277,9 @@ class SimArm:
         """
         self._check_open()
         if self._status is not ArmStatus.READY:
-            message = f"the robot is in {self._status.replace('_', ' ')}: a person must make it ready at the robot"
+            found = self._stopped_by if self._status is ArmStatus.PROTECTIVE_STOP else None
+            status = self._status.replace("_", " ") + ("" if found is None else f" ({found})")
+            message = f"the robot is in {status}: a person must make it ready at the robot"
             raise DeviceError(message, code="device.robot_status")
         if self._last is not None:
             raise DeviceError("the arm does not answer: check its network link", code="device.link_down")

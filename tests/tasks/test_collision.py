@@ -52,6 +52,7 @@ def test_a_hand_that_meets_something_hard_stops_the_robot_and_the_job_goes_on_af
     assert grip_kept(bench.sim)
     result = task.resume(confirmed=True)
     assert result.outcome is Outcome.DEVICE_FAULT, "a person has to make the robot ready first"
+    assert f"the robot is in protective stop ({state.error_code}: " in result.reason
     assert log.motions[-1] == "strike"
     pb.removeBody(blocks[0], physicsClientId=world.client)
     bench.arm.make_ready()
