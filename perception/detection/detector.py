@@ -29,7 +29,7 @@ from toolee_robot.perception.detection.boxes import (
     mirror_boxes,
 )
 from toolee_robot.perception.detection.config import DetectorConfig
-from toolee_robot.perception.detection.inputs import RgbdBatch, mirror
+from toolee_robot.perception.detection.inputs import RgbdBatch, mirror, part_about
 from toolee_robot.perception.detection.mask_head import FEATURES_SIZE, MaskHead, mask_boxes
 from toolee_robot.perception.precision import fold_normalisation
 
@@ -37,6 +37,9 @@ CLASSES: tuple[str, ...] = ("background", *(c.value for c in Category), "tool")
 """Class names by index; the last one is the whole visible tool."""
 TOOL = len(CLASSES) - 1
 """Class index of the whole visible tool."""
+
+MIRROR_MARGIN = 96
+"""Surroundings of the detections [px] that the mirrored pass sees; what is farther away hardly changes its answers."""
 
 ROI_DELTA_WEIGHTS = (10.0, 10.0, 5.0, 5.0)
 """Factors on the box head's deltas (Faster R-CNN)."""
@@ -196,8 +199,8 @@ class Detector(nn.Module):
         Args:
             batch: The images.
             score_threshold: Least class probability in the upright image; None: the configured one.
-            mirrored: Test-time augmentation: the detections are classified and segmented again in the mirrored image;
-                probabilities and logits are the means of both.
+            mirrored: Test-time augmentation: the detections are classified and segmented again in the mirror image of
+                the part of the images about all of them; probabilities and logits are the means of both.
             labels: The classes wanted, whose masks alone are computed; None: all.
 
         Returns:
@@ -254,11 +257,16 @@ class Detector(nn.Module):
         return torch.cat([image[keep, None].to(box.dtype), box[keep]], 1), score[keep], label[keep]
 
     def _mirrored_outputs(self, batch: RgbdBatch, rois: Tensor, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Class probabilities and mask and quality logits of rois (R, 5) with `labels` (R,) in the mirrored images."""
+        """Class probabilities and mask and quality logits of rois (R, 5) with `labels` (R,) in the mirrored images.
+
+        Only the part of the images about all rois is seen again: most of the pass is the backbone.
+        """
         images, index = torch.unique(rois[:, 0].long(), return_inverse=True)
-        mirrored = mirror(batch, images)
+        part, first = part_about(batch, mask_boxes(rois[:, 1:]), MIRROR_MARGIN)
+        mirrored = mirror(part, images)
         pyramid = self.backbone(mirrored.pixels)
-        rois = torch.cat([index[:, None].to(rois.dtype), mirror_boxes(rois[:, 1:], batch.pixels.shape[-1])], 1)
+        boxes = mirror_boxes(rois[:, 1:] - first.repeat(2), mirrored.pixels.shape[-1])
+        rois = torch.cat([index[:, None].to(rois.dtype), boxes], 1)
         probability = self.box_outputs(pyramid, rois)[0].float().softmax(1)
         masks, quality = self.mask_outputs(pyramid, mirrored, rois, labels)
         return probability.gather(1, labels[:, None])[:, 0], masks.flip(2), quality

@@ -58,6 +58,26 @@ def encode_rgbd(rgb: Tensor, depth: Tensor, focal: Tensor) -> RgbdBatch:
     return RgbdBatch(pixels, depth[:, 0], focal)
 
 
+def part_about(batch: RgbdBatch, boxes: Tensor, margin: int) -> tuple[RgbdBatch, Tensor]:
+    """The part of the images that shows some boxes with their surroundings, whole cells of STRIDE pixels.
+
+    Args:
+        batch: The input.
+        boxes: Boxes x0, y0, x1, y1, (N, 4) [px], N at least 1.
+        margin: Least width of the surroundings [px], where the images have so much.
+
+    Returns:
+        The part, and the place x, y of its first pixel, (2,) [px].
+    """
+    limit = boxes.new_tensor([batch.pixels.shape[3], batch.pixels.shape[2]])
+    first = ((boxes[:, :2].amin(0) - margin) / STRIDE).floor() * STRIDE
+    last = ((boxes[:, 2:].amax(0) + margin) / STRIDE).ceil() * STRIDE
+    first = torch.minimum(first.clamp(min=0), limit - STRIDE)
+    last = torch.maximum(torch.minimum(last, limit), first + STRIDE)
+    (x0, y0), (x1, y1) = first.long().tolist(), last.long().tolist()
+    return RgbdBatch(batch.pixels[:, :, y0:y1, x0:x1], batch.depth[:, y0:y1, x0:x1], batch.focal), first
+
+
 def mirror(batch: RgbdBatch, images: Tensor) -> RgbdBatch:
     """Mirror images left to right. No channel has a direction, so it equals encoding the mirrored image.
 

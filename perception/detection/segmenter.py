@@ -37,7 +37,7 @@ class Stages:
     zoomed: bool
     """Tools whose end effector is missing or doubtful are detected again, enlarged (`zoom_pass`)."""
     mirrored: bool
-    """Detections are classified and segmented again in the mirrored image."""
+    """Detections are classified and segmented again in the mirror image of the part about them."""
     refined: bool
     """The end effectors' masks are refined (`refiner`)."""
 
