@@ -84,7 +84,7 @@ def test_two_hundred_hammers_are_counted_as_the_page_says() -> None:
     full, *_, uncorrected = arms
     assert len({record.figures["tool"] for record in full}) == plan.trials == len(full)
     hits = [share([record.success for record in arm]).hits for arm in arms]
-    assert "| flush: corrected, true poses, not corrected | {}, {}, {} of 200 |".format(*hits) in README
+    assert "| flush: corrected, true poses, not | {}, {}, {} of 200 |".format(*hits) in README
     failed = {record.trial.seed for record in full if not record.success}
     (told,) = re.findall(r"^(13\d{3}) is a .*$", PAGE, re.MULTILINE)
     assert {int(told)} == failed
@@ -100,6 +100,26 @@ def test_two_hundred_hammers_are_counted_as_the_page_says() -> None:
     cell = _rows("Two hundred distinct hammers")["not corrected"][-1]
     assert all(told.format(ends.count(outcome)) in cell for outcome, told in called.items())
     assert f"{ends.count('flush')} are called flush and stand" in cell
+
+
+STOPS = {"whole system": Arm.FULL, "true poses": Arm.PERFECT_PERCEPTION, "not corrected": Arm.NO_CORRECTION}
+"""How the table of jobs with the robot's own stops calls the arms."""
+
+
+@pytest.mark.parametrize("row", STOPS)
+def test_jobs_with_the_robots_own_stops_are_counted_as_the_page_says(row: str) -> None:
+    plan, without = _kept("distinct_hammers")
+    records, _ = read_results_file(plan, KEPT / "distinct_hammers_stops.jsonl")
+    mine = of_arm(records, STOPS[row])
+    seeds = {record.trial.seed for record in mine}
+    same = share([record.success for record in of_arm(without, STOPS[row]) if record.trial.seed in seeds])
+    flush, before, failed = _rows("With the robot's own stops")[row][:3]
+    assert (flush, before) == (_flush(mine), f"{same.hits} of {same.of}")
+    if row == "not corrected":
+        return
+    assert {int(seed) for seed in re.findall(r"13\d{3}", failed)} == {r.trial.seed for r in mine if not r.success}
+    if row == "whole system":
+        assert f"| with protective stops: corrected | {_flush(mine).split(' (')[0]} |" in README
 
 
 FIGURES: dict[str, tuple[tuple[str, ...], str]] = {
