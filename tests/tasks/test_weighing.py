@@ -178,7 +178,6 @@ def test_a_device_that_fails_on_the_way_back_does_not_hide_the_reason() -> None:
         assert any("on scales" in text for text in observer.messages)
 
 
-@pytest.mark.nightly  # another refusal is in every run
 def test_a_tool_heavier_than_the_job_is_planned_for_is_refused() -> None:
     config = StationConfig()
     with SimStation.build(config, SEED, ERRORS) as simulation:

@@ -119,7 +119,6 @@ def test_emergency_stop(arm: UnsupervisedUrArm, controller: ControllerProcess) -
         arm.reset()
 
 
-@pytest.mark.nightly  # the emergency stop in every run
 def test_safeguard_stop(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, lambda: controller.fault("safeguard_stop"))
     assert isinstance(error, EmergencyStopError)
