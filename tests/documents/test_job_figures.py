@@ -172,6 +172,12 @@ def test_the_tables_of_arms_are_of_their_records(heading: str, plan: str, row: s
             assert found.p < float(told[2]) if told[1] == "<" else float(f"{found.p:.1g}") == float(told[2])
 
 
+def test_the_learnt_grasp_is_counted_as_the_page_says() -> None:
+    plan, records = _kept("learnt_grasp")
+    full, learnt = (_flush(of_arm(records, arm)) for arm in plan.arms)
+    assert f"{learnt} hammers are flush, with the whole system {full};" in PAGE
+
+
 @pytest.mark.parametrize("row", SWEPT)
 def test_the_table_of_swept_errors_is_of_their_records(row: str) -> None:
     """The shares at the sizes of the plan, and where they fall under 90 %."""
