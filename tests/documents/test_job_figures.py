@@ -58,8 +58,9 @@ def _kept(name: str) -> tuple[TrialPlan, list[Record]]:
 
 
 @cache
-def _sweeps() -> dict[str, Sweep]:
-    return {sweep.error: sweep for name in ("sweep", "sweep_handover") for sweep in sweeps(*_kept(name))}
+def _sweeps() -> dict[str, tuple[TrialPlan, Sweep]]:
+    plans = [_kept(name) for name in ("sweep", "sweep_handover")]
+    return {sweep.error: (plan, sweep) for plan, records in plans for sweep in sweeps(plan, records)}
 
 
 def _rounded(value: float, like: str) -> float:
@@ -181,8 +182,7 @@ def test_the_learnt_grasp_is_counted_as_the_page_says() -> None:
 @pytest.mark.parametrize("row", SWEPT)
 def test_the_table_of_swept_errors_is_of_their_records(row: str) -> None:
     """The shares at the sizes of the plan, and where they fall under 90 %."""
-    plan, _ = _kept("sweep_handover" if SWEPT[row] in ("handover", "other_tool") else "sweep")
-    sweep, factor = _sweeps()[SWEPT[row]], 1.0 if SWEPT[row] == "other_tool" else UNITS[SWEPT[row]][1]
+    (plan, sweep), factor = _sweeps()[SWEPT[row]], UNITS[SWEPT[row]][1]
     ((flush, falls, *_),) = [cells for name, cells in _rows("How large each error may be").items() if row in name]
     hits = {factor * size: of.hits for size, of in zip(sweep.sizes, sweep.shares, strict=True)}
     swept = {factor * size for size in plan.sweep[SWEPT[row]]}
@@ -209,7 +209,7 @@ def test_errors_that_do_not_matter_did_not_at_any_size() -> None:
     ((told, *_),) = [cells for name, cells in _rows("How large each error may be").items() if "its mass" in name]
     errors = ("ruler", "scales", "balance", "friction", "compliance")
     assert told == "20 each"
-    assert {_sweeps()[error].shares[-1].hits for error in errors} == {20}
+    assert {_sweeps()[error][1].shares[-1].hits for error in errors} == {20}
 
 
 def test_what_was_told_exactly_is_counted_as_the_page_says() -> None:
