@@ -11,6 +11,7 @@ from toolee_robot.config import intrinsics_record
 from toolee_robot.config.camera_pose import FIELD, LOOK_AT, SECTION
 from toolee_robot.config.intrinsics_record import given_by_intrinsics
 from toolee_robot.config.station import StationConfig, read_station, to_station
+from toolee_robot.config.tool_enclosure import check_enclosed
 from toolee_robot.config.version import check_current
 from toolee_robot.config.work import SIZES
 from toolee_robot.errors import ConfigError
@@ -77,11 +78,12 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
     Raises:
         ConfigError: As `load_station`, or the file is of version 1 (`config.version_old`), or leaves out what must be
             measured (`config.unmeasured`), or gives a size in another unit (`config.unit`); the message names it and
-            its line, or that of its section.
+            its line, or that of its section; or a tool that is outside of its cylinders (`config.tool_envelope`).
     """
     data = read_station(path)
     check_current(data, path)
     config = to_station(data, path)
+    check_enclosed(config, path)
     if complete and (missing := _missing(data)):
         raise ConfigError(
             f"{path} leaves out what describes your station, and the simulated one's values would stand in for it: "

@@ -8,8 +8,10 @@ from typing import Annotated
 
 from pydantic import Field
 
+from toolee_robot.config.cell import ToolEnvelope
 from toolee_robot.config.station import StationConfig
 from toolee_robot.config.tool import ToolData
+from toolee_robot.config.tool_enclosure import check_enclosed
 from toolee_robot.config.units import check_units
 from toolee_robot.config.values import STRICT, NotNegative, Positive
 from toolee_robot.errors import ConfigError
@@ -42,6 +44,8 @@ class JobSetup:
     __pydantic_config__ = STRICT
     tool: ToolData | None = None
     """The tool that is handed over; null for the station file's."""
+    tool_envelope: ToolEnvelope | None = None
+    """What encloses that tool in collision checks; null for the station file's, where the tool fits into it."""
     work: WorkSetup = field(default_factory=WorkSetup)
     """Nail and wood."""
 
@@ -58,7 +62,8 @@ def with_setup(config: StationConfig, path: Path) -> StationConfig:
 
     Raises:
         ConfigError: The file cannot be read, a field is wrong or in another unit, or the station lists several nails
-            and the file gives the sizes of one.
+            and the file gives the sizes of one, or the tool does not fit into the station's `tool_envelope` and the
+            file gives none.
     """
     setup = read_record(path, JobSetup, "job's setup")
     work = {name: value for name, value in asdict(setup.work).items() if value is not None}
@@ -68,8 +73,14 @@ def with_setup(config: StationConfig, path: Path) -> StationConfig:
             code="config.invalid",
         )
     try:
-        made = replace(config, tool=setup.tool or config.tool, work=replace(config.work, **work))
+        made = replace(
+            config,
+            tool=setup.tool or config.tool,
+            tool_envelope=setup.tool_envelope or config.tool_envelope,
+            work=replace(config.work, **work),
+        )
     except ValueError as error:
-        raise ConfigError(f"{path}: work: {error}", code="config.invalid") from error
+        raise ConfigError(f"{path}: {error}", code="config.invalid") from error
     check_units(made, path)
+    check_enclosed(made, path)
     return made
