@@ -1,4 +1,4 @@
-"""Writes recordings in the format of OrbbecSDK 2, which its playback device opens like a camera.
+"""Recordings in the format of OrbbecSDK 2, which its playback device opens like a camera: for the Orbbec driver.
 
 The container is ROS 1's bag, version 2.0 (wiki.ros.org/Bags/Format/2.0); topics and messages are those that
 OrbbecSDK_v2 (MIT) reads in src/media/ros/RosbagReader.cpp, with the checksums of its message headers.
@@ -39,20 +39,37 @@ Message = tuple[str, int, str, bytes]
 
 
 def write_recording(
-    path: Path, pictures: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint16]]], serial: str = SERIAL
+    path: Path,
+    pictures: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint16]]],
+    serial: str = SERIAL,
+    *,
+    color: CameraIntrinsics = COLOR,
+    depth: CameraIntrinsics = DEPTH,
+    last_stamp: int | None = None,
 ) -> None:
-    """Write pairs of colour and depth [mm] at 30 Hz as a recording of a Femto Bolt."""
+    """Write a recording of a Femto Bolt, at FPS.
+
+    Args:
+        path: The file, `.bag`.
+        pictures: Pairs of colour, (H, W, 3), and depth, (h, w) [mm].
+        serial: Serial number.
+        color: Pinhole model of the colour camera.
+        depth: That of the depth camera.
+        last_stamp: Number of the pair whose stamp all later ones have, too; None for none.
+    """
     t = _BEGIN
     messages = [
         ("/cam/deviceInfo", t, "info", _info(t, serial)),
         ("/cam/property", t, "property", _header(t) + _u32(0, 8) + struct.pack("<d", 2.0) + _u32(8)),  # of the format
-        ("/cam/streamProfileType_3", t, "profile", _profile(t, 3, 8, DEPTH, DEPTH_DISTORTION, BROWN_CONRADY_K6)),
-        ("/cam/streamProfileType_2", t, "profile", _profile(t, 2, 22, COLOR, COLOR_DISTORTION, BROWN_CONRADY)),
+        ("/cam/streamProfileType_3", t, "profile", _profile(t, 3, 8, depth, DEPTH_DISTORTION, BROWN_CONRADY_K6)),
+        ("/cam/streamProfileType_2", t, "profile", _profile(t, 2, 22, color, COLOR_DISTORTION, BROWN_CONRADY)),
     ]
-    for number, (rgb, depth) in enumerate(pictures):
+    for number, (rgb, deep) in enumerate(pictures):
         t = _BEGIN + number * 1_000_000 // FPS
-        messages.append(("/cam/sensor_3/frameType_3", t, "image", _image(t, depth, "mono16", number)))
-        messages.append(("/cam/sensor_2/frameType_2", t, "image", _image(t, rgb, "rgb8", number)))
+        stamped = number if last_stamp is None else min(number, last_stamp)
+        stamp = _BEGIN + stamped * 1_000_000 // FPS
+        messages.append(("/cam/sensor_3/frameType_3", t, "image", _image(stamp, deep, "mono16", number)))
+        messages.append(("/cam/sensor_2/frameType_2", t, "image", _image(stamp, rgb, "rgb8", number)))
     _write_bag(path, messages)
 
 
