@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         yield
 
 
-def station(path: Path, serial: str = SERIAL, **lens: object) -> Path:
+def station(path: Path, lens: Mapping[str, object], serial: str = SERIAL) -> Path:
     """A station file; `lens` takes the place of the camera's own pinhole model."""
     k = COLOR
     own = {"fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height}
@@ -99,7 +99,7 @@ def test_it_tells_what_the_camera_is_and_its_own_lens(capsys: pytest.CaptureFixt
 def test_a_distortion_that_is_not_the_cameras_own_is_refused_and_the_cameras_own_is_taken(
     name: str, lens: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = station(tmp_path / "lab.yaml", **lens)
+    path = station(tmp_path / "lab.yaml", lens)
     told, people = shown(capsys, "--config", str(path))
     words = (
         "the camera's intrinsics are" if name == "far" else "camera.distortion of the station file is not the camera's"
@@ -113,10 +113,10 @@ def test_a_distortion_that_is_not_the_cameras_own_is_refused_and_the_cameras_own
     section = entered(people)
     assert "distortion" not in section
     del section["device"]
-    again, _ = shown(capsys, "--config", str(station(path, **section)))
+    again, _ = shown(capsys, "--config", str(station(path, section)))
     assert again["refused_lens"] is None, "what it prints opens the camera"
     # Nothing but `show` looks past it.
-    station(path, **lens)
+    station(path, lens)
     record = ["camera", "record", "--config", str(path), "--out", str(tmp_path / "r"), "--seconds", "0.2"]
     assert run(record) == EXIT_FAILED
     assert words in " ".join(capsys.readouterr().err.split())
@@ -127,7 +127,7 @@ def test_a_distortion_that_is_the_cameras_own_is_not_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rounded = [round(value, 5) for value in COEFFICIENTS]
-    told, people = shown(capsys, "--config", str(station(tmp_path / "lab.yaml", distortion=rounded)))
+    told, people = shown(capsys, "--config", str(station(tmp_path / "lab.yaml", {"distortion": rounded})))
     assert told["refused_lens"] is None
     assert told["distortion"]["from"] == "the camera's own"
     assert entered(people)["distortion"] == rounded, "what the file has and holds stays"
@@ -152,7 +152,7 @@ def test_a_measured_lens_holds_unless_it_is_another_cameras(
         if own
         else CameraIntrinsics(500, 500, 212, 120, 424, 240)
     )
-    path = station(tmp_path / "lab.yaml", intrinsics=record(tmp_path, k))
+    path = station(tmp_path / "lab.yaml", {"intrinsics": record(tmp_path, k)})
     told, people = shown(capsys, "--config", str(path))
     assert (told["refused_lens"] is None) == own
     lens = told["distortion"]
@@ -165,17 +165,17 @@ def test_a_measured_lens_holds_unless_it_is_another_cameras(
 
 
 def test_coefficients_that_are_no_lenss_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = station(tmp_path / "lab.yaml", distortion=[-9.0, 40.0, 0.0, 0.0])
+    path = station(tmp_path / "lab.yaml", {"distortion": [-9.0, 40.0, 0.0, 0.0]})
     told, _ = shown(capsys, "--config", str(path))
     assert "its coefficients are wrong" in told["refused_lens"]
     assert told["distortion"]["from"] == "the camera's own"
 
 
 def test_what_is_no_refused_lens_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    other = station(tmp_path / "lab.yaml", serial="1", distortion=OTHER)
+    other = station(tmp_path / "lab.yaml", {"distortion": OTHER}, serial="1")
     assert run(["camera", "show", "--config", str(other), "--json"]) == EXIT_FAILED
     out, err = capsys.readouterr()
     assert out == ""
     assert "no RealSense with serial number 1" in " ".join(err.split())
-    mistyped = station(tmp_path / "lab.yaml", distortion=[0.1])
+    mistyped = station(tmp_path / "lab.yaml", {"distortion": [0.1]})
     assert run(["camera", "show", "--config", str(mistyped), "--json"]) == EXIT_USER
