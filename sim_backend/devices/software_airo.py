@@ -17,8 +17,8 @@ from toolee_robot.types import CameraIntrinsics
 
 COLOR = CameraIntrinsics(60.0, 61.0, 31.0, 22.0, 64, 48)
 FPS = 60
-TIMEOUT = 1.2
-"""Time after which `grab_images` fails without an image [s]; assumed, librealsense has 5."""
+TIMEOUT = 0.3
+"""Time after which `grab_images` fails without an image [s]; the toolkit's cameras wait longer, up to 5."""
 
 
 class SoftwareAiroCamera:

@@ -133,7 +133,7 @@ def test_the_hands_link_is_cut_on_the_way(bench: Bench) -> None:
 
 
 def test_the_camera_freezes(bench: Bench) -> None:
-    log = Log(at={Stage.VIEW: bench.camera.freeze})
+    log = Log(at={Stage.VIEW: bench.sim_camera.freeze})
     result = bench.seeing_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
     assert isinstance(result.fault, StaleDataError)

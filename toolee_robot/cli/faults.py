@@ -33,9 +33,9 @@ class Faults:
     """Under which arm's controller stand-in."""
     profile: Literal["both", "ideal", "harsh"] = "both"
     """How that controller follows, measures and stops: exactly, or as one of its generation."""
-    only: Literal["all", "arm", "job", "hand"] = "all"
+    only: Literal["all", "arm", "job", "hand", "camera"] = "all"
     """One part of the matrix: arm, which is driver and supervisor on the stand-in; job, which is the task on the
-    simulated station; or hand, which is the task with the drivers of hands on emulated ones."""
+    simulated station; hand or camera, which are the task with the drivers of hands or cameras on emulated ones."""
     fault: str = ""
     """Only the rows whose fault contains this text."""
     host: str = "127.0.0.70"
@@ -47,14 +47,15 @@ class Faults:
         console = Console(stderr=self.json, highlight=False)
         if not console.is_terminal:  # a file takes whole rows
             console.width = max(console.width, _ROW)
-        from toolee_robot.faults.matrix import MatrixOptions, Part, run_matrix
+        from toolee_robot.faults.matrix import MatrixOptions, Part, left_out, run_matrix
         from toolee_robot.runtime.latency_monitor import STALL_LIMIT
 
         models = tuple(ArmModel) if self.robot == "both" else (ArmModel(self.robot),)
         profiles: tuple[ProfileName, ...] = ("ideal", "harsh") if self.profile == "both" else (self.profile,)
         rows: list[FaultRow] = []
+        options = MatrixOptions(self.host, models, profiles, Part(self.only), self.fault)
         with console.status("planning the swing") as status:
-            for row in run_matrix(MatrixOptions(self.host, models, profiles, Part(self.only), self.fault)):
+            for row in run_matrix(options):
                 rows.append(row)
                 status.update(f"{len(rows)} rows; last: {row.number} {row.fault}, {row.phase}")
                 if not row.handled:
@@ -77,8 +78,11 @@ class Faults:
                 f"{again} of them not at the first try: the machine itself had stalled for over "
                 f"{STALL_LIMIT * 1e3:.0f} ms, as a latency monitor saw, or the moment for the fault was missed."
             )
+        missing = left_out(options)
+        for what in missing:
+            console.print(f"[yellow]No rows of[/yellow] {escape(what)}", soft_wrap=True)
         if self.json:
-            record = {"handled": handled, "rows": [asdict(row) for row in rows]}
+            record = {"handled": handled, "left_out": missing, "rows": [asdict(row) for row in rows]}
             print(json_line(record), flush=True)
         return int(handled < len(rows))
 

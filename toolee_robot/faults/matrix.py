@@ -14,6 +14,7 @@ from toolee_robot.faults.rigs.driver_rig import rig
 from toolee_robot.faults.rigs.job_rig import Bench
 from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rows.arm import arm_rows
+from toolee_robot.faults.rows.cameras import camera_rows, missing_cameras
 from toolee_robot.faults.rows.collisions import collision_rows, restricted_rows
 from toolee_robot.faults.rows.commands import command_rows
 from toolee_robot.faults.rows.following import following_rows
@@ -33,14 +34,15 @@ from toolee_robot.types import ArmModel
 class Part(StrEnum):
     """Parts of the matrix.
 
-    ARM: driver and supervisor on the controller stand-in. JOB: the task on the simulated station. HAND: the same with
-    the drivers of hands on emulated ones.
+    ARM: driver and supervisor on the controller stand-in. JOB: the task on the simulated station. HAND, CAMERA: the
+    same with the drivers of hands and cameras on emulated ones.
     """
 
     ALL = "all"
     ARM = "arm"
     JOB = "job"
     HAND = "hand"
+    CAMERA = "camera"
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,18 @@ def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
         raise UserError(f"no row's fault contains {options.fault!r}", code="user.no_fault_row")
 
 
+def left_out(options: MatrixOptions) -> list[str]:
+    """What has no rows in a run of the matrix, since this machine lacks what its driver needs.
+
+    Args:
+        options: Options of the run.
+
+    Returns:
+        One sentence each.
+    """
+    return missing_cameras() if options.part in (Part.ALL, Part.CAMERA) else []
+
+
 def _measurements(options: MatrixOptions) -> Iterator[Measurement]:
     if options.part in (Part.ALL, Part.ARM):
         for profile in options.profiles:
@@ -104,8 +118,10 @@ def _arm_part(setting: Setting) -> Iterator[Measurement]:
 def _job_part(part: Part) -> Iterator[Measurement]:
     bench = Bench()
     with bench.sim:
-        if part is not Part.HAND:
+        if part in (Part.ALL, Part.JOB):
             yield from calibration_rows(bench)
             yield from job_rows(bench)
-        if part is not Part.JOB:
+        if part in (Part.ALL, Part.HAND):
             yield from hand_rows(bench)
+        if part in (Part.ALL, Part.CAMERA):
+            yield from camera_rows(bench)

@@ -19,7 +19,7 @@ from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_ha
 from toolee_robot.control.dynamics.torque_room import bound_stop
 from toolee_robot.faults.rigs.people import People
 from toolee_robot.frames import Array, inverse
-from toolee_robot.hal import Hand, HandState, MotionReport, Person, Station
+from toolee_robot.hal import Hand, HandState, MotionReport, Person, RgbdCamera, Station
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
@@ -177,9 +177,11 @@ class Bench:
         world.robot.command_hand(self._q_hand)
         assert isinstance(self.sim.station.hand, SimHand)
         assert isinstance(self.sim.station.camera, SimCamera)
-        self.sim_hand, self.camera = self.sim.station.hand, self.sim.station.camera
+        self.sim_hand, self.sim_camera = self.sim.station.hand, self.sim.station.camera
         self.sim_hand.recover()
-        self.camera.thaw()
+        self.sim_camera.thaw()
+        self.camera: RgbdCamera = self.sim_camera
+        self.camera_serial = self.sim.station.camera_serial
         self.arm = SimArm(world)
         self.hand: ClosedHand = ClosedHand(self.sim_hand)
         self.people = People()
@@ -189,7 +191,10 @@ class Bench:
     @property
     def station(self) -> Station:
         hand: Hand = self.hand
-        return replace(self.sim.station, arm=self.arm, hand=hand, person=self.person)
+        return replace(
+            self.sim.station, arm=self.arm, hand=hand, camera=self.camera, person=self.person,
+            camera_serial=self.camera_serial,
+        )  # fmt: skip
 
     def blind_task(self, log: TaskObserver, config: StationConfig = CONFIG) -> HammeringTask:
         """Make a job that uses the true grasp without looking.

@@ -24,7 +24,7 @@ from toolee_robot.faults.rigs.joints_path import Stop
 from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, JobFault, Scene
 from toolee_robot.faults.rows.job_faults import JOB_FAULTS
-from toolee_robot.hal import MotionOutcome
+from toolee_robot.hal import MotionOutcome, RgbdCamera
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.devices.arm import RATE
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
@@ -46,21 +46,26 @@ def job_rows(bench: Bench) -> Iterator[Measurement]:
         yield Measurement(fault.number, fault.fault, fault.phase, ON, fault.expected, run)
 
 
-def job_row(fault: JobFault, bench: Bench, hand: ClosedHand | None = None) -> FaultRow:
+def job_row(
+    fault: JobFault, bench: Bench, hand: ClosedHand | None = None, camera: RgbdCamera | None = None
+) -> FaultRow:
     """Measure one fault in one job.
 
     Args:
         fault: The fault.
         bench: The simulated station.
         hand: The job's hand, in front of a bench that was reset; None for the simulated one.
+        camera: The job's camera, likewise.
 
     Returns:
         The row of the fault table.
     """
-    if hand is None:
+    if hand is None and camera is None:
         bench.reset()
-    else:
+    if hand is not None:
         bench.hand = hand
+    if camera is not None:
+        bench.camera = camera
     scene = Scene(bench, Log(), ScriptedPerception(bench.sim.judge))
     try:
         return _Row(fault, scene).measure()
@@ -167,6 +172,8 @@ class _Row:
         self._check(result.outcome is fault.outcome, f"{fault.outcome} expected, got {result.outcome}")
         self._check(not result.success, "a failure was recorded as success")
         self._check(fault.message in result.reason, f"the reason does not say {fault.message!r}: {result.reason}")
+        code = "" if result.fault is None else result.fault.code
+        self._check(fault.code in ("", code), f"{fault.code} expected, got {code or 'no error'}")
         self._check(log.last is result, "the end was not recorded")
         last = log.motions[-1] if log.motions else None
         self._check(last == fault.last, f"the last motion was {last!r}, not {fault.last!r}")

@@ -79,6 +79,7 @@ class JobFault:
         before: Time before the contact at which a fault of the strike is injected [s].
         prepare: Prepares the station before the job; None for nothing.
         resumes: Whether the job must go on after a person's reset, and strike once more.
+        code: Required code of the device's error that ends it; empty for any, or none.
     """
 
     number: int
@@ -103,3 +104,4 @@ class JobFault:
     before: float = 0.06
     prepare: Callable[[Scene], object] | None = None
     resumes: bool = False
+    code: str = ""

@@ -48,20 +48,20 @@ def _stall(s: Scene) -> None:
 
 
 def _freeze(s: Scene) -> None:
-    s.bench.camera.freeze()
+    s.bench.sim_camera.freeze()
 
 
 def _repeat(s: Scene) -> None:
-    s.bench.camera.read()
-    s.bench.camera.repeat()
+    s.bench.sim_camera.read()
+    s.bench.sim_camera.repeat()
 
 
 def _unplug(s: Scene) -> None:
-    s.bench.camera.unplug()
+    s.bench.sim_camera.unplug()
 
 
 def _blind(s: Scene) -> None:
-    s.bench.camera.blinded = True
+    s.bench.sim_camera.blinded = True
 
 
 def _cut(s: Scene) -> None:
@@ -186,7 +186,7 @@ CAMERA = tuple(
         JobFault(22, "camera frozen", SWING, NO_NEXT, _freeze, IN_STRIKE, FAULT, "no new frame", 1, "to a view",
                  max_strikes=2),
         JobFault(22, "camera repeats a frame", REST, NO_STRIKE, _repeat, Stage.VIEW, FAULT, "repeats", 0, "to a view"),
-        JobFault(22, "camera repeats a frame", SWING, NO_NEXT, lambda s: s.bench.camera.repeat(), IN_STRIKE, FAULT,
+        JobFault(22, "camera repeats a frame", SWING, NO_NEXT, lambda s: s.bench.sim_camera.repeat(), IN_STRIKE, FAULT,
                  "repeats", 1, "to a view", max_strikes=2),
         *(
             JobFault(23, name, phase, LOOKS, inject, when, outcome, message, strikes, "home", looks_again=True,

@@ -13,6 +13,7 @@ from toolee_robot.config import SIMULATED, ArmLimits, CalibrationConfig
 from toolee_robot.errors import NotReadyError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
+from toolee_robot.faults.rigs.camera_rig import DriverCamera
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rows.job import ON
@@ -132,7 +133,9 @@ def calibration_rows(bench: Bench) -> Iterator[Measurement]:
         yield Measurement(24, name, Phase.START, ON, REFUSES, run)
 
 
-def calibration_row(bench: Bench, name: str, calibration: CalibrationConfig | None, message: str) -> FaultRow:
+def calibration_row(
+    bench: Bench, name: str, calibration: CalibrationConfig | None, message: str, camera: DriverCamera | None = None
+) -> FaultRow:
     """Measure a job with an invalid calibration.
 
     Args:
@@ -140,11 +143,14 @@ def calibration_row(bench: Bench, name: str, calibration: CalibrationConfig | No
         name: Name of the fault.
         calibration: The calibration.
         message: Text that the outcome's reason must contain.
+        camera: The job's camera; None for the simulated one.
 
     Returns:
         The row of the fault table.
     """
     bench.reset()
+    if camera is not None:
+        bench.camera, bench.camera_serial = camera, camera.serial
     log, before = Log(), bench.sim.world.robot.arm_state()[0]
     result = bench.blind_task(log, replace(CONFIG, calibration=calibration)).run()
     moved = float(np.abs(bench.sim.world.robot.arm_state()[0] - before).max())

@@ -1,7 +1,7 @@
 """Orbbec cameras (Femto Bolt and Mega, Gemini 330) through the maker's SDK, OrbbecSDK 2 (pyorbbecsdk2).
 
 Written from the SDK's sources and its Python package 2.1.2, and run against that package's playback device, on a
-recording in the SDK's format that the tests write; no camera was available.
+recording in the SDK's format that this project writes; no camera was available.
 """
 
 from __future__ import annotations
