@@ -147,6 +147,7 @@ def _not_handled(row: FaultRow, why: str) -> None:
     assert why in row.why
 
 
+@pytest.mark.nightly  # a whole job
 def test_a_camera_that_works_is_no_handled_fault(bench: Bench) -> None:
     fault = replace(_fault(CameraEvent.FROZEN), event=CameraEvent.NOTHING)
     row = camera_row(fault, Phase.REST, TOOLKIT, bench)
@@ -154,6 +155,7 @@ def test_a_camera_that_works_is_no_handled_fault(bench: Bench) -> None:
     assert "strikes were swung, 0 may be" in row.why
 
 
+@pytest.mark.nightly  # a whole job
 def test_without_the_gate_of_the_frames(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def admit(_: FrameGate, __: RawImages, arrival: float) -> float | Refusal:
         return arrival
