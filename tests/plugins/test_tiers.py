@@ -112,9 +112,12 @@ def test_what_is_bound_to_the_clock_runs_last_in_a_process_of_its_own(suite: pyt
 def test_what_is_bound_to_the_clock_has_two_workers_of_its_own_and_the_others_give_way(
     with_light: pytest.Pytester,
 ) -> None:
-    meets = _MEETS + """
+    meets = (
+        _MEETS
+        + """
     assert (os.sched_getscheduler(0) == os.SCHED_IDLE) is {3}
 """
+    )
     with_light.makepyfile(
         test_d_quiet=meets.format("realtime", "quiet", "other", False),
         test_d_light=meets.format("realtime(light=True)", "light", "quiet", False),
