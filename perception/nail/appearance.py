@@ -22,11 +22,6 @@ FIXED = 4
 """Bits after the point of the polygons' corners, in subpixels."""
 RIM = np.linspace(0.0, 2.0 * np.pi, 17)[:-1]
 """Angles at which the circles of shank and head are sampled [rad]."""
-KNOWN = 0.5
-"""Weight of the colours of shank and head as seen before, as the root of a number of pixels: a nail that bends turns to
-other lamps, and a knot in the wood is no nail."""
-BESIDE = 2.0
-"""How far beside a nail the camera's blur may show it [pixel]."""
 HEAD_THICKNESS = 0.001
 """Thickness of a nail's head [m]."""
 
@@ -69,14 +64,20 @@ class Window:
         """Rows and columns."""
         return self.bottom - self.top, self.right - self.left
 
+    @property
+    def plane(self) -> Array:
+        """A plane of brightness in its pixels: one, and how far right and down of the middle they are, (h * w, 3)."""
+        rows, columns = np.indices(self.shape, dtype=float)
+        parts = [np.ones(self.shape), columns - columns.mean(), rows - rows.mean()]
+        return np.asarray(np.stack([part.ravel() for part in parts], axis=1), float)
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """How a part of an image compares with a nail.
 
     Attributes:
-        residuals: Differences from the closest picture of a nail, (m * n,) for m pixels; then, where they are known,
-            those of its colours from what they were.
+        residuals: Differences from the closest picture of a nail, (m * n,) for m pixels.
         without: Differences from the closest picture without one, (m * n,).
         colours: How much brighter than what is around them shank and head are, (2, n).
     """
@@ -106,13 +107,16 @@ class Appearance:
         radius: Radius of the shank [m].
         head_radius: Radius of the head [m].
         blur: Standard deviation of the camera's blur [pixel].
+
+    Attributes:
+        head_radius: Radius of the head [m].
     """
 
     def __init__(
         self, intrinsics: CameraIntrinsics, X_camera_base: Array, radius: float, head_radius: float, blur: float
     ) -> None:
         self._intrinsics, self._X_camera_base = intrinsics, X_camera_base
-        self._radius, self._head_radius, self._blur = radius, head_radius, blur
+        self._radius, self.head_radius, self._blur = radius, head_radius, blur
 
     def pixels(self, points: Array) -> Array:
         """Project points.
@@ -124,6 +128,10 @@ class Appearance:
             Their pixels, (N, 2), in which whole numbers are the middles of pixels.
         """
         return self._intrinsics.project(transform_points(self._X_camera_base, points))
+
+    def scale(self, point: Array) -> float:
+        """How many pixels a metre across the optical axis is at a point in `base`, (3,) [m]."""
+        return float(np.hypot(self._intrinsics.fx, self._intrinsics.fy) / np.sqrt(2.0) / self.depth(point))
 
     def depth(self, point: Array) -> float:
         """Depth of a point in `base`, (3,) [m], along the optical axis [m]."""
@@ -151,7 +159,6 @@ class Appearance:
         window: Window,
         pose: NailPose,
         wood: NDArray[np.bool_] | None = None,
-        colours: Array | None = None,
     ) -> Comparison:
         """Compare a part of an image with a nail over a plane of brightness.
 
@@ -160,53 +167,36 @@ class Appearance:
             window: Which part it is.
             pose: Where the nail stands.
             wood: Which of its pixels show the wood or what stands on it, (h, w); None for all. Others do not count.
-            colours: How much brighter than what is around them shank and head were before, (2, n); None where that is
-                unknown.
 
         Returns:
             How they compare.
         """
-        nail = self._covered(window, pose)
-        rows, columns = np.indices(window.shape, dtype=float)
-        plane = [np.ones(window.shape), columns - columns.mean(), rows - rows.mean()]
-        around = np.stack([part.ravel() for part in plane], axis=1)
+        nail, around = self.covered(window, pose), window.plane
         pixels = image.reshape(len(around), -1)
         if wood is not None:
             counted = wood.ravel()
             around, nail, pixels = around[counted], nail[counted], pixels[counted]
         without = pixels - around @ np.linalg.lstsq(around, pixels, rcond=None)[0]
         A = np.hstack([around, nail])
-        if colours is not None:  # as so many pixels more that show nothing but the one or the other
-            A = np.vstack([A, KNOWN * np.eye(2, 5, 3)])
-            pixels = np.vstack([pixels, KNOWN * colours])
         fitted = np.linalg.lstsq(A, pixels, rcond=None)[0]
-        return Comparison((pixels - A @ fitted).ravel(), without.ravel(), fitted[3:])
+        return Comparison((pixels - A @ fitted).ravel(), without.ravel(), np.asarray(fitted[3:], float))
 
-    def without(self, image: NDArray[np.float64], pose: NailPose, colours: Array) -> NDArray[np.float64]:
-        """Take a nail out of an image.
+    def covered(self, window: Window, pose: NailPose) -> Array:
+        """How much of the pixels a nail covers.
 
         Args:
-            image: The image, (H, W, n).
+            window: Part of the image.
             pose: Where the nail stands.
-            colours: How much brighter than what is around them shank and head are, (2, n).
 
         Returns:
-            What is behind it, (H, W, n).
+            Share of each pixel that shank and head cover, (h * w, 2).
         """
-        behind, window = image.copy(), self.window(pose, BESIDE)
-        if window is not None:
-            part = window.cut(behind)  # a view
-            part -= (self._covered(window, pose) @ colours).reshape(part.shape)
-        return behind
-
-    def _covered(self, window: Window, pose: NailPose) -> Array:
-        """Share of each pixel that shank and head cover, (h * w, 2)."""
         axis = (pose.head - pose.foot) / np.linalg.norm(pose.head - pose.foot)
         across = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.5 else [0.0, 1.0, 0.0])
         across /= np.linalg.norm(across)
         rim = np.outer(np.cos(RIM), across) + np.outer(np.sin(RIM), np.cross(axis, across))
         shank = [pose.foot + self._radius * rim, pose.head + self._radius * rim]
-        head = [pose.head + self._head_radius * rim, pose.head - HEAD_THICKNESS * axis + self._head_radius * rim]
+        head = [pose.head + self.head_radius * rim, pose.head - HEAD_THICKNESS * axis + self.head_radius * rim]
         covered = self._coverage(window, np.concatenate(head))
         bare = self._coverage(window, np.concatenate(shank)) * (1.0 - covered)
         return np.stack([bare.ravel(), covered.ravel()], axis=1)

@@ -3,6 +3,7 @@
 The camera's calibration may be off by more than what is looked for. So the first images, of the nail as it was set,
 tell where foot and head appear, and the later ones where the head appears since then: what the calibration displaces,
 it displaces in all of them. A head along whose line of sight nothing shows moves with the height that is known of it.
+`fit` is the first look, `change` and `moved` are the later ones.
 
     sight = NailSight(X_base_camera, foot, diameter, head_diameter)
     lean = sight.first(frames, 0.020)      # None: it is not seen
@@ -13,15 +14,17 @@ it displaces in all of them. A head along whose line of sight nothing shows move
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array, inverse, transform_points
-from toolee_robot.perception.nail.appearance import Appearance, NailPose
-from toolee_robot.perception.nail.fit import ACROSS, View, fit_as_set
+from toolee_robot.perception.nail.appearance import Appearance, NailPose, Window
+from toolee_robot.perception.nail.change import AsSet, Change
+from toolee_robot.perception.nail.fit import ACROSS, View, fit_as_set, whitening
+from toolee_robot.perception.nail.moved import REACH, fit_moved
 from toolee_robot.types import RgbdFrame
 
 SEARCH, STEP = 0.018, 0.0012
@@ -33,10 +36,6 @@ MARGIN, WIDE = 3.0, 4.0
 """What is compared around foot and head where the nail is looked for, and where its pose is fitted [pixel]."""
 EXPLAINED = 0.4
 """Least share of the variance around a nail that is the nail."""
-ASIDE = (0.003, 0.006)
-"""Distances from the axis at which a head is looked for that is not on it [m]."""
-BETTER = 0.85
-"""A head aside of its axis has to leave less than this share of what one on it leaves unexplained."""
 NEARER, SPECKS = 0.06, 0.05
 """What is nearer to the camera than the nail by so much hides it [m], if it is more than this share of the pixels."""
 SEEN_PART = 0.3
@@ -115,11 +114,7 @@ class NailSight:
         self._camera = X_base_camera[:3, 3]
         self._believed, self._radii = foot, (0.5 * diameter, 0.5 * head_diameter)
         self._axis = np.array([0.0, 0.0, 1.0]) if axis is None else axis / axis[2]
-        self._blur = BLURS[0]
-        self._set: NailPose | None = None  # as it was set: as seen, and as nails are set
-        self._covariance = np.zeros((4, 4))  # of its foot and head, x and y
-        self._colours: Array | None = None
-        self._behind: NDArray[np.float64] | None = None  # the image without it
+        self._set: AsSet | None = None
 
     def first(self, frames: Sequence[RgbdFrame], height: float) -> HeadOffset | None:
         """See the nail as it was set.
@@ -142,15 +137,18 @@ class NailSight:
             return None
         part, counted = window.cut(image), window.cut(wood)
         slope = float(self._axis[0]), float(self._axis[1])
-        views = {blur: View(self._look(frames[0], blur), window, part, counted, slope=slope) for blur in BLURS}
-        fits = {blur: view.fit(found) for blur, view in views.items()}
-        self._blur = min(fits, key=lambda blur: fits[blur].misfit)
-        view = views[self._blur]
-        fit = fit_as_set(view, found, fits[self._blur])
-        if fit.comparison.explained < EXPLAINED:
+        views = [View(self._look(frames[0], blur), window, part, counted, slope=slope) for blur in BLURS]
+        fit = min((view.fit(found) for view in views), key=lambda fit: fit.misfit)
+        # What a nail leaves is the grain, which is of the wood's hue: by what is of another hue a nail is seen better.
+        white = part @ whitening(fit.comparison.residuals.reshape(-1, part.shape[2]))
+        fits = [replace(view, image=white).fit(start) for view in views for start in (found, fit.pose)]
+        best = int(np.argmin([fit.misfit for fit in fits]))
+        view = views[best // 2]
+        fit = fit_as_set(replace(view, image=white), found, fits[best])
+        comparison = view.compare(fit.pose)
+        if comparison.explained < EXPLAINED:
             return None
-        self._set, self._covariance, self._colours = fit.pose, fit.covariance, fit.comparison.colours
-        self._behind = view.look.without(image, fit.pose, self._colours)
+        self._set = AsSet(view.look, fit.pose, fit.covariance, comparison.colours, image, wood)
         off = fit.pose.head - fit.pose.foot - height * self._axis
         return HeadOffset(off[:2], ACROSS @ fit.covariance @ ACROSS.T)
 
@@ -165,30 +163,25 @@ class NailSight:
         Returns:
             How far the head is from the axis on which it was set; None where the nail was not or is not seen.
         """
-        if self._set is None or self._behind is None:
+        if self._set is None:
             return None
-        foot, head = self._set.foot, self._set.head
+        before = self._set
+        foot, head = before.pose.foot, before.pose.head
         share = height / (head - foot)[2]
         expected = NailPose(foot, foot + share * (head - foot))
         seen = self._in_sight(frames, expected)
-        if not seen or seen[0].rgb.shape != self._behind.shape:
+        if not seen or seen[0].rgb.shape != before.image.shape:
             return None
-        added = _mean(seen) - self._behind
-        look = self._look(frames[0], self._blur)
-        starts = [(start, look.window(start, WIDE)) for start in self._starts(expected)]
-        fits = [
-            View(look, window, window.cut(added), colours=self._colours).fit(start)
-            for start, window in starts
-            if window is not None
-        ]
-        # The first is the expected one: its window is in the image, or nothing would have been in sight.
-        on_axis, best = fits[0], min(fits, key=lambda fit: fit.comparison.left)
-        fit = best if best.comparison.left < BETTER * on_axis.comparison.left else on_axis
-        axis = np.hstack([(1.0 - share) * np.eye(2), share * np.eye(2)])
+        window = _around(before.look, expected, REACH, before.image.shape)
+        counted = self._wood(seen) & ~self._hidden(seen, before.look.depth(expected.head))
+        if np.mean(window.cut(counted & before.wood)) < SEEN_PART:
+            return None
+        onto = np.vstack([np.eye(2, 4), np.hstack([(1.0 - share) * np.eye(2), share * np.eye(2)])])
+        change = Change(before, _mean(seen), window, counted)
+        moved = fit_moved(change, expected, onto @ before.covariance @ onto.T)
         ray = expected.head - self._camera
         along = ray[:2] / ray[2]  # a head that is higher than believed looks as if it were nearer to the camera
-        total = fit.covariance[2:, 2:] + axis @ self._covariance @ axis.T + sigma**2 * np.outer(along, along)
-        return HeadOffset((fit.pose.head - expected.head)[:2], total)
+        return HeadOffset(moved.offset, moved.covariance + sigma**2 * np.outer(along, along))
 
     def _standing(self, foot: Array, height: float) -> NailPose:
         return NailPose(foot, foot + height * self._axis)
@@ -211,6 +204,11 @@ class NailSight:
             return False
         return bool(np.quantile(known, SPECKS) > look.depth(pose.head) - NEARER)
 
+    def _hidden(self, frames: Sequence[RgbdFrame], depth: float) -> NDArray[np.bool_]:
+        """Which pixels show something that is nearer to the camera than the nail, in any frame."""
+        nearer = np.any([(frame.depth > 0.0) & (frame.depth < depth - NEARER) for frame in frames], axis=0)
+        return _widened(nearer)
+
     def _wood(self, frames: Sequence[RgbdFrame]) -> NDArray[np.bool_]:
         """Which pixels show the wood, or what stands on it: the edge of a block looks much like a nail."""
         K, up = frames[0].intrinsics, self._X_camera_base[:3, 2]
@@ -220,7 +218,7 @@ class NailSight:
         wood = distance / (K.rays(np.stack([columns, rows], axis=-1)) @ up)
         # In most of the frames that know their depth; what is unknown, 0 or NaN, is neither.
         behind = 2 * np.sum(depths > wood + BEHIND, axis=0) > np.sum(depths > 0.0, axis=0)
-        return cv2.dilate(behind.astype(np.uint8), np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8)) == 0
+        return ~_widened(behind)
 
     def _find(
         self, frame: RgbdFrame, image: NDArray[np.float64], wood: NDArray[np.bool_], height: float
@@ -240,13 +238,21 @@ class NailSight:
                     best = gain, pose
         return None if best is None else best[1]
 
-    def _starts(self, expected: NailPose) -> list[NailPose]:
-        """The expected pose, and some with the head off the axis."""
-        angles = np.arange(0.0, 2.0 * np.pi, np.pi / 4)
-        aside = [radius * np.array([np.cos(a), np.sin(a), 0.0]) for radius in ASIDE for a in angles]
-        return [expected, *(NailPose(expected.foot, expected.head + offset) for offset in aside)]
+
+def _around(look: Appearance, pose: NailPose, reach: float, shape: Sequence[int]) -> Window:
+    """The part of an image, of this shape, in which a nail may be whose foot and head are off by so much [m]."""
+    corners = look.pixels(np.stack([pose.foot, pose.head]))
+    margin = WIDE + reach * look.scale(pose.foot)
+    left, top = np.maximum(np.floor(corners.min(axis=0) - margin), 0.0).astype(int).tolist()
+    right, bottom = (np.ceil(corners.max(axis=0) + margin).astype(int) + 1).tolist()
+    return Window(left, top, min(right, shape[1]), min(bottom, shape[0]))
 
 
 def _mean(frames: Sequence[RgbdFrame]) -> NDArray[np.float64]:
     """The mean of their colour images, (H, W, 3)."""
     return np.asarray(np.mean([frame.rgb for frame in frames], axis=0))
+
+
+def _widened(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels and those within `EDGE` of them, (H, W)."""
+    return cv2.dilate(pixels.astype(np.uint8), np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8)) > 0

@@ -90,6 +90,29 @@ def test_a_head_pushed_aside_is_seen_and_one_on_its_axis_is_not(
     assert seen.surely_beyond(0.0023) == (aside > 0.0)
 
 
+@pytest.mark.parametrize("aside", [0.0, 0.004])
+def test_neither_other_light_nor_a_hand_beside_the_nail_is_taken_for_its_head(
+    simulation: SimStation, nail: Nail, sight: NailSight, aside: float
+) -> None:
+    assert sight.first(_frames(simulation), nail.spec.protrusion) is not None
+    nail.place(0.012, (float(np.arcsin(aside / 0.012)), 0.0))
+    foot = np.array([*WORK.nail_xy, WORK.wood_height])
+    X_camera_base = inverse(CONFIG.camera.X_base_camera)
+
+    def changed(frame: RgbdFrame) -> RgbdFrame:
+        """A fifth darker, with something grey half a metre before the camera, seven pixels beside the nail."""
+        rgb, depth = (0.8 * frame.rgb).astype(np.uint8), frame.depth.copy()
+        u, _ = frame.intrinsics.project(transform_points(X_camera_base, foot[None])[0])
+        hand = np.s_[:, int(u) + 7 :]
+        rgb[hand], depth[hand] = 90, 0.5
+        return replace(frame, rgb=rgb, depth=depth)
+
+    seen = sight.again([changed(frame) for frame in _frames(simulation)], float(_head(nail)[2]), SIGMA)
+    assert seen is not None
+    assert np.linalg.norm(seen.offset - _head(nail)[:2]) < 0.0025
+    assert seen.surely_beyond(0.0023) == (aside > 0.0)
+
+
 def test_a_height_that_is_not_known_hides_what_moves_along_the_line_of_sight() -> None:
     ray = np.array([0.8, 0.6])
     head = HeadOffset(0.004 * ray, 1e-8 * np.eye(2) + 0.002**2 * np.outer(ray, ray))
