@@ -1,9 +1,8 @@
 """The tiers of the tests, which of them run, and in how many processes.
 
 `unit`: what no other marker claims. `sim`: simulated stations, renderings, small trainings, whole jobs. `realtime`:
-bound to the wall clock; they run one at a time, beside each of them at most a light one, and others only in processes
-that give way at once (`realtime_lanes.py`). `nightly`: long ones, of any tier; they run with --nightly, with
-`-m nightly`, or by their name.
+bound to the wall clock; they run one at a time, after all others, and beside each of them at most a light one
+(`realtime_last.py`). `nightly`: long ones, of any tier; they run with --nightly, with `-m nightly`, or by their name.
 """
 
 from __future__ import annotations
@@ -23,15 +22,13 @@ if TYPE_CHECKING:
     from xdist.remote import Producer
     from xdist.workermanage import WorkerController
 
-    from tests.plugins.realtime_lanes import RealtimeLanes
+    from tests.plugins.realtime_last import RealtimeLast
 
 TIERS = ("unit", "sim", "realtime")
 _MOST_CORES = 8
 """That get a process each; more would wait for the longest file."""
 _MEMORY = 2e9
 """Of the machine for each process [B]."""
-LANES = 4
-"""Workers from which on two are for what is bound to the clock, from the beginning."""
 _FOLDER = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 _LIST = "tiers"
 """Of a worker's input: the path of the file in which it says what tier each test is of."""
@@ -98,20 +95,12 @@ def pytest_configure_node(node: WorkerController) -> None:
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> RealtimeLanes | None:
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> RealtimeLast | None:
     if config.getoption("dist") != "loadfile":
         return None
-    from tests.plugins.realtime_lanes import RealtimeLanes
+    from tests.plugins.realtime_last import RealtimeLast
 
-    return RealtimeLanes(config, log, Path(config.stash[_FOLDER].name) / "tiers.json")
-
-
-@pytest.hookimpl(tryfirst=True)  # before its fixtures
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """What is not bound to the clock gives way to what is: this process and those that it starts run when no other
-    wants the core (`SCHED_IDLE`), and are preempted at once."""
-    if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) >= LANES and not item.get_closest_marker("realtime"):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    return RealtimeLast(config, log, Path(config.stash[_FOLDER].name) / "tiers.json")
 
 
 @pytest.hookimpl(tryfirst=True)  # before the worker says that it has collected

@@ -1,4 +1,4 @@
-"""How pytest-xdist's workers share the files of tests: those bound to the wall clock have workers of their own."""
+"""The order in which pytest-xdist's workers get the files of tests: those bound to the wall clock last, alone."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-from tests.plugins.tiers import LANES
-
 BOUND = ("realtime", "light")
-"""What is bound to the clock: what needs the processors whenever it wants them, and what may run beside it."""
+"""What is bound to the clock: what needs a machine that does nothing else, and what may run beside it."""
+_FEWEST = 4
+"""Workers of which two wait: at least as many run what is not bound to the clock."""
 
 
 @dataclass
 class _Share:
-    """What is bound to the clock and runs in one worker.
+    """What one worker runs when the processes of all that do not wait have ended.
 
     Attributes:
         files: Their names in the queue.
-        worker: The one that it is kept for; none where it died and its successor is not there yet.
+        worker: The one that waits for it, or runs it; none where it died and its successor is not there yet.
     """
 
     files: frozenset[str]
     worker: WorkerController | None = None
 
 
-class RealtimeLanes(LoadFileScheduling):
-    """Whole files go to the workers, as with `--dist loadfile`, but one worker runs the tests marked `realtime`, one
-    after another, and another one, at the same time, those marked `realtime(light=True)`, one after another, in
-    processes that run no other test; the others give way to them (`tiers.py`). Of two or three workers one runs the
-    light ones after the others, and waits until the processes of all others have ended. Where nothing is marked so,
-    none is kept for it; a single worker runs the tests marked `realtime` after all others.
+class RealtimeLast(LoadFileScheduling):
+    """Whole files go to the workers, as with `--dist loadfile`, but two workers wait until the processes of all others
+    have ended. Then one of them runs the tests marked `realtime`, one after another, and the other one, at the same
+    time, those marked `realtime(light=True)`, one after another: on a machine that does nothing else, and in processes
+    that have run no other test. Of two or three workers one waits, and runs the light ones after the others. Where
+    nothing is marked so, nobody waits; a single worker runs the tests marked `realtime` after all others.
 
     Args:
         config: of the controlling process.
@@ -55,7 +55,6 @@ class RealtimeLanes(LoadFileScheduling):
         self._tiers = tiers
         self._bound: dict[str, str] = {}
         self._shares: list[_Share] = []
-        self._lanes = False
 
     def schedule(self) -> None:
         """Called when all workers have collected, and again when one has that replaces a crashed one."""
@@ -92,8 +91,7 @@ class RealtimeLanes(LoadFileScheduling):
         bound = [files for tier in BOUND if (files := self._files(tiers[tier]))]
         for files in bound:
             self.workqueue.update(files)
-        self._lanes = len(self.nodes) >= LANES
-        if self._lanes:
+        if len(self.nodes) >= _FEWEST:
             self._shares = [_Share(frozenset(files)) for files in bound]
         elif len(self.nodes) > 1 and bound:
             self._shares = [_Share(frozenset().union(*bound))]
@@ -119,10 +117,7 @@ class RealtimeLanes(LoadFileScheduling):
         return next((file for file in self.workqueue if (file in share.files if share else file not in kept)), None)
 
     def _waits(self) -> bool:
-        """Whether the only worker of what is bound to the clock waits: there is work left for the others, or any of
-        their processes."""
-        if self._lanes:
-            return False
+        """Whether there is work left for those that do not wait, or any of their processes."""
         return self._next_file(None) is not None or any(self._share(node) is None for node in self.nodes)
 
     def _reschedule_all(self) -> None:
