@@ -241,3 +241,18 @@ def test_the_table_of_rehearsals_is_of_their_records(row: str) -> None:
     place, direction, offset = (np.median([job[error] for job in jobs]) for error in errors)
     assert (face, beside) == (f"{place:.1f} mm, {direction:.1f}°", f"{offset:.1f} mm")
     assert torque == f"{max(job['largest_torque_share'] for job in jobs):.2f}"
+
+
+def test_the_other_hands_rehearsals_are_all_there() -> None:
+    """Those that ran to their end have a row each, the others are counted."""
+    names = {"inspire": "Inspire RH56, serial", "ability": "PSYONIC Ability Hand", "modbus": "Inspire RH56, Modbus-TCP"}
+    kept = [json.loads(line) for line in (KEPT / "rehearsals.jsonl").read_text().splitlines()]
+    kept = [one for one in kept if one["job"] in names]
+    stopped = [one for one in kept if one["figures"]["outcome"] in ("person_near", "device_fault")]
+    assert all("late" in one["figures"]["reason"] or "servo process" in one["figures"]["reason"] for one in stopped)
+    assert f"\n{len(stopped)} other tries were stopped by late data" in PAGE
+    for one in (one for one in kept if one not in stopped):
+        job, rows = one["figures"], _rows("Rehearsals")
+        end, strikes, seconds, *_ = rows[f"{names[one['job']]}, {one['seed']}"]
+        assert (end, strikes) == ("flush" if job["success"] else job["outcome"], str(job["strikes"]))
+        assert seconds == f"{job['robot_seconds']:.0f} s"
