@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from toolee_robot.config import HandConfig
-from toolee_robot.hardware.hands.inspire import InspireHand
+from toolee_robot.hardware.hands.inspire import InspireHand, line
 from toolee_robot.robots import HandModel, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
@@ -35,3 +35,9 @@ def emulator(request: pytest.FixtureRequest) -> Iterator[Emulator]:
 def hand(emulator: Emulator, model: HandModel) -> Iterator[InspireHand]:
     with InspireHand(model, emulator.port, HostClock()) as hand:
         yield hand
+
+
+@pytest.fixture
+def unhurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reply has a second to come: what this machine holds up is late, and only what never comes is lost."""
+    monkeypatch.setattr(line, "ANSWER_TIME", 1.0)

@@ -73,6 +73,7 @@ def test_a_late_reply_is_never_taken_for_a_newer_one(emulator: Emulator) -> None
             assert angles(line) == (0,) * 6, "1000 would be the reply of before the motion"
 
 
+@pytest.mark.usefixtures("unhurried")
 def test_an_adapter_that_echoes_is_no_hindrance() -> None:
     with InspireEmulator() as emulator, SerialLine(emulator.port, 1) as line:
         emulator.faults.echo = True
@@ -102,8 +103,14 @@ RATES = {LineFault.GARBAGE: 0.05, LineFault.CORRUPT: 0.03, LineFault.DOUBLED: 0.
     ids=["clean", "noisy", "ten minutes"],
 )
 def test_polling_loses_no_reply_and_no_memory(
-    emulator: Emulator, hand: InspireHand, duration: float, rates: dict[LineFault, float]
+    emulator: Emulator,
+    hand: InspireHand,
+    duration: float,
+    rates: dict[LineFault, float],
+    request: pytest.FixtureRequest,
 ) -> None:
+    if not rates:
+        request.getfixturevalue("unhurried")
     emulator.faults.rates = rates
     time.sleep(0.5)
     tracemalloc.start()

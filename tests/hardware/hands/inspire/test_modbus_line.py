@@ -197,6 +197,7 @@ def pymodbus_hand(registers: dict[int, list[int]]) -> Iterator[str]:
         loop.close()
 
 
+@pytest.mark.usefixtures("unhurried")
 def test_the_line_talks_to_pymodbus(model: HandModel) -> None:
     registers = {ANGLE_ACT: [1000, 900, 800, 700, 600, 500]}
     with pymodbus_hand(registers) as port, ModbusLine(port, 1) as line:
