@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -20,6 +22,20 @@ STEP_BACK = 1.2  # [m] that the person steps back
 STEP_TIME = 0.5  # [s] duration of a step
 GAP = 0.0005  # [m] clearance between tool and hand when it is placed
 TICK = 0.02  # [s]
+TURNED = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""Shares of the in-hand offset's tilt with which the person tries to place the tool."""
+SAMPLES = 26
+"""Of the tool's way into the hand: 10 mm apart, less than a finger is thick."""
+
+
+def _directions() -> Array:
+    """Directions about the palm's normal, nearest to it first, (n, 3) in the hand's axes."""
+    away = [(0.0, 0.0), *((tilt, turn) for tilt in range(15, 90, 15) for turn in range(0, 360, 45))]
+    tilt, turn = np.deg2rad(away).T
+    return np.stack([np.sin(tilt) * np.cos(turn), -np.cos(tilt), np.sin(tilt) * np.sin(turn)], axis=1)
+
+
+_DIRECTIONS = _directions()
 
 
 def handed_over(X_hand_nominal: Array, offset: InHandOffset) -> Array:
@@ -71,8 +87,8 @@ class SimPerson:
         self._switch_taken = False
         self._constraint: int | None = None
         tool = world.tool.tool
-        X_nominal = world.robot.robot.hand.grasp.X_hand_tool(tool.handle.grip_radius)
-        self.intended_X_hand_tool = handed_over(X_nominal, offset)
+        self._X_hand_nominal = world.robot.robot.hand.grasp.X_hand_tool(tool.handle.grip_radius)
+        self.intended_X_hand_tool = handed_over(self._X_hand_nominal, offset)
         self._grasp(world.X_base_tool())
 
     def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
@@ -90,15 +106,15 @@ class SimPerson:
             self._world.advance(timeout)
             return False
         X_base_tool = self._world.X_base_hand() @ self._clear_of_hand()
-        palmar = -self._world.X_base_hand()[:3, 1]
+        way = self._way_out(X_base_tool)
         self._let_go()
-        start = transform(p=APPROACH * palmar) @ X_base_tool
+        start = transform(p=APPROACH * way) @ X_base_tool
         self._world.tool.place(start)
         self._grasp(start)
         steps = round(APPROACH_TIME / TICK)
         for k in range(1, steps + 1):
             s = 1 - k / steps
-            self._hold(transform(p=APPROACH * s**2 * (3 - 2 * s) * palmar) @ X_base_tool)
+            self._hold(transform(p=APPROACH * s**2 * (3 - 2 * s) * way) @ X_base_tool)
             self._world.advance(TICK)
         return True
 
@@ -168,21 +184,47 @@ class SimPerson:
     def _clear_of_hand(self) -> Array:
         """The intended X_hand_tool, moved along the palm's normal until hand and tool do not overlap.
 
-        A mount's clamp lies around the handle: there it is the intended one.
+        Where they overlap all the same, a finger stands across the handle, and the person turns the tool less. A
+        mount's clamp lies around the handle: there it is the intended one.
         """
-        world = self._world
+        world, offset = self._world, self._offset
         X = self.intended_X_hand_tool.copy()
         if world.robot.robot.hand.clamps:
             return X
         kept = world.X_base_tool()
-        for _ in range(100):
-            world.tool.place(world.X_base_hand() @ X)
-            near = pb.getClosestPoints(world.robot.body, world.tool.body, GAP, physicsClientId=world.client)
-            if not near:
-                break
-            X[1, 3] -= 0.0005
+        for share in TURNED:
+            turned = replace(offset, tilt_x=share * offset.tilt_x, tilt_y=share * offset.tilt_y)
+            X = handed_over(self._X_hand_nominal, turned)
+            for _ in range(100):
+                world.tool.place(world.X_base_hand() @ X)
+                near = pb.getClosestPoints(world.robot.body, world.tool.body, GAP, physicsClientId=world.client)
+                if not near:
+                    world.tool.place(kept)
+                    return X
+                X[1, 3] -= 0.0005
         world.tool.place(kept)
         return X
+
+    def _way_out(self, X_base_tool: Array) -> Array:
+        """The direction, (3,) in `base`, from which the tool comes to its place.
+
+        It is the palm's normal, or the nearest one to it on which no finger stands in the way.
+        """
+        world = self._world
+        X_base_hand, kept = world.X_base_hand(), world.X_base_tool()
+        best, most = -X_base_hand[:3, 1], -np.inf
+        for direction in _DIRECTIONS @ X_base_hand[:3, :3].T:
+            room = GAP
+            for distance in np.linspace(0.0, APPROACH, SAMPLES):
+                world.tool.place(transform(p=distance * direction) @ X_base_tool)
+                near = pb.getClosestPoints(world.robot.body, world.tool.body, GAP, physicsClientId=world.client)
+                room = min([room, *(point[8] for point in near)])
+            if room > most:
+                best, most = direction, room
+            if room >= GAP:
+                break
+        world.tool.place(kept)
+        return best
 
     def _grasp(self, X_base_tool: Array) -> None:
         world = self._world

@@ -403,7 +403,7 @@ def test_the_wood_is_too_hard(bench: Bench) -> None:
     log = Log()
     result = bench.blind_task(log, config).run()
     assert result.outcome is Outcome.STUCK
-    assert "two strikes" in result.reason
+    assert "2 strikes moved the head" in result.reason
     assert "1.20 m/s that strike.speed asks for" in result.reason
     assert len(result.strikes) == len(log.strikes) == 2
     assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.0015)

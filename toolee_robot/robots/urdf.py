@@ -91,7 +91,14 @@ def _with_joint(link: Link, joint: Element) -> Link:
     )
 
 
-def read_urdf(path: Path, parent: str | None, X_parent_root: Array, *, substitute_shapes: bool = True) -> Tree:
+def read_urdf(
+    path: Path,
+    parent: str | None,
+    X_parent_root: Array,
+    *,
+    substitute_shapes: bool = True,
+    most_effort: float = np.inf,
+) -> Tree:
     """Read the links of an arm or a hand from its URDF.
 
     Mesh paths, without `package://`, are resolved relative to the folder of the file and to each folder above it.
@@ -102,6 +109,7 @@ def read_urdf(path: Path, parent: str | None, X_parent_root: Array, *, substitut
         parent: Name of the parent link of the root link; None: it has none.
         X_parent_root: Pose of the root link in the parent link, 4x4 [m].
         substitute_shapes: Whether a link without visuals uses its collision shapes as visuals, and vice versa.
+        most_effort: Torque limit of each joint whose own one is larger [Nm].
 
     Returns:
         The links.
@@ -125,7 +133,9 @@ def read_urdf(path: Path, parent: str | None, X_parent_root: Array, *, substitut
             name, parent, X_parent_root, f"{name}_mount", inertial=_inertial(elements[name]) or _NEARLY_MASSLESS,
             visuals=visuals, collisions=collisions,
         )  # fmt: skip
-        links.append(_with_joint(link, joints[name]) if name in joints else link)
+        if name in joints:
+            link = _with_joint(link, joints[name])
+        links.append(replace(link, effort=min(link.effort, most_effort)))
         for child in children.get(name, ()):
             add(child)
 

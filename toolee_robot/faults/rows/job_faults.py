@@ -219,7 +219,7 @@ WORK = (
     JobFault(25, "contact too early", SWING, "brakes on the path, goes up, looks again, gives up", _lay_a_plate,
              RUN_UP, Outcome.NAIL_MISSED, "before the nail", 2, "home", braking=Braking(2), looks_again=True,
              meetings=(Meeting.EARLY, Meeting.EARLY), sees=True, max_strikes=3),
-    JobFault(26, "no progress", REST, RECORDS, _harden, None, Outcome.STUCK, "two strikes", 2, "home", max_strikes=5),
+    JobFault(26, "no progress", REST, RECORDS, _harden, None, Outcome.STUCK, "2 strikes", 2, "home", max_strikes=5),
     # The nail is measured after two strikes first, which can drive it by more than this.
     JobFault(26, "nail sinks too far after the first strike", SWING, RECORDS, _bend(0.011), "strike",
              Outcome.BENT, "has bent away", 2, "home", max_strikes=5, sees=True),

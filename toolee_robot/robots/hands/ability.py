@@ -6,6 +6,8 @@ the flange is not known to anybody but the lab: `HandConfig.mounting`.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from toolee_robot.frames import Array
@@ -30,6 +32,11 @@ _FINGERS = ("index", "middle", "ring", "little")
 _MIDDLE_PER_KNUCKLE = 1.05851325
 """The maker's straight line through the four-bar linkage of a finger [rad/rad]."""
 _LIMIT = 1.74  # [rad]
+_PHALANGES = (0.0386, 0.0332)
+"""Lengths of a finger's phalanges [m]."""
+_FINGER_FORCE = 10.0
+"""What a finger presses with at its tip [N]. Not published: a guess, the smallest of what comparable hands press with.
+The maker's URDF has 6 Nm for a joint, eight times as much."""
 
 
 def joints_of_closures(closures: Array) -> Array:
@@ -61,7 +68,7 @@ def _posture(closures: tuple[float, ...]) -> dict[str, float]:
 
 def _finger(name: str) -> Finger:
     links = (f"{name}_proximal", f"{name}_distal")
-    return Finger(name, links, tuple(map(Phalanx, links, (0.0095, 0.0075), (0.0386, 0.0332))))
+    return Finger(name, links, tuple(map(Phalanx, links, (0.0095, 0.0075), _PHALANGES)))
 
 
 def _each(joint: str) -> tuple[str, ...]:
@@ -72,7 +79,7 @@ ABILITY_HAND = HandModel(
     name=ABILITY,
     label="PSYONIC Ability Hand (right, large)",
     source=ABILITY_HAND_URDF,
-    read=read_urdf,
+    read=partial(read_urdf, most_effort=_FINGER_FORCE * sum(_PHALANGES)),
     X_flange_root=UNMOUNTED,
     frame="ability_palm",
     wrist=(),
@@ -92,6 +99,6 @@ ABILITY_HAND = HandModel(
     # The handle lies across the palm, under the roots of the fingers.
     grasp=NominalGrasp(z=(1.0, 0.0, 0.0), x=(0.0, 0.0, 1.0), p=(0.0, -0.005, 0.090), p_per_radius=(0.0, -1.0, -0.45)),
     holding_links=2,
-    finger_force=10.0,  # not published: a guess, the smallest of what comparable hands press with
+    finger_force=_FINGER_FORCE,
     grip_width=0.078,
 )

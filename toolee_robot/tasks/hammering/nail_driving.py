@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -19,6 +20,7 @@ from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.nail_forecast import NailForecast
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge, Touches, deepest_strike
+from toolee_robot.tasks.hammering.nail_stall import FEWEST, NailStall
 from toolee_robot.tasks.hammering.nail_watch import NailWatch
 from toolee_robot.tasks.hammering.striking import Striking
 from toolee_robot.tasks.hammering.tool_pose import Holding
@@ -36,6 +38,8 @@ LET_IN = "very soft wood has let it in: look at it"
 """What else may have become of a nail that is not where it should be after strikes."""
 BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
+WORTH = 100
+"""Most further strikes that a person is told would do."""
 CONFIRMED = 0.0005
 """Largest progress of a strike on a flush nail [m]."""
 
@@ -137,7 +141,8 @@ class NailDriving:
     def _run(self) -> tuple[Outcome, str]:
         task, forecast = self._config.task, self._forecast
         self._begin()
-        stalled = flush = self._missed = 0
+        stall = NailStall(task.min_progress)
+        flush = self._missed = 0
         progress = np.inf
         doubted = home = False
         while True:
@@ -153,6 +158,9 @@ class NailDriving:
             home = done
             if out_of_strikes:
                 end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
+                if 0 < forecast.left < WORTH:
+                    more = math.ceil(1.2 * forecast.left)
+                    end += f"; it still moves, and some {more} more would do: raise task.max_strikes"
                 return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if flush else end
             self._check_load()
             if self._look_due(self.strikes_since_look) and height > task.flush_protrusion:
@@ -171,7 +179,7 @@ class NailDriving:
                 self._motions.X_hand_ee = self._holding.struck(self._motions.X_hand_ee)
             if self._missed or measured is None:
                 continue
-            struck = forecast.unmeasured
+            struck, expected = forecast.unmeasured, forecast.expected
             progress, height = (
                 forecast.measured(measured, self._gauge.protrusion(self._taken) if self._taken else None),
                 measured,
@@ -184,20 +192,21 @@ class NailDriving:
             if self.strikes[-1].meeting is not Meeting.EXPECTED and height <= task.flush_protrusion:
                 # Beside a nail that it has missed the face meets the wood at once, which reads flush.
                 self._look(task.views_again)
-            stalled = stalled + struck if progress < task.min_progress else 0
-            if stalled < 2:
+            stall.measured(struck, progress, expected)
+            if stall.strikes >= FEWEST and height <= task.flush_protrusion:
+                return self._flush(f"{stall.strikes} strikes moved it no further, {height * 1e3:.1f} mm over the wood")
+            if not stall.over:
+                doubted = doubted and stall.suspected
                 continue
-            if height <= task.flush_protrusion:
-                return self._flush(f"two strikes moved it no further, {height * 1e3:.1f} mm over the wood")
             if doubted or not self._correction:
                 slow = "strike.speed asks for" if plan.speed >= 0.99 * plan.wanted_speed else "arm and hand permit"
                 return Outcome.STUCK, (
-                    f"two strikes moved the head under {task.min_progress * 1e3:.1f} mm, and it stands "
-                    f"{height * 1e3:.1f} mm over the wood: it has met something hard, or the {plan.speed:.2f} m/s that "
-                    f"{slow} are too slow for it"
+                    f"{stall}, and it stands {height * 1e3:.1f} mm over the wood: it has met something hard, or the "
+                    f"{plan.speed:.2f} m/s that {slow} are too slow for it"
                 )
             # The edge of a face that has tilted in the hand meets the wood before the nail is flush.
-            doubted, stalled = True, 0
+            doubted = True
+            stall.again()
             self._look(task.views)
 
     def _flush(self, words: str) -> tuple[Outcome, str]:

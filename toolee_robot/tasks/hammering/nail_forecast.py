@@ -67,6 +67,13 @@ class NailForecast:
         return self.unmeasured if self._growth is None else 1
 
     @property
+    def expected(self) -> float | None:
+        """Mean progress of the strikes since the last measurement, if the head met no wood [m]; None if unknown."""
+        if self._growth is None or not self.unmeasured:
+            return None
+        return (self._driven() - self._depth(self._measured)) / self.unmeasured
+
+    @property
     def sigma(self) -> float:
         """Standard deviation of the height [m]: of a measurement, and of what was forecast since then."""
         if self.unmeasured and self._growth is None:
@@ -135,8 +142,7 @@ class NailForecast:
             self.surprise = f"the strike met the nail {where} where it was expected: measuring it"
         if self._growth is None:
             return bool(self.surprise) or self.unmeasured >= FIRST
-        depth = float(np.sqrt(self._depth(self._measured) ** 2 + self.unmeasured * self._growth))
-        self.height = max(self._length - depth, 0.0)
+        self.height = max(self._length - self._driven(), 0.0)
         driven, ahead = self._first - self._measured, self._measured - self.height
         uncertain = driven < LITTLE or ahead * ACCURACY > UNCERTAIN * driven
         return bool(self.surprise) or self.finished or uncertain or self.unmeasured > LONGEST
@@ -159,6 +165,11 @@ class NailForecast:
         means = np.cumsum(self._offs[::-1]) / counts
         beyond = np.abs(means) > DISAGREEMENT + lateness / np.sqrt(counts)
         return float(means[np.argmax(beyond)]) if beyond.any() else 0.0
+
+    def _driven(self) -> float:
+        """Depth of the shank after the strikes since the last measurement, by forecast [m]."""
+        assert self._growth is not None
+        return float(np.sqrt(self._depth(self._measured) ** 2 + self.unmeasured * self._growth))
 
     def _depth(self, height: float) -> float:
         """Depth of the shank in the wood [m]."""
