@@ -227,13 +227,10 @@ def test_what_was_told_exactly_is_counted_as_the_page_says() -> None:
         assert f"| {of} |" in rows[row]
 
 
-@pytest.mark.parametrize("row", ["mount, 7402 to 7409", "Shadow Hand over rosbridge, 7402 to 7409"])
-def test_the_table_of_rehearsals_is_of_their_records(row: str) -> None:
-    kept = [json.loads(line) for line in (KEPT / "rehearsals.jsonl").read_text().splitlines()]
-    name, seeds = row.split()[0].strip(",").lower(), range(7402, 7410)
-    jobs = [one["figures"] for one in kept if one["job"] == name and one["seed"] in seeds]
-    flush, strikes, seconds, face, beside, torque = _rows("Rehearsals")[row]
+def _check_row(cells: Sequence[str], jobs: Sequence[dict[str, Any]]) -> None:
+    flush, strikes, seconds, face, beside, torque = cells
     assert flush == str(share([job["success"] for job in jobs]))
+    jobs = [job for job in jobs if job["strikes"]]
     counts, times = ([job[figure] for job in jobs] for figure in ("strikes", "robot_seconds"))
     assert strikes == f"{min(counts)} to {max(counts)}"
     assert seconds == f"{min(times):.0f} to {max(times):.0f} s, median {np.median(times):.0f} s"
@@ -241,6 +238,23 @@ def test_the_table_of_rehearsals_is_of_their_records(row: str) -> None:
     place, direction, offset = (np.median([job[error] for job in jobs]) for error in errors)
     assert (face, beside) == (f"{place:.1f} mm, {direction:.1f}°", f"{offset:.1f} mm")
     assert torque == f"{max(job['largest_torque_share'] for job in jobs):.2f}"
+
+
+@pytest.mark.parametrize("row", ["mount, 7402 to 7409", "Shadow Hand over rosbridge, 7402 to 7409"])
+def test_the_table_of_rehearsals_is_of_their_records(row: str) -> None:
+    kept = [json.loads(line) for line in (KEPT / "rehearsals.jsonl").read_text().splitlines()]
+    name, seeds = row.split()[0].strip(",").lower(), range(7402, 7410)
+    jobs = [one["figures"] for one in kept if one["job"] == name and one["seed"] in seeds]
+    _check_row(_rows("Rehearsals")[row], jobs)
+
+
+@pytest.mark.parametrize(("job", "label"), [("inspire", "Inspire RH56"), ("ability", "PSYONIC Ability Hand")])
+def test_the_table_of_hands_without_a_wrist_is_of_their_records(job: str, label: str) -> None:
+    kept = [json.loads(line) for line in (KEPT / "hands.jsonl").read_text().splitlines()]
+    seeds = [one["seed"] for one in kept if one["job"] == job]
+    assert seeds == list(range(seeds[0], seeds[-1] + 1)), "none is left out"
+    row = f"{label}, {seeds[0]} to {seeds[-1]}"
+    _check_row(_rows("Hands without a wrist")[row], [one["figures"] for one in kept if one["job"] == job])
 
 
 def test_the_other_hands_rehearsals_are_all_there() -> None:

@@ -24,9 +24,9 @@ class StrikeConfig:
     deepest: Annotated[float, Field(ge=0.001)] | None = None
     """Largest distance of the commanded face beyond the contact [m]; a servo that lags goes there, too, only later.
     Null only for a hand whose wrist gives way by some 90 mm at 1.2 m/s: the strike is then a straight line that brakes
-    from the contact on. With a rigid hand or mount 0.01: the strike is a swing that turns back there, and slower. A
-    hand whose wrist gives way may have 0.1, for swings that are as fast as a straight line and, where
-    `supervisor.unattended_speed` permits it, faster."""
+    from the contact on. With a rigid hand or mount 0.01 for the first strikes on a robot, then 0.02: the strike is a
+    swing that turns back there, and the faster the deeper that is. A hand whose wrist gives way may have 0.1, for
+    swings that are as fast as a straight line and, where `supervisor.unattended_speed` permits it, faster."""
     touch_speed: Positive = 0.03
     """Speed of the guarded touch that measures where the face meets the nail [m/s]."""
     touch_force: Positive = 8.0
