@@ -32,11 +32,9 @@ _FINGERS = ("index", "middle", "ring", "little")
 _MIDDLE_PER_KNUCKLE = 1.05851325
 """The maker's straight line through the four-bar linkage of a finger [rad/rad]."""
 _LIMIT = 1.74  # [rad]
-_PHALANGES = (0.0386, 0.0332)
-"""Lengths of a finger's phalanges [m]."""
-_FINGER_FORCE = 10.0
-"""What a finger presses with at its tip [N]. Not published: a guess, the smallest of what comparable hands press with.
-The maker's URDF has 6 Nm for a joint, eight times as much."""
+_TORQUE = 2.0
+"""Torque limit of a joint in simulation [Nm], assumed: with the 6 Nm of the maker's URDF fingers press with up to
+330 N, and with 0.7 Nm they do not follow a driver's hand that closes around a handle."""
 
 
 def joints_of_closures(closures: Array) -> Array:
@@ -68,7 +66,7 @@ def _posture(closures: tuple[float, ...]) -> dict[str, float]:
 
 def _finger(name: str) -> Finger:
     links = (f"{name}_proximal", f"{name}_distal")
-    return Finger(name, links, tuple(map(Phalanx, links, (0.0095, 0.0075), _PHALANGES)))
+    return Finger(name, links, tuple(map(Phalanx, links, (0.0095, 0.0075), (0.0386, 0.0332))))
 
 
 def _each(joint: str) -> tuple[str, ...]:
@@ -79,7 +77,7 @@ ABILITY_HAND = HandModel(
     name=ABILITY,
     label="PSYONIC Ability Hand (right, large)",
     source=ABILITY_HAND_URDF,
-    read=partial(read_urdf, most_effort=_FINGER_FORCE * sum(_PHALANGES)),
+    read=partial(read_urdf, most_effort=_TORQUE),
     X_flange_root=UNMOUNTED,
     frame="ability_palm",
     wrist=(),
@@ -99,6 +97,6 @@ ABILITY_HAND = HandModel(
     # The handle lies across the palm, under the roots of the fingers.
     grasp=NominalGrasp(z=(1.0, 0.0, 0.0), x=(0.0, 0.0, 1.0), p=(0.0, -0.005, 0.090), p_per_radius=(0.0, -1.0, -0.45)),
     holding_links=2,
-    finger_force=_FINGER_FORCE,
+    finger_force=10.0,  # not published: a guess, the smallest of what comparable hands press with
     grip_width=0.078,
 )
