@@ -196,9 +196,7 @@ class SimPerson:
             turned = replace(offset, tilt_x=share * offset.tilt_x, tilt_y=share * offset.tilt_y)
             X = handed_over(self._X_hand_nominal, turned)
             for _ in range(100):
-                world.tool.place(world.X_base_hand() @ X)
-                near = pb.getClosestPoints(world.robot.body, world.tool.body, GAP, physicsClientId=world.client)
-                if not near:
+                if self._room(world.X_base_hand() @ X) >= GAP:
                     world.tool.place(kept)
                     return X
                 X[1, 3] -= 0.0005
@@ -208,23 +206,30 @@ class SimPerson:
     def _way_out(self, X_base_tool: Array) -> Array:
         """The direction, (3,) in `base`, from which the tool comes to its place.
 
-        It is the palm's normal, or the nearest one to it on which no finger stands in the way.
+        It is the palm's normal, or the nearest one to it on which no finger stands in the way. A mount's clamp lies
+        around the handle, whatever the direction.
         """
         world = self._world
         X_base_hand, kept = world.X_base_hand(), world.X_base_tool()
         best, most = -X_base_hand[:3, 1], -np.inf
+        if world.robot.robot.hand.clamps:
+            return best
         for direction in _DIRECTIONS @ X_base_hand[:3, :3].T:
-            room = GAP
-            for distance in np.linspace(0.0, APPROACH, SAMPLES):
-                world.tool.place(transform(p=distance * direction) @ X_base_tool)
-                near = pb.getClosestPoints(world.robot.body, world.tool.body, GAP, physicsClientId=world.client)
-                room = min([room, *(point[8] for point in near)])
+            way = (transform(p=distance * direction) for distance in np.linspace(0.0, APPROACH, SAMPLES))
+            room = min(self._room(X @ X_base_tool) for X in way)
             if room > most:
                 best, most = direction, room
             if room >= GAP:
                 break
         world.tool.place(kept)
         return best
+
+    def _room(self, X_base_tool: Array) -> float:
+        """Place the tool; return its distance from arm and hand [m], GAP at most."""
+        world = self._world
+        world.tool.place(X_base_tool)
+        near = pb.getClosestPoints(world.robot.body, world.tool.body, GAP, physicsClientId=world.client)
+        return min([GAP, *(point[8] for point in near)])
 
     def _grasp(self, X_base_tool: Array) -> None:
         world = self._world

@@ -8,8 +8,8 @@ FEWEST, MOST = 2, 6
 """Number of strikes that tell that a nail stands still: of fast ones, and of those that drive it by so little that a
 measurement hardly tells it."""
 TELLS = 0.001
-"""What strikes are expected to drive the nail together before a measurement tells that they did not [m]: two standard
-deviations of the difference of two heights, which err by 0.36 mm each (`docs/results/job.md`: 0.27 mm)."""
+"""What strikes are expected to drive the nail together before a measurement tells that they did not [m]: 2.6 standard
+deviations of the difference of two heights, which err by 0.27 mm each (`docs/results/job.md`)."""
 SHARE = 0.5
 """Of the expected progress below which a nail that moves slowly is taken to stand still."""
 
@@ -57,7 +57,7 @@ class NailStall:
         self.strikes, self.moved = self.strikes + strikes, self.moved + strikes * progress
         self.suspected = self.moved < self._least * self.strikes
         if not self.suspected:
-            self.strikes, self.moved = 0, 0.0
+            self.again()
 
     def again(self) -> None:
         """Count anew, with what was expected of the strikes so far: the tool was looked at."""
