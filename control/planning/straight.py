@@ -10,14 +10,17 @@ from toolee_robot.control.collision import BRAKE_EXEMPT, CollisionWorld
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.line import Line
 from toolee_robot.control.planning.timing import concatenate, travel_profile
-from toolee_robot.control.planning.transfer import plan_transfer
+from toolee_robot.control.planning.transfer import NEED, plan_transfer
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
 LOWERING_SPEED = 0.5
 """Largest speed of the way down to where a guarded touch begins [m/s]."""
+HIGHEST_RISE, RISE_STEP = 0.10, 0.005
+"""How far a tool rises from among bodies at most, and in which steps it is tried [m]."""
 
 
 def plan_over_nail(
@@ -44,6 +47,35 @@ def plan_over_nail(
     approach = concatenate(plan_transfer(robot, config, world, q_start, lower.q[0]), lower)
     check_trajectory(approach, robot.arm, config.arm, config.scene, world)
     return approach
+
+
+def rise_to_clear(robot: RobotModel, world: CollisionWorld, q_start: Array) -> float:
+    """Find how far to rise straight up until a transfer may begin.
+
+    Args:
+        robot: Kinematic model of arm and hand.
+        world: The collision model.
+        q_start: Present joint positions of the arm, at rest, (6,) [rad].
+
+    Returns:
+        The least height at which all bodies are as clear of each other as on a transfer [m]; that at which they are
+        clearest where there is none within HIGHEST_RISE.
+
+    Raises:
+        UnreachableError: The arm is in a singularity.
+    """
+    line = Line.through(robot.ik, q_start, np.array([0.0, 0.0, 1.0]))
+    best, most = 0.0, world.closest(q_start, NEED).distance
+    for height in np.arange(RISE_STEP, HIGHEST_RISE, RISE_STEP):
+        if most >= NEED:
+            break
+        try:
+            distance = world.closest(line.q(np.array([height])), NEED).distance
+        except UnreachableError:
+            break
+        if distance > most:
+            best, most = float(height), distance
+    return best
 
 
 def plan_straight(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tests.tasks.bench import Log
+from toolee_robot.config import StationConfig
 from toolee_robot.control import Mode, RobotModel, plan_over_nail, plan_strike
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import inverse
@@ -17,14 +18,14 @@ from toolee_robot.types import ArmModel
 class Rig:
     """The face over the nail, which an arm with the errors of a CB3's wrench, times `scale`, touches."""
 
-    def __init__(self, bench: Bench, seed: int, scale: float = 1.0) -> None:
-        self._world = bench.sim.world
+    def __init__(self, bench: Bench, seed: int, scale: float = 1.0, config: StationConfig = CONFIG) -> None:
+        self._world, self._config = bench.sim.world, config
         sensor = bench.arm._sensor
         sensor._errors = ReadingErrors(ArmModel.UR10, scale, seed, sensor.period)
-        robot = self._robot = RobotModel.of_station(CONFIG)
+        robot = self._robot = RobotModel.of_station(config)
         bench.hand.close()
         self.log = Log()
-        motions = self.motions = Motions(bench.station, CONFIG, robot, self.log, bench.true_grasp.X_hand_ee)
+        motions = self.motions = Motions(bench.station, config, robot, self.log, bench.true_grasp.X_hand_ee)
         motions.begin()
         grasp = bench.true_grasp
         motions.set_payload(robot.payload(motions.q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
@@ -33,10 +34,10 @@ class Rig:
         assert motions.person.request_handover("", 1.0)
         assert motions.person.release("", 1.0)
         motions.arm.mode = Mode.UNATTENDED
-        self.touch = Touch(motions, CONFIG, robot, self.log)
-        nail = CONFIG.work.X_base_nail(self._world.nail.protrusion)
+        self.touch = Touch(motions, config, robot, self.log)
+        nail = config.work.X_base_nail(self._world.nail.protrusion)
         state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee, nail
-        self._plan = plan_strike(robot, CONFIG, *state, tool=grasp.swung)
+        self._plan = plan_strike(robot, config, *state, tool=grasp.swung)
 
     def go_over(self, over: float) -> None:
         """Go to rest so far over the nail [m], and look where the face is: the tool hangs in the hand."""
@@ -48,7 +49,7 @@ class Rig:
     def back_over(self, over: float) -> None:
         """Go to rest so far over the nail [m], with the face believed where it was."""
         motions = self.motions
-        way = plan_over_nail(self._robot, CONFIG, motions.world(), motions.q, self._plan, over)
+        way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, self._plan, over)
         motions.transfer("over the nail", way)
 
     def error(self, over: float) -> float:

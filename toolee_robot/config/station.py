@@ -139,9 +139,10 @@ def to_station(data: Any, path: Path) -> StationConfig:
     if not isinstance(data, dict):
         return to_record(data, path, StationConfig, what)
     is_current(data, path)  # refuses an unknown one
-    data, record = take_record(_first_nail({name: value for name, value in data.items() if name != FIELD}), path)
-    data = take_intrinsics(data, path)
+    data = {name: value for name, value in data.items() if name != FIELD}
     frame = take_frame(data)
+    data, record = take_record(_first_nail(data), path)
+    data = take_intrinsics(data, path)
     data = take_camera_pose(data, frame, path)
     config = to_record(data, path, StationConfig, what)
     if (converted := to_base(data, frame)) is not data:

@@ -214,6 +214,11 @@ class WorkConfig:
         sizes["pilot_hole_diameter"] = nail.pilot_hole_diameter
         return replace(self, nail_xy=nail.xy, **sizes)
 
+    @property
+    def others(self) -> tuple[WorkConfig, ...]:
+        """The work about each of the nails that the fields `nail_...` are not about."""
+        return tuple(self.only(nail.name) for nail in self.all_nails if nail.xy != self.nail_xy)
+
     def each(self) -> Iterator[tuple[str, WorkConfig]]:
         """Go through the nails.
 

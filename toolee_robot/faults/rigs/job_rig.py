@@ -132,20 +132,24 @@ class Log(TaskObserver):
 
 
 class Bench:
-    """The station with the hammer in the hand at the handover position; `reset` restores it."""
+    """The station with the hammer in the hand at the handover position; `reset` restores it.
 
-    def __init__(self) -> None:
-        self._robot = robot = RobotModel.of_station(CONFIG)
+    Args:
+        config: Configuration of the station.
+    """
+
+    def __init__(self, config: StationConfig = CONFIG) -> None:
+        self._robot = robot = RobotModel.of_station(config)
         q_open = robot.description.hand_open
-        way = plan_handover(robot, CONFIG, CollisionWorld(robot, CONFIG, q_open), HOME, q_open)
-        self.sim = SimStation.build(CONFIG, SEED, SimOptions(q_start=way.q[-1]))
+        way = plan_handover(robot, config, CollisionWorld(robot, config, q_open), HOME, q_open)
+        self.sim = SimStation.build(config, SEED, SimOptions(q_start=way.q[-1]))
         station, world = self.sim.station, self.sim.world
         assert station.person.request_handover("", 10.0)
         station.hand.close()
         assert station.person.release("", 10.0)
         assert station.hand.state().holding
         X_hand_tool = inverse(world.X_base_hand()) @ world.X_base_tool()
-        self.true_grasp: Grasp = replace(nominal_grasp(self.sim.tool, CONFIG), X_hand_tool=X_hand_tool)
+        self.true_grasp: Grasp = replace(nominal_grasp(self.sim.tool, config), X_hand_tool=X_hand_tool)
         self._spec = world.nail.spec
         self._callbacks = list(world.before_step), list(world.after_step)
         self.keep()

@@ -13,7 +13,7 @@ from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.collision_shapes import Body
 from toolee_robot.control.contact import ContactVerdict
 from toolee_robot.control.modes import Mode, slowed_to
-from toolee_robot.control.planning.straight import plan_straight
+from toolee_robot.control.planning.straight import plan_straight, rise_to_clear
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor import Supervisor
@@ -229,6 +229,18 @@ class Motions:
         speed = min(speed, 0.95 * self.arm.mode.speed(self._config.supervisor))
         move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed, share)
         return self.execute(name, move, guard, at_work=True).contact is not None
+
+    def rise_from_among_nails(self) -> None:
+        """Rise straight until the tool is clear of the nails that stand beside the one that is struck.
+
+        A face on a nail that has been driven is lower than they are, and a transfer may not begin there.
+
+        Raises:
+            TooleeError: As `straight`.
+        """
+        if not (self.in_the_way and self.held):
+            return
+        self.straight("up from among the nails", UP, rise_to_clear(self._robot, self.world(), self.q))
 
     def retreat(self) -> bool:
         """After the tool has dropped, move slowly up and away from the person's place, else up, else not at all.

@@ -21,7 +21,7 @@ from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.nail_forecast import NailForecast
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge, Touches, deepest_strike
 from toolee_robot.tasks.hammering.nail_stall import FEWEST, NailStall
-from toolee_robot.tasks.hammering.nail_watch import NailWatch
+from toolee_robot.tasks.hammering.nail_watch import NailWatch, nail_of
 from toolee_robot.tasks.hammering.striking import Striking
 from toolee_robot.tasks.hammering.tool_pose import Holding
 from toolee_robot.types import Payload, RgbdFrame
@@ -235,7 +235,8 @@ class NailDriving:
         self._taken = self._gauge.latest
         self.protrusion = height
         # Not before: where the nail is not, or not as high as the file has it, something else looks like a nail.
-        self._watch.look(self._frames(), height, self._forecast.sigma)
+        others = [nail_of(body) for body in self._motions.in_the_way]
+        self._watch.look(self._frames(), height, self._forecast.sigma, others)
 
     def _first_touch(self, known: float) -> float:
         """Touch a nail that protrudes by `known` [m], but for an interruption; returns what it protrudes by [m]."""

@@ -14,12 +14,14 @@ from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
+from toolee_robot.tasks.hammering.nail_watch import nail_of
 from toolee_robot.tasks.hammering.touch import Contact, SidewaysContactError, Touch
 
 TOLERANCE = 0.012
 """Largest deviation of a touch from the expected height at which it counts as the nail's head [m]."""
 CLEAR = 0.015
-"""Height over the nail's head at which a measurement starts [m]."""
+"""Height over the nail's head at which a measurement starts [m]; over others that stand beside it, where they are
+higher."""
 LIFT = 0.006
 """Height over what was touched at which the face moves aside [m]."""
 MARGIN = 0.005
@@ -38,6 +40,8 @@ CHECK = "look where the face stands, and check work.nail_xy, the height of the w
 """What a person is to do about a nail that is not met."""
 ASIDE = 0.032
 """Distance from an upright nail to the touch point on the wood [m]: a face of up to 25 mm radius clears its head."""
+TURNS = np.deg2rad([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0])
+"""Angles from the handle's direction at which the wood may be touched [rad], the best first."""
 
 Touches = tuple[Contact, Contact]
 """Contacts of a measurement with the nail's head and with the wood."""
@@ -77,6 +81,7 @@ class NailGauge:
         self._touch = Touch(motions, config, robot, observer)
         self.latest: Touches | None = None
         self._out = config.work.wood_normal
+        self._over = CLEAR
         self._known = 0.0  # height of the nail at the first measurement [m]
         self._first: Touches | None = None  # its touches: nail and wood
         self._corrected: Array | None = None  # the face's place in the hand as the last measurement has left it
@@ -133,7 +138,7 @@ class NailGauge:
         return self.measure(expected)
 
     def measure(self, expected: float, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED) -> float:
-        """Measure the protrusion, starting CLEAR over the nail; it ends beside the nail, above its head.
+        """Measure the protrusion, from where `go_over` ends, or CLEAR over the nail; it ends beside it, above its head.
 
         Args:
             expected: Expected protrusion [m].
@@ -150,17 +155,13 @@ class NailGauge:
         place = motions.X_hand_ee[:3, 3]
         known = self._corrected is not None and np.array_equal(place, self._corrected)  # but for the slip of strikes
         # A strike may have driven the nail, which `expected` does not know of.
-        lowest = self._height() - CLEAR - TOLERANCE - implausible
+        lowest = self._height() - self._over - TOLERANCE - implausible
+        self._over = CLEAR
         head = self._lower("nail", expected + MARGIN if known else None, lowest, missed)
         nail = head.felt
         self._rise_to(nail + LIFT)
-        # Towards the handle, so that the hand moves away from the block.
-        aside = motions.X_base_ee[:3, 0]
-        aside = aside - (aside @ self._out) * self._out
-        aside /= np.linalg.norm(aside)
-        # A nail that leans has its foot nearer to there, or farther from it, than its head.
-        foot = max(0.0, -expected * float(aside @ self._config.work.nail_axis))
-        motions.straight("aside", aside, ASIDE + foot)
+        way = self._way_aside(expected)
+        motions.straight("aside", way / np.linalg.norm(way), float(np.linalg.norm(way)))
         # The nail may have sunk, never risen: the tool has slipped by at least this.
         slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
         lowest = min(slipped, 0.0) - TOLERANCE
@@ -181,7 +182,7 @@ class NailGauge:
         return measured
 
     def go_over(self, plan: StrikePlan) -> None:
-        """Move to CLEAR over the nail, the face square to it.
+        """Move to over the nail and those that stand beside it, by CLEAR, the face square to it.
 
         Args:
             plan: The strike whose line leads to the nail.
@@ -190,7 +191,11 @@ class NailGauge:
             TooleeError: There is no way there, or the motion failed.
         """
         motions = self._motions
-        way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, plan, before=CLEAR)
+        motions.rise_from_among_nails()
+        head, out = plan.X_base_ee_contact[:3, 3], self._out
+        higher = [float((nail_of(body).head - head) @ out) for body in motions.in_the_way]
+        self._over = CLEAR + max([0.0, *higher])
+        way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, plan, before=self._over)
         motions.transfer("to the touch", way)
 
     def protrusion(self, touches: Touches) -> float:
@@ -206,6 +211,32 @@ class NailGauge:
         """
         offset = 0.0 if self._first is None else self._known - (self._first[0].height - self._first[1].height)
         return touches[0].height - touches[1].height + offset
+
+    def _way_aside(self, height: float) -> Array:
+        """From over the nail, of this height [m], to over bare wood, in the plane of the wood, `base`, (3,) [m].
+
+        Towards the handle, so that the hand moves away from the block; turned from there where a nail stands in the
+        way, or where the face would meet its head for the wood.
+        """
+        work, place = self._config.work, self._motions.X_base_ee[:3, 3]
+        towards = self._motions.X_base_ee[:3, 0]
+        towards = towards - (towards @ self._out) * self._out
+        towards /= np.linalg.norm(towards)
+        across = np.cross(self._out, towards)
+        others = [nail.X_base_nail(h)[:2, 3] for nail in work.others for h in (0.0, nail.nail_protrusion)]
+        best, most = np.zeros(3), -np.inf
+        for turn in TURNS:
+            aside = np.cos(turn) * towards + np.sin(turn) * across
+            # A nail that leans has its foot nearer to there, or farther from it, than its head.
+            foot = max(0.0, -height * float(aside @ work.nail_axis))
+            way = (ASIDE + foot) * aside
+            steps = place[:2] + np.linspace(0.0, 1.0, 9)[1:, None] * way[:2]
+            free = min((float(np.linalg.norm(steps - end, axis=1).min()) for end in others), default=np.inf)
+            if free > most:
+                best, most = way, free
+            if free >= ASIDE:
+                break
+        return np.asarray(best)
 
     def _height(self) -> float:
         """Height of the face's centre over the wood by its estimated pose [m], as `Contact.felt` is."""

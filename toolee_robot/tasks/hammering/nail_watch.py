@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from toolee_robot.config import StationConfig
+from toolee_robot.control.collision_shapes import Body
+from toolee_robot.perception.nail.appearance import NailPose
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
@@ -47,13 +49,14 @@ class NailWatch:
         """Whether the nail looked bent at the last look."""
         return self._aside is not None
 
-    def look(self, frames: Sequence[RgbdFrame], height: float, sigma: float) -> None:
+    def look(self, frames: Sequence[RgbdFrame], height: float, sigma: float, others: Sequence[NailPose] = ()) -> None:
         """See whether the nail stands as it should.
 
         Args:
             frames: What the camera took at this look at the tool; none, and nothing is seen.
             height: Height of the nail's head over the wood [m].
             sigma: Standard deviation of it [m]; infinite where it is not known.
+            others: Where other nails stand in the wood.
 
         Raises:
             JobEnded: The nail leans or is bent.
@@ -67,7 +70,7 @@ class NailWatch:
             return
         if height < STANDS:
             return
-        lean = self._sight.first(frames, height)
+        lean = self._sight.first(frames, height, others)
         self._begun = lean is not None
         if lean is None:
             if not self._told:
@@ -90,6 +93,13 @@ class NailWatch:
         if is_bent(before, head):
             raise JobEnded(Outcome.BENT, f"{seen}, for the second time: the nail is bent, pull it out{WRONG}")
         self._observer.message(f"{seen}: it may be bent; looking again soon")
+
+
+def nail_of(body: Body) -> NailPose:
+    """Where a nail stands, by its body of the collision checks."""
+    middle, into_wood = body.X_joint_shape[:3, 3], body.X_joint_shape[:3, 2]
+    half = float(body.geometry.halfSide[2]) * into_wood
+    return NailPose(middle + half, middle - half)
 
 
 def is_aside(head: HeadOffset) -> bool:

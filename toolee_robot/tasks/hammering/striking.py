@@ -104,6 +104,7 @@ class Striking:
 
     def _plan(self, X_base_nail: Array) -> StrikePlan:
         motions, deepest = self._motions, self._config.strike.deepest
+        motions.rise_from_among_nails()
         state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee
         if deepest is None:
             plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=self._tool())

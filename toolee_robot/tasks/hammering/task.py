@@ -336,6 +336,7 @@ class HammeringTask:
                 if not self._handover.person_clear:
                     self._handover.clear_person("Take the tool along and step back: the arm goes home.")
                 home = np.asarray(self._config.scene.home)
+                self._motions.rise_from_among_nails()
                 world = self._motions.world()
                 self._motions.transfer("home", plan_transfer(self._robot, self._config, world, self._motions.q, home))
             except (PlanningError, DeviceError) as error:

@@ -117,6 +117,7 @@ class ToolPose:
         )
         for attempt in (1, 2):
             with self._stages(Stage.VIEW):
+                self._motions.rise_from_among_nails()
                 q_hand = self._motions.q_hand
                 # Another seed gives other views; the same views would give the same result.
                 plan = plan_views(
