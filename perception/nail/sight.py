@@ -41,6 +41,8 @@ NEARER, SPECKS = 0.06, 0.05
 SEEN_PART = 0.3
 """Least share of the pixels around a nail whose depth is known: else nothing tells that it is not hidden. Also the
 least share that has to show wood."""
+SHOWN = 0.5
+"""Least share of a head that has to show before wood to tell its colour."""
 SURE, LEAST = 3.0, 3e-4
 """Within so many standard deviations every displacement that may be has to be longer than this [m]. Chosen on other
 labs than those whose figures `toolee bench-bent-nails` tells."""
@@ -116,12 +118,13 @@ class NailSight:
         self._axis = np.array([0.0, 0.0, 1.0]) if axis is None else axis / axis[2]
         self._set: AsSet | None = None
 
-    def first(self, frames: Sequence[RgbdFrame], height: float) -> HeadOffset | None:
+    def first(self, frames: Sequence[RgbdFrame], height: float, others: Sequence[NailPose] = ()) -> HeadOffset | None:
         """See the nail as it was set.
 
         Args:
             frames: Images of it.
             height: Height of its head over the wood [m].
+            others: Where other nails are believed to stand in the same wood: none of them is taken for this one.
 
         Returns:
             How far its head is from its axis as believed, through its foot; None where it is hidden, outside of the
@@ -131,7 +134,7 @@ class NailSight:
         if not seen:
             return None
         image, wood = _mean(seen), self._wood(seen)
-        found = self._find(frames[0], image, wood, height)
+        found = self._find(frames[0], image, wood, height, others)
         window = None if found is None else self._look(frames[0], BLURS[0]).window(found, WIDE)
         if found is None or window is None:
             return None
@@ -148,7 +151,11 @@ class NailSight:
         comparison = view.compare(fit.pose)
         if comparison.explained < EXPLAINED:
             return None
-        self._set = AsSet(view.look, fit.pose, fit.covariance, comparison.colours, image, wood)
+        head = view.look.covered(window, fit.pose)[:, 1]
+        # A head at the block's edge, of which few pixels count, has no colour of its own: it is of the shank's steel.
+        shown = head[counted.ravel()].sum() >= SHOWN * head.sum()
+        colours = comparison.colours if shown else comparison.colours[[0, 0]]
+        self._set = AsSet(view.look, fit.pose, fit.covariance, colours, image, wood)
         off = fit.pose.head - fit.pose.foot - height * self._axis
         return HeadOffset(off[:2], ACROSS @ fit.covariance @ ACROSS.T)
 
@@ -221,21 +228,37 @@ class NailSight:
         return ~_widened(behind)
 
     def _find(
-        self, frame: RgbdFrame, image: NDArray[np.float64], wood: NDArray[np.bool_], height: float
+        self,
+        frame: RgbdFrame,
+        image: NDArray[np.float64],
+        wood: NDArray[np.bool_],
+        height: float,
+        others: Sequence[NailPose],
     ) -> NailPose | None:
-        """Look for a nail that stands as believed around the place where it is believed."""
+        """Look for a nail that stands as believed around the place where it is believed.
+
+        A calibration that is off displaces all nails alike, so that the others are to be found where it is, too.
+        """
         look, best = self._look(frame, BLURS[len(BLURS) // 2]), None
+
+        def gain(pose: NailPose) -> float | None:
+            """By how much a nail there explains the image better; None where there is no wood."""
+            window = look.window(pose, MARGIN)
+            if window is None or np.mean(window.cut(wood)) < SEEN_PART:
+                return None
+            compared = look.compare(window.cut(image), window, pose, window.cut(wood))
+            return float(np.sum(compared.without**2) - np.sum(compared.residuals**2))
+
         steps = np.arange(-SEARCH, SEARCH + 0.5 * STEP, STEP)
         for x in steps:
             for y in steps[np.hypot(x, steps) <= SEARCH]:
-                pose = self._standing(self._believed + np.array([x, y, 0.0]), height)
-                window = look.window(pose, MARGIN)
-                if window is None or np.mean(window.cut(wood)) < SEEN_PART:
+                away = np.array([x, y, 0.0])
+                pose = self._standing(self._believed + away, height)
+                if (own := gain(pose)) is None:
                     continue
-                compared = look.compare(window.cut(image), window, pose, window.cut(wood))
-                gain = float(np.sum(compared.without**2) - np.sum(compared.residuals**2))
-                if best is None or gain > best[0]:
-                    best = gain, pose
+                total = own + sum(gain(NailPose(o.foot + away, o.head + away)) or 0.0 for o in others)
+                if best is None or total > best[0]:
+                    best = total, pose
         return None if best is None else best[1]
 
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array, transform
+from toolee_robot.perception.nail.appearance import NailPose
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import SimStation
@@ -33,6 +34,8 @@ DRIVEN = 0.003, 0.017
 """Range of heights of a nail that has been driven [m]."""
 PUSHED, BENT = (0.003, 0.008), (np.deg2rad(10.0), np.deg2rad(60.0))
 """How far the heads of bent nails are pushed aside [m], and by what angle the nails are bent [rad]."""
+FLUSH = 5e-4
+"""Height of the nails that were driven before [m]."""
 LEANS = np.deg2rad(12.0), np.deg2rad(25.0)
 """Lean of nails that are not to be struck [rad]."""
 SOONER = 0.001, 0.004
@@ -61,11 +64,13 @@ class Seen:
     later: HeadOffset | None = None
 
 
-def look_at_nails(seed: int) -> Iterator[Seen]:
+def look_at_nails(seed: int, config: StationConfig | None = None) -> Iterator[Seen]:
     """Look at the nails of one simulated lab.
 
     Args:
         seed: Seed of the lab.
+        config: Configuration of the station; None for the default one. Where it has several nails one after the other
+            is looked at, from one seed to the next; those before it are driven, and those after it stand.
 
     Yields:
         The looks: at a nail as it was set, straight and bent after strikes, and at one that leans.
@@ -73,20 +78,28 @@ def look_at_nails(seed: int) -> Iterator[Seen]:
     rng = np.random.default_rng([seed, 28])
     off = transform(Rotation.from_rotvec(rng.normal(0.0, CAMERA_ANGLE, 3)), rng.normal(0.0, CAMERA, 3))
     lean = rng.normal(0.0, LEAN, 2)
-    yield from _looks(seed, off, lean, "set", rng)
+    config = StationConfig() if config is None else config
+    yield from _looks(seed, config, off, lean, "set", rng)
     direction, size = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*LEANS)
-    yield from _looks(seed, off, size * np.array([np.cos(direction), np.sin(direction)]), "leaning", rng)
+    lean = size * np.array([np.cos(direction), np.sin(direction)])
+    yield from _looks(seed, config, off, lean, "leaning", rng)
 
 
-def _looks(seed: int, off: Array, lean: Array, kind: str, rng: np.random.Generator) -> Iterator[Seen]:
-    config = StationConfig()
-    work = config.work
+def _looks(
+    seed: int, config: StationConfig, off: Array, lean: Array, kind: str, rng: np.random.Generator
+) -> Iterator[Seen]:
+    names = config.work.names
+    which = seed % len(names)
+    work = config.work.only(names[which])
     foot = work.p_base_entry
     X_base_camera = config.camera.X_base_camera @ off
     sight = NailSight(X_base_camera, foot, work.nail_diameter, work.nail_head_diameter)
-    options = SimOptions(hands_over=False, nail_leans=((float(lean[0]), float(lean[1])),))
+    leans = tuple((float(lean[0]), float(lean[1])) if name == names[which] else (0.0, 0.0) for name in names)
+    options = SimOptions(hands_over=False, nail_leans=leans)
     with SimStation.build(config, seed, options) as simulation:
-        nail = simulation.world.nail
+        nail = simulation.world.nails[names[which]]
+        for name in names[:which]:
+            simulation.world.nails[name].place(FLUSH)
 
         def head() -> Array:
             return np.asarray(nail.head_pose()[:3, 3] - nail.X_world_surface[:3, 3])
@@ -94,10 +107,13 @@ def _looks(seed: int, off: Array, lean: Array, kind: str, rng: np.random.Generat
         def frames() -> Sequence[RgbdFrame]:
             return [simulation.station.camera.read() for _ in range(FRAMES)]
 
+        others = [
+            NailPose(other.p_base_entry, other.X_base_nail()[:3, 3])
+            for other in map(config.work.only, names[which + 1 :])
+        ]
         set_so = head()
-        yield Seen(
-            kind, float(set_so[2]), set_so[:2], sight.first(frames(), float(set_so[2] + rng.normal(0.0, HEIGHT)))
-        )
+        found = sight.first(frames(), float(set_so[2] + rng.normal(0.0, HEIGHT)), others)
+        yield Seen(kind, float(set_so[2]), set_so[:2], found)
         if kind == "leaning":
             return
         for what in ("straight", "bent"):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import NailConfig, StationConfig
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
 from toolee_robot.sim_backend import SimOptions, SimStation
@@ -72,6 +72,17 @@ def test_the_grain_of_wood_is_not_taken_for_a_nail_that_leans(lab: int) -> None:
     assert as_set.found is not None
     assert as_set.found.distance < np.tan(np.deg2rad(5.0)) * as_set.height
     assert np.linalg.norm(as_set.found.offset - as_set.offset) < 0.0015
+
+
+@pytest.mark.parametrize("lab", [53016, 53034])
+def test_a_straight_nail_at_the_blocks_edge_beside_others_is_not_seen_bent(lab: int) -> None:
+    """In the first lab the calibration makes the next nail look nearer to where this one is believed than it is itself;
+    in the second the head stands before what is behind the block."""
+    nails = [NailConfig("left", (0.75, 0.14)), NailConfig("middle", (0.75, 0.10)), NailConfig("right", (0.75, 0.06))]
+    row = replace(CONFIG, work=replace(WORK, block_size=(0.08, 0.14, 0.06)).with_nails(*nails))
+    driven = next(look for look in look_at_nails(lab, row) if look.kind == "straight")
+    assert driven.found is not None
+    assert driven.found.distance < 0.0018
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.004, 0.006])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -42,19 +43,23 @@ class BenchBentNails:
     """Simulated labs."""
     seed: int = 0
     """Seed of the first; the others follow."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """Station file, such as `examples/nails.yaml`: of several nails one is looked at after the other."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
         if self.runs < 5 or self.seed < 0:
             raise UserError("give --runs 5 or more, and --seed 0 or more", code="user.option")
+        from toolee_robot.config import load_station
         from toolee_robot.stations.bent_nails import look_at_nails
 
+        config = None if self.config is None else load_station(self.config)
         console = Console(stderr=self.json, highlight=False)
         looks: list[Seen] = []
         with progress_bars(console) as report:
             for k in range(self.runs):
-                looks.extend(look_at_nails(self.seed + k))
+                looks.extend(look_at_nails(self.seed + k, config))
                 report("labs", k + 1, self.runs)
         figures = {kind: _figures([look for look in looks if look.kind == kind]) for kind in ROWS}
         table = Table()
