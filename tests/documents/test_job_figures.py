@@ -270,3 +270,27 @@ def test_the_other_hands_rehearsals_are_all_there() -> None:
         end, strikes, seconds, *_ = rows[f"{names[one['job']]}, {one['seed']}"]
         assert (end, strikes) == ("flush" if job["success"] else job["outcome"], str(job["strikes"]))
         assert seconds == f"{job['robot_seconds']:.0f} s"
+
+
+STATIONS = ("inspire", "ability", "shadow", "mount")
+
+
+def _of(one: dict[str, Any], hand: str, kind: str) -> bool:
+    return one["job"] == f"{hand}-{kind}" and one["commit"] == "1f7b62c5"
+
+
+@pytest.mark.parametrize(
+    ("kind", "row"),
+    [
+        ("plain", "as in the example"),
+        ("10e", "UR10e"),
+        ("unknown", "unknown hammer"),
+        ("nails", "three nails, all flush"),
+    ],
+)
+def test_the_table_of_other_stations_is_of_their_records(kind: str, row: str) -> None:
+    kept = [json.loads(line) for line in (KEPT / "stations.jsonl").read_text().splitlines()]
+    before = {hand: [one["figures"]["success"] for one in kept if _of(one, hand, kind)] for hand in STATIONS}
+    *cells, every = _rows("Other stations")[row]
+    assert cells == [f"{sum(ended)} of {len(ended)}" for ended in before.values()]
+    assert every == str(share([success for ended in before.values() for success in ended]))
