@@ -14,6 +14,7 @@ from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
+from toolee_robot.tasks.hammering.bare_wood import way_to_bare_wood
 from toolee_robot.tasks.hammering.nail_watch import nail_of
 from toolee_robot.tasks.hammering.touch import Contact, SidewaysContactError, Touch
 
@@ -38,11 +39,6 @@ NO_HEAD = 0.002
 """Largest height over the wood of what is no nail's head, but the wood: a touch may be off by this [m]."""
 CHECK = "look where the face stands, and check work.nail_xy, the height of the wood and the camera's calibration"
 """What a person is to do about a nail that is not met."""
-ASIDE = 0.032
-"""Distance from an upright nail to the touch point on the wood [m]: a face of up to 25 mm radius clears its head."""
-TURNS = np.deg2rad([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0])
-"""Angles from the handle's direction at which the wood may be touched [rad], the best first."""
-
 Touches = tuple[Contact, Contact]
 """Contacts of a measurement with the nail's head and with the wood."""
 
@@ -160,7 +156,8 @@ class NailGauge:
         head = self._lower("nail", expected + MARGIN if known else None, lowest, missed)
         nail = head.felt
         self._rise_to(nail + LIFT)
-        way = self._way_aside(expected)
+        # Towards the handle, so that the hand moves away from the block.
+        way = way_to_bare_wood(self._config.work, motions.X_base_ee[:3, 0], expected)
         motions.straight("aside", way / np.linalg.norm(way), float(np.linalg.norm(way)))
         # The nail may have sunk, never risen: the tool has slipped by at least this.
         slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
@@ -211,32 +208,6 @@ class NailGauge:
         """
         offset = 0.0 if self._first is None else self._known - (self._first[0].height - self._first[1].height)
         return touches[0].height - touches[1].height + offset
-
-    def _way_aside(self, height: float) -> Array:
-        """From over the nail, of this height [m], to over bare wood, in the plane of the wood, `base`, (3,) [m].
-
-        Towards the handle, so that the hand moves away from the block; turned from there where a nail stands in the
-        way, or where the face would meet its head for the wood.
-        """
-        work, place = self._config.work, self._motions.X_base_ee[:3, 3]
-        towards = self._motions.X_base_ee[:3, 0]
-        towards = towards - (towards @ self._out) * self._out
-        towards /= np.linalg.norm(towards)
-        across = np.cross(self._out, towards)
-        others = [nail.X_base_nail(h)[:2, 3] for nail in work.others for h in (0.0, nail.nail_protrusion)]
-        best, most = np.zeros(3), -np.inf
-        for turn in TURNS:
-            aside = np.cos(turn) * towards + np.sin(turn) * across
-            # A nail that leans has its foot nearer to there, or farther from it, than its head.
-            foot = max(0.0, -height * float(aside @ work.nail_axis))
-            way = (ASIDE + foot) * aside
-            steps = place[:2] + np.linspace(0.0, 1.0, 9)[1:, None] * way[:2]
-            free = min((float(np.linalg.norm(steps - end, axis=1).min()) for end in others), default=np.inf)
-            if free > most:
-                best, most = way, free
-            if free >= ASIDE:
-                break
-        return np.asarray(best)
 
     def _height(self) -> float:
         """Height of the face's centre over the wood by its estimated pose [m], as `Contact.felt` is."""
