@@ -20,6 +20,7 @@ from tests.sim_backend.ur_controller.ur_rtde.test_control_script import (
 )
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
+from toolee_robot.sim_backend.ur_controller.urscript.compiling import compiled
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
 
 pytestmark = pytest.mark.sim
@@ -33,11 +34,15 @@ class HarshRemote:
         self.robot = wire_robot(model, "harsh")
         self.period = self.robot.model.period
         self.robot.machine.set_payload(1.5, [0.0, 0.0, 0.08])
-        self.robot.program.upload(control_script(MODELS[model], HOSTS[MODELS[model]]))
+        script = control_script(MODELS[model], HOSTS[MODELS[model]])
+        compiled(script, MODELS[model].e_series)  # else beside the steps, for as long as the machine takes
+        self.robot.program.upload(script)
         for _ in range(4000):
             self.robot.step()
             if self.robot.registers.int_out[0] == 1:
                 break
+        else:
+            raise AssertionError(f"the script does not begin: {self.robot.program.last_error}")
         self.start = self.robot.plant.q.copy()
 
     def send(self, command: int, numbers: Sequence[float] = (), integers: Sequence[int] = ()) -> None:
