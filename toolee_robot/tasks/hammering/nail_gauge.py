@@ -39,6 +39,7 @@ NO_HEAD = 0.002
 """Largest height over the wood of what is no nail's head, but the wood: a touch may be off by this [m]."""
 CHECK = "look where the face stands, and check work.nail_xy, the height of the wood and the camera's calibration"
 """What a person is to do about a nail that is not met."""
+
 Touches = tuple[Contact, Contact]
 """Contacts of a measurement with the nail's head and with the wood."""
 
@@ -77,7 +78,7 @@ class NailGauge:
         self._touch = Touch(motions, config, robot, observer)
         self.latest: Touches | None = None
         self._out = config.work.wood_normal
-        self._over = CLEAR
+        self._over = CLEAR  # height over the nail's head at which the next measurement starts [m]
         self._known = 0.0  # height of the nail at the first measurement [m]
         self._first: Touches | None = None  # its touches: nail and wood
         self._corrected: Array | None = None  # the face's place in the hand as the last measurement has left it
