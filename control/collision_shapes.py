@@ -149,10 +149,9 @@ def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
 def station_bodies(config: StationConfig) -> list[Body]:
     """Build the boxes of table, stand, block, camera, person and the station's obstacles in `base`."""
     work, scene = config.work, config.scene
-    x, y = work.block_center
     return [
-        box_body("table", (0.4, 0.0, -0.05), (*scene.table_size, 0.1)),
-        box_body("stand", (x, y, work.stand_height / 2), (*work.stand_size, work.stand_height)),
+        box_body("table", (*scene.table_center, scene.table_height - 0.05), (*scene.table_size, 0.1)),
+        rotated_box_body("stand", *work.stand_box(scene.table_height)),
         rotated_box_body("block", work.X_base_block, work.block_size),
         box_body("camera", config.camera.center, scene.camera_size),
         box_body("person", scene.person_center, scene.person_size),

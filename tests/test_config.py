@@ -176,6 +176,8 @@ def test_a_robots_station_file_without_a_measured_field_is_refused_by_its_name(
 ) -> None:
     data = _documented_station()
     del data[section][name]
+    if section == "strike":
+        del data["supervisor"]  # with which the simulation's speed would be refused for another reason
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(data))
     with raises(ConfigError, "config.unmeasured") as caught:

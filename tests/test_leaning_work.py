@@ -1,7 +1,9 @@
-"""Wood that is not level and nails that lean: where the station file puts them, and a job that strikes along them."""
+"""Wood that is not level, turned, or below the robot's base, and nails that lean: where the station file puts them, and
+jobs there."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +13,10 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import NailConfig, StationConfig, WorkConfig, load_station
+from toolee_robot.config import NailConfig, SceneConfig, StationConfig, WorkConfig, load_station
 from toolee_robot.control.collision_shapes import station_bodies
 from toolee_robot.errors import ConfigError
-from toolee_robot.frames import angle_between, inverse, is_rigid
+from toolee_robot.frames import angle_between, inverse, is_rigid, transform_points
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.options import SimOptions
@@ -88,6 +90,69 @@ def test_the_block_is_tilted_where_collisions_are_looked_for() -> None:
     top = inverse(block.X_joint_shape) @ [*config.work.block_center, config.work.wood_height, 1.0]
     np.testing.assert_allclose(top[:3], [0.0, 0.0, config.work.block_size[2] / 2], atol=1e-9)
     assert angle_between(block.X_joint_shape[:3, 2], Z) == pytest.approx(np.arctan(0.15))
+
+
+@examples(50)
+@given(st.floats(-np.pi / 2, np.pi / 2), st.floats(-0.6, 0.6), st.floats(0.0, 0.4))
+def test_block_and_stand_are_turned_and_the_stand_is_between_table_and_block(
+    turn: float, table: float, height: float
+) -> None:
+    work = WorkConfig(block_xy=(0.75, 0.1), block_turn=turn, stand_height=table + height, stand_size=(0.07, 0.03))
+    scene = SceneConfig(table_center=(0.5, 0.2), table_height=table)
+    bodies = {body.name: body for body in station_bodies(StationConfig(work=work, scene=scene))}
+    X, size = work.stand_box(table)
+    top, foot = (X @ [0.0, 0.0, sign * size[2] / 2, 1.0] for sign in (1, -1))
+    np.testing.assert_allclose(top[:3], [0.75, 0.1, table + height], atol=1e-9)
+    assert foot[2] == pytest.approx(table, abs=1.1e-3), "a block on the table itself has a stand of 1 mm"
+    along = [np.cos(turn), np.sin(turn), 0.0]
+    for name in ("stand", "block"):
+        np.testing.assert_allclose(bodies[name].X_joint_shape[:3, 0], along, atol=1e-9)
+    table_top = bodies["table"].X_joint_shape @ [0.0, 0.0, 0.05, 1.0]
+    np.testing.assert_allclose(table_top[:3], [0.5, 0.2, table], atol=1e-9)
+
+
+def test_a_nail_is_in_the_wood_of_the_turned_block() -> None:
+    """In the corner of a block of 80 mm that is turned by 45 degrees, which reaches 57 mm along x."""
+    corner = WorkConfig(block_xy=(0.75, 0.1), nail_xy=(0.80, 0.1), block_turn=np.pi / 4)
+    assert inverse(corner.X_base_block)[:3, :3] @ [1.0, 0.0, 0.0] == pytest.approx([0.5**0.5, -(0.5**0.5), 0.0])
+    with pytest.raises(ValueError, match="outside of the block"):
+        replace(corner, block_turn=0.0)
+
+
+def test_a_block_under_the_table_and_a_turn_in_degrees_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    for text, words in (
+        ("work: {stand_height: -0.30}\nscene: {table_height: -0.25}", "50 mm under the table's top"),
+        ("work: {stand_height: -0.10}", "100 mm under the table's top"),
+        ("work: {block_turn: 30}", "block_turn"),
+    ):
+        path.write_text(f"frame: base_link\n{text}\n")
+        with raises(ConfigError, code="config.invalid") as refused:
+            load_station(path)
+        assert words in str(refused.value)
+
+
+@pytest.mark.nightly
+@pytest.mark.sim(seconds=60)
+def test_a_job_strikes_below_the_base_of_a_robot_on_a_pedestal() -> None:
+    """The wood is 90 mm under the base plane, on a block that is turned."""
+    config = StationConfig()
+    scene = replace(config.scene, table_height=-0.35, workspace_lower=(-1.0, -1.2, -0.30))
+    work = replace(config.work, stand_height=-0.15, block_turn=0.5, nail_protrusion=0.006)
+    config = replace(config, scene=scene, work=work)
+    with SimStation.build(config, 100, SimOptions()) as simulation:
+        task = HammeringTask(
+            simulation.station, PerfectPerception(simulation.judge), config, nominal_grasp(simulation.tool, config)
+        )
+        result = task.run()
+        assert result.outcome is Outcome.FLUSH, result.reason
+        assert simulation.judge.verdict(result.estimates).worst().outcome == "flush"
+        frame = simulation.station.camera.read()
+    rows, columns = np.nonzero(frame.depth > 0)
+    points = frame.intrinsics.rays(np.stack([columns, rows], axis=-1)) * frame.depth[rows, columns, None]
+    heights = transform_points(config.camera.uncalibrated.X_base_camera, points)[:, 2]
+    assert np.mean(np.abs(heights + 0.35) < 0.01) > 0.02, "the camera sees the lower table"
+    assert np.mean(np.abs(heights) < 0.01) < 0.02, "and none at the base plane"
 
 
 @pytest.mark.nightly

@@ -52,7 +52,7 @@ class SimCamera:
         self._world, self._clock, self._config = world, clock, config
         self._noise, self._photo = DepthNoise(), Photo()
         self._seed, self._sensor = seed, sensor
-        self._room = laboratory(np.random.default_rng([seed, 1]), _ROOM_ID)
+        self._room = laboratory(np.random.default_rng([seed, 1]), _ROOM_ID).raised(world.table_height)
         self._rng = np.random.default_rng([seed, 2])
         self._materials: dict[str, Material] = {}
         self._last: RgbdFrame | None = None

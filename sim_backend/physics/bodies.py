@@ -77,7 +77,7 @@ def fixed_box(
 
 @dataclass(frozen=True)
 class Furniture:
-    """The static bodies; the plane z = 0 of `base` is the table's top.
+    """The static bodies.
 
     Attributes:
         table: pybullet's id of the table.
@@ -100,18 +100,16 @@ class Furniture:
         Returns:
             The bodies.
         """
-        work = config.work
-        x, y = work.block_center
-        sx, sy = config.scene.table_size
-        table = fixed_box(client, (sx, sy, TABLE_THICKNESS), np.array([0, 0, -TABLE_THICKNESS / 2]), (0.6, 0.58, 0.55))
-        stand = fixed_box(
-            client, (*work.stand_size, work.stand_height), np.array([x, y, work.stand_height / 2]), (0.35, 0.36, 0.4)
-        )
+        work, scene = config.work, config.scene
+        middle = np.array([*scene.table_center, scene.table_height - TABLE_THICKNESS / 2])
+        table = fixed_box(client, (*scene.table_size, TABLE_THICKNESS), middle, (0.6, 0.58, 0.55))
+        X, size = work.stand_box(scene.table_height)
+        stand = fixed_box(client, size, X[:3, 3], (0.35, 0.36, 0.4), Rotation.from_matrix(X[:3, :3]))
         X = work.X_base_block
         block = fixed_box(client, work.block_size, X[:3, 3], (0.76, 0.6, 0.4), Rotation.from_matrix(X[:3, :3]))
         obstacles = [
             fixed_box(client, o.size, np.array(o.center), OBSTACLE_COLOR, Rotation.from_rotvec(o.rotation))
-            for o in config.scene.obstacles
+            for o in scene.obstacles
         ]
         for body in (table, stand, block, *obstacles):
             pb.changeDynamics(body, -1, restitution=0.0, lateralFriction=0.5, physicsClientId=client)

@@ -136,6 +136,9 @@ class SceneVisuals:
         seed: Seed of the person's skin and shirt colors.
         state: Returns the current poses.
         boards: Calibration boards in the world.
+
+    Attributes:
+        table_height: Height of the table's top over the base plane [m].
     """
 
     def __init__(
@@ -162,12 +165,10 @@ class SceneVisuals:
             for i, part in enumerate(tool.parts)
         ]
         work = config.work
-        x, y = work.block_center
-        height = work.stand_height
+        self.table_height = config.scene.table_height
+        X_base_stand, size = work.stand_box(self.table_height)
         self._static = [
-            _static(
-                "stand", box((*work.stand_size, height)), transform(p=(x, y, height / 2)), "steel_painted", STAND_COLOR
-            ),
+            _static("stand", box(size), X_base_stand, "steel_painted", STAND_COLOR),
             _static("block", box(work.block_size), work.X_base_block, "wood_block", PINE_COLOR),
         ]
         self._static += [

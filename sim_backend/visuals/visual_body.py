@@ -39,7 +39,13 @@ class VisualBody:
 
 
 class VisualWorld(Protocol):
-    """A world that can be rendered."""
+    """A world that can be rendered.
+
+    Attributes:
+        table_height: Height of the table's top over the base plane [m].
+    """
+
+    table_height: float
 
     def visual_bodies(self) -> Sequence[VisualBody]:
         """The visual bodies at the current simulated time, without the room."""

@@ -56,6 +56,8 @@ def camera(distortion: tuple[float, ...] | None, driver: str) -> CameraConfig:
 class Scene:
     """A board that fills the image, until it is held otherwise, seen through a lens, with a little noise."""
 
+    table_height = 0.0
+
     def __init__(self, config: CameraConfig) -> None:
         R = Rotation.from_rotvec([0.15, -0.1, 0.02])
         self._config, self._rng = config, np.random.default_rng(0)

@@ -13,6 +13,8 @@ import pytest
 import yaml
 from PIL import Image
 
+from toolee_robot.config import load_station
+from toolee_robot.control.collision_shapes import station_bodies
 from toolee_robot.viewer.station_page import StationPage
 from toolee_robot.viewer.station_scene import CAMERA_BOX, OBSTACLE
 
@@ -53,6 +55,18 @@ def test_places_are_told_in_the_files_own_frame(tmp_path: Path) -> None:
         rows = _rows(page)
         assert rows["camera"] == [-0.95, 0.62, 0.85]
         assert rows["nail (not given)"][:2] == [-0.75, -0.10]
+
+
+def test_the_table_is_drawn_where_the_collision_checks_have_it(tmp_path: Path) -> None:
+    path = tmp_path / "pedestal.yaml"
+    path.write_text(
+        "frame: base_link\nscene: {table_center: [0.5, -0.2], table_height: -0.4}\nwork: {stand_height: -0.3}\n"
+    )
+    with _page(path) as page:
+        drawn = page.picture.place("table")
+    (table,) = (body for body in station_bodies(load_station(path)) if body.name == "table")
+    np.testing.assert_allclose(drawn[:2], table.X_joint_shape[:2, 3])
+    assert drawn[2] == pytest.approx(-0.4, abs=0.01)
 
 
 def test_a_camera_by_another_program_s_pose_is_drawn_where_it_stands(tmp_path: Path) -> None:

@@ -152,7 +152,12 @@ class SceneConfig:
 
     __pydantic_config__ = STRICT
     table_size: tuple[Positive, Positive] = (2.0, 2.0)
-    """Size of the table, x and y [m]; its top is the base plane."""
+    """Size of the table, x and y [m]."""
+    table_center: tuple[float, float] = (0.4, 0.0)
+    """Middle of the table in `base`, x and y [m]."""
+    table_height: float = 0.0
+    """Height of the table's top over the base plane [m]: 0 where the arm stands on it, negative where the arm stands
+    higher, on a pedestal."""
     camera_size: tuple[Positive, Positive, Positive] = (0.16, 0.16, 0.12)
     """Size of the box around the camera's centre [m]."""
     person_center: tuple[float, float, float] = (0.10, -1.15, 0.85)

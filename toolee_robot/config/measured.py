@@ -26,6 +26,8 @@ MEASURED: Mapping[str, tuple[str, ...]] = {
         "workspace_lower",
         "workspace_upper",
         "table_size",
+        "table_center",
+        "table_height",
         "person_center",
         "person_size",
         "handover_position",
@@ -45,9 +47,11 @@ MEASURED: Mapping[str, tuple[str, ...]] = {
         "wood_specific_gravity",
         "pilot_hole_diameter",
     ),
+    "strike": ("speed",),
 }
-"""Fields that describe a lab and nobody else's: section of the station file, and names. A calibration is not among
-them: without one a station is uncalibrated, which every job refuses."""
+"""Fields that describe a lab and nobody else's: section of the station file, and names. The speed of the strikes is
+among them since the simulation's is too fast for the first ones on a robot; a calibration is not: without one a station
+is uncalibrated, which every job refuses."""
 
 
 def unmeasured(path: Path) -> list[str]:

@@ -26,6 +26,9 @@ from toolee_robot.config.work import WorkConfig
 from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.yaml_files import read_yaml, to_record
 
+IN_TABLE = 0.02
+"""Depth under the table's top at which no block stands, whatever the errors of both heights [m]."""
+
 
 @dataclass(frozen=True)
 class StationConfig:
@@ -66,6 +69,12 @@ class StationConfig:
             raise ValueError(
                 f"strike.speed {self.strike.speed} is more than supervisor.unattended_speed "
                 f"{self.supervisor.unattended_speed}: every strike would be refused"
+            )
+        below = self.scene.table_height - self.work.stand_height
+        if below > IN_TABLE:
+            raise ValueError(
+                f"work.stand_height {self.work.stand_height} is {below * 1e3:.0f} mm under the table's top, "
+                f"scene.table_height {self.scene.table_height}: both are heights over the base plane"
             )
         self._check_spacing()
 

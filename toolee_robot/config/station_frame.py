@@ -21,6 +21,7 @@ POINTS = (
     ("work", "block_xy"),
     ("work", "wood_rise"),
     ("work", "nail_lean"),
+    ("scene", "table_center"),
     ("scene", "person_center"),
     ("scene", "handover_position"),
     ("scene", "handover_facing"),

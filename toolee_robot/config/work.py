@@ -19,6 +19,8 @@ SIZES = ("diameter", "length", "head_diameter", "protrusion", "lean")
 """Fields of a nail of `work.nails` that `work.nail_...` give for all."""
 LARGEST_TILT = float(np.deg2rad(10.0))
 """Largest angle of the wood's normal and of a nail's axis to the vertical, and to each other [rad]; more is refused."""
+LEAST_STAND = 0.001
+"""Height of the stand of a block that stands on the table itself [m]."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class NailConfig:
 class WorkConfig:
     """The wooden block on its stand, and the nail or nails. Strikes and touches go along the nail's axis.
 
-    Heights are relative to the base plane, which is the top of the table. The wood is level and the nail upright unless
+    Heights are over the base plane. The wood is level and the nail upright unless
     `wood_rise` and `nail_lean` say otherwise, up to 10 degrees from the vertical and from each other. With the default
     values 3.7 J drive the nail; a held claw hammer of 0.9 kg at 1.5 m/s, which hits far from its centre of mass,
     delivers about 0.45 J per strike.
@@ -60,8 +62,9 @@ class WorkConfig:
     __pydantic_config__ = STRICT
     nail_xy: tuple[float, float] = (0.75, 0.10)
     """Position of the nail's axis in `base`, x and y [m]; left out where `nails` lists several."""
-    stand_height: Positive = 0.20
-    """Height of the stand under the block [m]."""
+    stand_height: float = 0.20
+    """Height of the stand's top, on which the block stands, over the base plane [m]; that of the table's top where the
+    block stands on the table itself."""
     stand_size: tuple[Positive, Positive] = (0.07, 0.07)
     """Size of the stand, x and y [m]."""
     block_size: tuple[Positive, Positive, Positive] = (0.08, 0.08, 0.06)
@@ -82,6 +85,8 @@ class WorkConfig:
     """Several nails, in the order in which they are driven; empty for the one of `nail_xy`."""
     block_xy: tuple[float, float] | None = None
     """Middle of block and stand in `base`, x and y [m]; null for the middle between the outermost nails."""
+    block_turn: Annotated[float, Field(ge=-np.pi / 2, le=np.pi / 2)] = 0.0
+    """Turn of block and stand about the vertical [rad]; 0 where their edges are parallel to x and y."""
     wood_rise: tuple[float, float] = (0.0, 0.0)
     """How the wood's top rises along x and y of `base`, metres per metre: (0, 0) where a spirit level says so, 0.0175
     for 1 degree. `stand_height` is then the height below the middle of the block."""
@@ -135,12 +140,15 @@ class WorkConfig:
                 f"{whose}nail_lean {nail.lean} is {np.rad2deg(lean):.1f} degrees off the wood's normal, "
                 f"{np.rad2deg(LARGEST_TILT):.0f} are allowed: it is metres per metre, 0.0175 for 1 degree"
             )
-        off = np.abs(np.subtract(nail.xy, self.block_center))
+        dx, dy = np.subtract(nail.xy, self.block_center)
+        cos, sin = np.cos(self.block_turn), np.sin(self.block_turn)
+        off = np.abs([cos * dx + sin * dy, cos * dy - sin * dx])
         if np.any(off > np.array(self.block_size[:2]) / 2):
             x, y = self.block_center
             raise ValueError(
                 f"{whose}it is not in the wood: ({nail.xy[0]}, {nail.xy[1]}) lies outside of the block, which is "
-                f"{self.block_size[0]} x {self.block_size[1]} m around ({x:.4f}, {y:.4f}); see block_size and block_xy"
+                f"{self.block_size[0]} x {self.block_size[1]} m around ({x:.4f}, {y:.4f}); see block_size, block_xy, "
+                "block_turn"
             )
 
     @property
@@ -160,7 +168,27 @@ class WorkConfig:
         x, y = self.block_center
         # The middle of its top stays where it is, whatever the tilt.
         p = [x - n[0] * half, y - n[1] * half, self.stand_height + half + (1.0 - n[2]) * half]
-        return frame_from_axes(z=n, x=np.array([1.0, 0.0, 0.0]), p=p)
+        return frame_from_axes(z=n, x=self._along, p=p)
+
+    def stand_box(self, table_height: float) -> tuple[Array, tuple[float, float, float]]:
+        """The box that the stand fills.
+
+        Args:
+            table_height: Height of the table's top, on which it stands, over the base plane [m].
+
+        Returns:
+            Pose of its centre in `base`, (4, 4), and its edge lengths [m]; it is never lower than LEAST_STAND.
+        """
+        height = max(self.stand_height - table_height, LEAST_STAND)
+        x, y = self.block_center
+        up = np.array([0.0, 0.0, 1.0])
+        X = frame_from_axes(z=up, x=self._along, p=[x, y, self.stand_height - height / 2])
+        return X, (*self.stand_size, height)
+
+    @property
+    def _along(self) -> Array:
+        """Horizontal direction of the block's x edges, (3,)."""
+        return np.array([np.cos(self.block_turn), np.sin(self.block_turn), 0.0])
 
     @property
     def nail_axis(self) -> Array:
@@ -248,7 +276,7 @@ class WorkConfig:
         Args:
             dx: Way along x of `base` [m].
             dy: Way along y [m].
-            dz: Way along z [m]; the stand stays at least 1 mm high.
+            dz: Way along z [m].
 
         Returns:
             The work there.
@@ -258,7 +286,7 @@ class WorkConfig:
             return float(xy[0] + dx), float(xy[1] + dy)
 
         return replace(
-            self, nail_xy=there(self.nail_xy), stand_height=max(1e-3, self.stand_height + dz),
+            self, nail_xy=there(self.nail_xy), stand_height=self.stand_height + dz,
             nails=tuple(replace(nail, xy=there(nail.xy)) for nail in self.nails),
             block_xy=None if self.block_xy is None else there(self.block_xy),
         )  # fmt: skip

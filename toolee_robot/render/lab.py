@@ -5,7 +5,7 @@ The world frame is the base of the robot: z up, table top at z = 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,6 +30,18 @@ class Surroundings:
     bodies: tuple[Body, ...]
     lights: tuple[Light, ...]
     environment: Environment
+
+    def raised(self, height: float) -> Surroundings:
+        """Move the bodies up.
+
+        Args:
+            height: By how much [m].
+
+        Returns:
+            The room there.
+        """
+        up = transform(p=(0.0, 0.0, height))
+        return replace(self, bodies=tuple(replace(body, X_world_body=up @ body.X_world_body) for body in self.bodies))
 
 
 def laboratory(rng: np.random.Generator, body_id: int) -> Surroundings:

@@ -81,7 +81,8 @@ class StationPage:
             self.picture.frame(name, X, self._named(name), above=nails * NAIL_LABELS)
             nails += name.startswith("nail")
         x, y = config.scene.table_size
-        scene.add_grid("/table's grid", x, y, cell_size=CELL, section_size=CELL, position=(0.0, 0.0, 0.001))
+        middle = (*config.scene.table_center, config.scene.table_height + 0.001)
+        scene.add_grid("/table's grid", x, y, cell_size=CELL, section_size=CELL, position=middle)
         self._label("workspace", self._draw_workspace()[5])  # the corner that the panel does not hide
         self._label("person", np.add(config.scene.person_center, (0.0, 0.0, config.scene.person_size[2] / 2.0 + 0.25)))
         for obstacle in config.scene.obstacles:

@@ -129,8 +129,10 @@ class StationPicture:
                 wxyz=wxyz,
             )
         x, y = config.scene.table_size
-        dimensions = (x, y, 0.01)
-        self.server.scene.add_box("/bodies/table", color=TABLE, dimensions=dimensions, position=(0.0, 0.0, -0.006))
+        dimensions, middle = (x, y, 0.01), (*config.scene.table_center, config.scene.table_height - 0.006)
+        self._meshes["table"] = self.server.scene.add_box(
+            "/bodies/table", color=TABLE, dimensions=dimensions, position=middle
+        )
 
     def _draw_camera(self, config: StationConfig) -> None:
         position, wxyz = position_wxyz(config.camera.X_base_camera)

@@ -26,6 +26,8 @@ CENTER = np.array(CONFIG.target)
 class Boxes:
     """A `VisualWorld`: one box that can be moved."""
 
+    table_height = 0.0
+
     def __init__(self) -> None:
         self.p = CENTER.copy()
         self._mesh = box((0.12, 0.12, 0.12))

@@ -66,7 +66,10 @@ class HeldBoard:
     Attributes:
         board: The board as it is.
         bars: Lengths of its scale bars as a person has measured them [m].
+        table_height: Height of the table's top over the base plane [m].
     """
+
+    table_height = 0.0
 
     def __init__(self, camera: CameraConfig, sheet: Sheet, seed: int, clock: Clock) -> None:
         self._rng = np.random.default_rng([seed, 40])
