@@ -68,6 +68,11 @@ class Hand:
         self.run()
         return tuple(sign * motor.position for sign, motor in zip(SIGNS, self.motors, strict=True))
 
+    @property
+    def told(self) -> tuple[tuple[float | None, float], ...]:
+        """Target and speed that each motor was given last [deg], [deg/s]."""
+        return tuple(motor.told for motor in self.motors)
+
     def hold(self, met_at: float | None, *, thumb: float | None = None) -> None:
         """Put something into the hand, or take it out.
 

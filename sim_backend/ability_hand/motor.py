@@ -64,6 +64,11 @@ class Motor:
         return 0.0 if self.met_at is None else max(0.0, STIFFNESS * (self.position - self.met_at))
 
     @property
+    def told(self) -> tuple[float | None, float]:
+        """Target and speed that it was given last."""
+        return self._orders[-1][1:] if self._orders else self._wanted
+
+    @property
     def direction(self) -> int:
         """Where it is told to go: 1 closing, -1 opening, 0 nowhere."""
         target, speed = self._wanted

@@ -10,10 +10,11 @@ from toolee_robot.sim_backend.hand_wire.emulator import EmulatedHand, HandEmulat
 from toolee_robot.sim_backend.hand_wire.events import happen
 from toolee_robot.sim_backend.hand_wire.hand_time import HandTime
 from toolee_robot.sim_backend.hand_wire.line import Frame, LineEmulator
-from toolee_robot.sim_backend.hand_wire.line_faults import LineFault, LineFaults
+from toolee_robot.sim_backend.hand_wire.line_faults import ACKNOWLEDGE, LineFault, LineFaults, WriteFault
 from toolee_robot.sim_backend.hand_wire.wires import PseudoTerminal, TcpServer, Wire, listener
 
 __all__ = [
+    "ACKNOWLEDGE",
     "EmulatedHand",
     "Frame",
     "HandEmulator",
@@ -24,6 +25,7 @@ __all__ = [
     "PseudoTerminal",
     "TcpServer",
     "Wire",
+    "WriteFault",
     "happen",
     "listener",
 ]

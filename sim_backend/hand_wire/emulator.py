@@ -6,7 +6,7 @@ import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 from toolee_robot.sim_backend.hand_wire.hand_time import HandTime
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFaults
@@ -34,6 +34,10 @@ class EmulatedHand(Protocol):
     @property
     def angles(self) -> tuple[float, ...]:
         """Where the motors are now, in the hand's own unit."""
+
+    @property
+    def told(self) -> tuple[Any, ...]:
+        """What it was told last, to be compared."""
 
     def run(self) -> None:
         """Let the motors move until now."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from toolee_robot.errors import UserError
 from toolee_robot.sim_backend.hand_wire.emulator import HandEmulator
-from toolee_robot.sim_backend.hand_wire.line_faults import LineFault
+from toolee_robot.sim_backend.hand_wire.line_faults import ACKNOWLEDGE, LineFault, WriteFault
 
 
 def happen(emulator: HandEmulator[Any], line: str) -> str:
@@ -47,6 +47,8 @@ def _to_line(emulator: HandEmulator[Any], event: str, words: list[str]) -> bool:
         emulator.unplug()
     elif event == "echo":
         emulator.faults.echo = True
+    elif event in {*WriteFault, ACKNOWLEDGE}:
+        emulator.faults.writes = None if event == ACKNOWLEDGE else WriteFault(event)
     elif event != "show":
         emulator.faults.muted = event == "mute"
     return True

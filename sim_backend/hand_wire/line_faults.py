@@ -1,4 +1,4 @@
-"""Faults of the line: what becomes of a reply on its way."""
+"""Faults of the line: what becomes of a reply on its way, and of what is written."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 class LineFault(StrEnum):
@@ -26,6 +29,19 @@ class LineFault(StrEnum):
     """The reply of another hand comes before it."""
     LOST = "lost"
     """It does not come."""
+
+
+class WriteFault(StrEnum):
+    """What can become of what is written, while everything that is asked is answered."""
+
+    DEAF = "deaf"
+    """It is neither carried out nor acknowledged."""
+    UNACKNOWLEDGED = "unacknowledged"
+    """It is carried out, and not acknowledged."""
+
+
+ACKNOWLEDGE = "acknowledge"
+"""Event that ends a `WriteFault`."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +66,7 @@ class LineFaults:
 
     Attributes:
         muted: Whether no reply comes at all.
+        writes: What becomes of everything that is written; None: it is carried out and acknowledged.
         echo: Whether the adapter repeats what it was sent, as two-wire ones do.
         rates: Probability of each fault for each reply.
         late_by: By how much late replies are late [s].
@@ -60,6 +77,7 @@ class LineFaults:
     ) -> None:
         self._foreign, self._framing, self._burst = foreign, framing, burst
         self.muted = self.echo = False
+        self.writes: WriteFault | None = None
         self.rates: Mapping[LineFault, float] = {}
         self.late_by = 0.12
         self._random = random.Random(seed)
@@ -78,6 +96,20 @@ class LineFaults:
     def pending(self) -> int:
         """Number of injected faults that have not happened yet."""
         return len(self._next)
+
+    def write(self, carry_out: Callable[[], list[T]]) -> list[T]:
+        """Let the hand take what is written, as far as `writes` lets it.
+
+        Args:
+            carry_out: Carries it out and returns what acknowledges it.
+
+        Returns:
+            What acknowledges it; nothing if nothing does.
+        """
+        if self.writes is WriteFault.DEAF:
+            return []
+        acknowledgement = carry_out()
+        return acknowledgement if self.writes is None else []
 
     def on_the_way(self, frame: bytes) -> list[Piece]:
         """What arrives of a reply.

@@ -43,6 +43,11 @@ class Hand:
         self.run()
         return tuple(motor.position for motor in self.motors)
 
+    @property
+    def told(self) -> tuple[tuple[float, float, float], ...]:
+        """Target, threshold and speed that each motor was given last."""
+        return tuple(motor.told for motor in self.motors)
+
     def hold(self, met_at: float | None, *, thumb: float | None = None) -> None:
         """Put something into the hand, or take it out.
 

@@ -6,13 +6,16 @@ After the MODBUS Application Protocol V1.1b3 and the MODBUS Messaging on TCP/IP 
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
 
+from toolee_robot.sim_backend.hand_wire import LineFaults
 from toolee_robot.sim_backend.inspire_hand.hand import CALIBRATE, CLEAR, IDENTIFIER, SAVE, WORDS, Hand
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 """Exception codes."""
 FRAMING = 9
 """Bytes of a reply before the data that was read."""
+_WRITES = (6, 16)
 _CONTROLS = (IDENTIFIER, CLEAR, SAVE, CALIBRATE)
 _REGISTERS = range(1000, 5124)
 _LONGEST = 254
@@ -23,6 +26,7 @@ class ModbusServer:
 
     Args:
         hand: The hand.
+        faults: Faults of its line; None for none.
 
     Attributes:
         shift: By how much the transaction identifier of a reply is larger than that of the request.
@@ -30,8 +34,8 @@ class ModbusServer:
         ignored: Number of frames that were for another hand, or no Modbus.
     """
 
-    def __init__(self, hand: Hand) -> None:
-        self._hand = hand
+    def __init__(self, hand: Hand, faults: LineFaults | None = None) -> None:
+        self._hand, self._faults = hand, faults or LineFaults(foreign)
         self._stream = bytearray()
         self.shift = 0
         self.refusals: deque[int] = deque()
@@ -65,10 +69,13 @@ class ModbusServer:
             if unit != self._hand.number:
                 self.ignored += 1
                 continue
-            answer = self._answer(bytes(body))
-            reply = [*_split(transaction + self.shift), 0, 0, *_split(1 + len(answer)), unit, *answer]
-            replies.append(bytes(reply))
+            carry_out = partial(self._reply, transaction, bytes(body))
+            replies += self._faults.write(carry_out) if body[0] in _WRITES else carry_out()
         return replies
+
+    def _reply(self, transaction: int, body: bytes) -> list[bytes]:
+        unit, answer = self._hand.number, self._answer(body)
+        return [bytes([*_split(transaction + self.shift), 0, 0, *_split(1 + len(answer)), unit, *answer])]
 
     def _answer(self, body: bytes) -> bytes:
         function, rest = body[0], body[1:]

@@ -17,9 +17,9 @@ STALL_TIME = 0.5
 """Time for which a motor pushes without moving until it counts as stalled [s]: assumed."""
 HOT, COOL = 70.0, 60.0
 """Temperatures at which a motor stops, and at which it works again [deg C]: assumed."""
-STALLED, OVERHEATED = 1, 2
-"""Bits of ERROR."""
-RELEASING, GRASPING, ARRIVED, PRESSED, STALL_STOP, FAULT_STOP, NEVER = 0, 1, 2, 3, 6, 7, 255
+STALLED, OVERHEATED, OVER_CURRENT = 1, 2, 4
+"""Bits of ERROR that have a meaning here; 8 is a failure of the motor, 16 one of the hand's own communication."""
+RELEASING, GRASPING, ARRIVED, PRESSED, CURRENT_STOP, STALL_STOP, FAULT_STOP, NEVER = 0, 1, 2, 3, 5, 6, 7, 255
 """Values of STATUS."""
 _NEAR = 0.5
 
@@ -66,6 +66,11 @@ class Motor:
         """Motor current [mA]: assumed; a standing motor needs none, its spindle locks itself."""
         return 20.0 if self._stands else 150.0 + 0.5 * self.force
 
+    @property
+    def told(self) -> tuple[float, float, float]:
+        """Target, threshold and speed that it was given last."""
+        return (self._orders[-1][1] if self._orders else self.target, self.threshold, self.speed)
+
     def go(self, target: float, now: float) -> None:
         """Take a target, which the motor heeds REACTION later.
 
@@ -105,7 +110,7 @@ class Motor:
             self.error &= ~OVERHEATED
         if self.error and not self._stands:
             self._stands = True
-            self.status = STALL_STOP if self.error == STALLED else FAULT_STOP
+            self.status = {STALLED: STALL_STOP, OVER_CURRENT: CURRENT_STOP}.get(self.error, FAULT_STOP)
 
     def _move(self, step: float, felt: float) -> None:
         way = self.target - self.position

@@ -76,6 +76,11 @@ class Hand:
         self.run()
         return tuple(motor.position for motor in self.motors)
 
+    @property
+    def told(self) -> tuple[float, ...]:
+        """Where its controllers were told last to bring their joints [rad]."""
+        return (*self.fingers.desired(math.inf), *self.wrist.desired(math.inf))
+
     def motor(self, name: str) -> Motor:
         """One of the motors.
 

@@ -28,9 +28,9 @@ class HandEmulator:
 
     The first line of standard output is the port: the path of a pseudo-terminal, or an address. Each line of standard
     input is an event: handle ANGLE, drop, slip ANGLE, heat MOTOR DEGREES, jam MOTOR, free MOTOR, mute, unmute, echo,
-    unplug, show, or a fault of the next replies and their number: garbage, corrupt, short, late, doubled, foreign,
-    lost. Another line is answered by those that there are. docs/how-to/inspire_hand.md, ability_hand.md and
-    shadow_hand.md say what is emulated.
+    unplug, show, of an Inspire hand error MOTOR BITS, deaf, unacknowledged and acknowledge (writes), or a fault of the
+    next replies and their number: garbage, corrupt, short, late, doubled, foreign, lost. Another line is answered by
+    those that there are. docs/how-to/inspire_hand.md, ability_hand.md and shadow_hand.md say what is emulated.
     """
 
     hand: Annotated[Literal["inspire", "ability", "shadow"], tyro.conf.Positional]

@@ -74,6 +74,15 @@ def test_damaged_messages_and_those_for_others_get_no_answer(bench: Bench) -> No
     assert len(bench.send("00 FF 7E 50 A0 10 7E")) == 1
 
 
+def test_it_knows_what_it_was_told_last(bench: Bench) -> None:
+    assert set(bench.hand.told) == {(None, 0.0)}
+    bench.send(CLOSE_40)
+    np.testing.assert_allclose(np.array(bench.hand.told, float)[:, 0], 40.0, atol=0.1)
+    bench.now += 1.0
+    bench.send(ASK)
+    assert bench.hand.told[0] == (0.0, 0.0), "it has left the API mode"
+
+
 def test_a_cut_message_moves_the_motors_that_it_names(bench: Bench) -> None:
     bench.keep("7E 50 10 22 22 5C 7E", 0.28)
     assert bench.hand.angles[0] > 10.0

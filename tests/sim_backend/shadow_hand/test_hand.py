@@ -84,6 +84,18 @@ def test_a_controller_refuses_in_silence(bench: Bench, wrong: str) -> None:
     assert set(controller.desired(bench.now + 1.0)) == {0.0}
 
 
+def test_a_controller_that_does_not_run_tells_its_state_and_takes_no_command(bench: Bench) -> None:
+    bench.command(0.02, FFJ3=1.0)
+    told = bench.hand.told
+    assert max(told) == pytest.approx(1.0)
+    bench.hand.fingers.running = False
+    bench.command(0.02, FFJ3=0.5)
+    bench.wait(1.0)
+    assert bench.hand.told == told
+    state = ros.message(bench.hand, "/rh_trajectory_controller/state", 1)
+    assert max(state["desired"]["positions"]) == pytest.approx(1.0)
+
+
 def test_an_empty_trajectory_stops(bench: Bench) -> None:
     bench.command(1.0, FFJ3=1.0)
     bench.wait(0.5)

@@ -30,6 +30,23 @@ EFFORTS = HandEfforts(touch=60.0, grip=300.0, newtons_per_unit=0.03)
 
 
 @dataclass(frozen=True)
+class Unheard:
+    """How a hand goes on telling its state and takes no command, nor acknowledges one.
+
+    Attributes:
+        event: Event by which it is so.
+        says: What its driver says of it.
+        code: Code of that error.
+        gives: Way by which what it holds gives way so that it is told to close further, in its own unit.
+    """
+
+    event: str
+    says: str
+    code: str
+    gives: float
+
+
+@dataclass(frozen=True)
 class HandKind:
     """A kind of hand.
 
@@ -41,6 +58,7 @@ class HandKind:
         margin: Largest distance of a finger that still holds from where it meets the handle, in that unit.
         jams: Event by which its middle finger jams.
         heats: Event by which it gets too hot.
+        unheard: How it takes no command; None for one that answers each command with its state, and so is silent then.
     """
 
     config: HandConfig
@@ -50,16 +68,23 @@ class HandKind:
     margin: float
     jams: str = "jam middle"
     heats: str = "heat index 75"
+    unheard: Unheard | None = None
 
 
 _MODBUS = HandConfig("inspire_rh56", mounting=MOUNTING, port="tcp://127.0.0.1:6000")
 """The port tells its wire only: an emulated hand listens at any that is free."""
+_DEAF = Unheard("deaf", "register", "no_answer.hand_write", 25.0)
+"""25 counts take half of the force."""
+_STOPPED = Unheard("controllers off", "its controllers do not do what it is told", "device.hand_command", 6.0)
 HANDS = (
-    HandKind(HandConfig("inspire_rh56", mounting=MOUNTING), "Inspire RH56", 400.0, 60.0, 110.0),
+    HandKind(HandConfig("inspire_rh56", mounting=MOUNTING), "Inspire RH56", 400.0, 60.0, 110.0, unheard=_DEAF),
     HandKind(HandConfig("ability_hand", mounting=MOUNTING), "Ability Hand", 55.0, 6.0, 15.0, heats="heat 75"),
-    HandKind(_MODBUS, "Inspire Modbus-TCP", 400.0, 60.0, 110.0),
-    HandKind(HandConfig("shadow_right", efforts=EFFORTS), "Shadow Hand", 55.0, 6.0, 15.0, "jam MFJ3", "heat FFJ3 75"),
-)
+    HandKind(_MODBUS, "Inspire Modbus-TCP", 400.0, 60.0, 110.0, unheard=_DEAF),
+    HandKind(
+        HandConfig("shadow_right", efforts=EFFORTS), "Shadow Hand", 55.0, 6.0, 15.0, "jam MFJ3", "heat FFJ3 75",
+        _STOPPED,
+    ),
+)  # fmt: skip
 """The hands that have a driver here and an emulator, on each of their wires."""
 
 
@@ -97,6 +122,12 @@ class DriverHand(ClosedHand):
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+    @property
+    def told(self) -> tuple[Any, ...]:
+        """What the emulated hand was told last."""
+        told: tuple[Any, ...] = self.emulator.tell(lambda emulated: emulated.told)
+        return told
 
     def state(self, max_age: float = 0.1) -> HandState:
         state, judged = self._hand.state(max_age), self._driver.state(max_age)

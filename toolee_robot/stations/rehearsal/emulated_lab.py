@@ -32,7 +32,7 @@ from toolee_robot.sim_backend.remote.station import RemoteJudge
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.stations.driven_hand import SWITCH_INTERVAL
-from toolee_robot.stations.hand import WIRED_HANDS, emulated_hand
+from toolee_robot.stations.hand import WIRED_HANDS, emulated_hand, wired_hand
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal.camera import SeenScene, emulated_stream
 from toolee_robot.stations.rehearsal.hand import FingerCoupling
@@ -42,8 +42,8 @@ from toolee_robot.tools import Tool
 NOTHING_ELSE = 0.05
 """Share of the cores' time that other programs take on a machine that does nothing else."""
 _LATE = (
-    "device.timeout", "motion_fault.task_stalled", "no_answer.hand_silent", "no_answer.timeout",
-    "not_ready.timing", "person_near.switch_not_taken",
+    "device.timeout", "motion_fault.task_stalled", "no_answer.hand_silent", "no_answer.hand_write",
+    "no_answer.timeout", "not_ready.timing", "person_near.switch_not_taken",
 )  # fmt: skip
 """Codes of further errors that late programs alone explain where every device and the person are emulated."""
 _PORTS = (29999, 30004)
@@ -101,7 +101,7 @@ class EmulatedLab:
     ) -> None:
         LabStation(cell.measured, tell, purpose=purpose)  # refuses what is missing
         hand = cell.measured.hand.model
-        if hand not in (*WIRED_HANDS, MOUNT):
+        if hand != MOUNT and wired_hand(hand) is None:
             raise ConfigError(
                 f"the hand {hand!r} has no emulator, so that it cannot be rehearsed: those with one are "
                 f"{', '.join(WIRED_HANDS)}, and a {MOUNT} needs none",
@@ -202,8 +202,9 @@ class EmulatedLab:
             return hand
         model = RobotModel.of_station(self._cell.measured).description
         emulator = stack.enter_context(emulated_hand(hand, self._cell.seed, self._clock.real_time_factor))
-        joints = WIRED_HANDS[hand.model].joints
-        stack.enter_context(FingerCoupling(world, emulator, joints, model.hand_open))
+        kind = wired_hand(hand.model)
+        assert kind is not None, "checked at the construction"
+        stack.enter_context(FingerCoupling(world, emulator, kind.joints, model.hand_open))
         return replace(hand, port=emulator.port)
 
 

@@ -14,9 +14,10 @@ from tests.hardware.hands.inspire.conftest import Emulator
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.hal import HandState
 from toolee_robot.hardware.hands.inspire import InspireHand
-from toolee_robot.hardware.hands.inspire.hand import GRIP_FORCE
+from toolee_robot.hardware.hands.inspire.hand import GRIP_FORCE, UNTAKEN
 from toolee_robot.robots import HandModel
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.sim_backend.hand_wire import happen
 from toolee_robot.sim_backend.inspire_hand import Hand, InspireEmulator
 
 pytestmark = pytest.mark.realtime(light=True)
@@ -223,6 +224,24 @@ def test_a_silent_hand_has_no_state_until_it_answers_again(emulator: Emulator, h
     emulator.faults.muted = False
     time.sleep(0.3)
     assert hand.state() is not None
+
+
+def test_a_hand_that_answers_and_takes_no_command_says_so_until_it_takes_one(
+    emulator: Emulator, hand: InspireHand
+) -> None:
+    """Its grip would go slack unseen: state is told on."""
+    emulator.tell(lambda hand: hand.hold(HANDLE))
+    hand.close()
+    happen(emulator, "deaf")
+    emulator.tell(lambda hand: hand.slip(25))  # takes half of the force, and is no slip yet
+    eventually(lambda: hand.state(max_age=2.0).fault == UNTAKEN)
+    assert hand.state(max_age=2.0).holding
+    with raises(NoAnswerError, "no_answer.hand_write") as caught:
+        hand.open()
+    assert "answers questions" in str(caught.value)
+    happen(emulator, "acknowledge")
+    hand.open()
+    assert hand.state(max_age=2.0).fault == ""
 
 
 def test_ports_that_cannot_be_opened_and_hands_that_are_not_there(emulator: Emulator, model: HandModel) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -142,6 +143,28 @@ def test_a_time_out_keeps_position_and_grip(emulator: ShadowEmulator, hand: Shad
         hand.open(timeout=0.01)
     time.sleep(0.3)
     assert told(hand).holding
+
+
+@pytest.mark.parametrize("duration", [1.5, pytest.param(600.0, marks=pytest.mark.nightly)])
+def test_polling_loses_no_reading_and_no_memory(emulator: ShadowEmulator, hand: ShadowHand, duration: float) -> None:
+    stands = emulator.angles
+    tracemalloc.start()
+    try:
+        before, first = tracemalloc.get_traced_memory()[0], hand.reading(2.0).number
+        lost, began = hand.line_counts.unanswered, time.monotonic()
+        while time.monotonic() - began < duration:
+            assert told(hand).fault == ""
+            time.sleep(0.01)
+        taken, readings = time.monotonic() - began, hand.reading(2.0).number - first
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    lost = hand.line_counts.unanswered - lost
+    print(f"{readings / taken:.1f} readings/s for {taken:.1f} s, {lost} did not come, memory {grown:+d} bytes")
+    assert readings > 50 * duration
+    assert lost <= 0.02 * readings, "what the machine holds up for 30 ms"
+    assert grown < 200_000
+    np.testing.assert_allclose(emulator.angles, stands, atol=0.2)
 
 
 def test_heat_is_a_fault_with_its_temperature(emulator: ShadowEmulator, hand: ShadowHand) -> None:

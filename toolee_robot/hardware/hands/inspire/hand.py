@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.errors import DeviceError
+from toolee_robot.errors import DeviceError, NoAnswerError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, HandState
 from toolee_robot.hardware.hands.inspire.forces import newtons
@@ -52,6 +52,8 @@ REACTION = 0.07
 """Time from a command until a motor follows it [s]."""
 PRESSES = 50
 """Force above which a motor that closes is left to press when the hand is stopped [counts]."""
+UNTAKEN = f"it does not take the command to close further (register {ANGLE_SET})"
+"""Fault of a hand that answers and lets its grip go slack, for people."""
 _BEND, _ROTATION = MOTORS.index("thumb bend"), MOTORS.index("thumb rotation")
 STILL = 2
 """Way of a motor that counts as none [counts]; at the slowest speed in use it is 3 within STANDS_FOR."""
@@ -97,7 +99,8 @@ class InspireHand(WiredHand[HandLine[Any], Reading]):
 
     Its speeds: the fingers close until they touch, press slowly up to the grip force, and follow faster what gives way
     in them. A grip is kept up: a finger whose force has fallen closes further, and one that has closed by more than a
-    little says that the tool has slipped, which `state` reports as a fault until the hand is opened or closed again. No
+    little says that the tool has slipped, which `state` reports as a fault until the hand is opened or closed again; so
+    is a hand that does not take the command to close further, until it takes one. No
     fault is cleared by itself: `clear_faults` does, after a person has looked.
 
     Its fingers press with 7 to 13 N: they do not hold a hammer that strikes. Use a strap or a mount.
@@ -113,6 +116,7 @@ class InspireHand(WiredHand[HandLine[Any], Reading]):
         super().__init__(model, clock, RULE, STILL)
         self._port, self._hand_id = port, hand_id
         self._target: Counts | None = None
+        self._untaken = ""
 
     def state(self, max_age: float = 0.1) -> HandState:
         """Return the newest state; it may be asked from any thread at any time.
@@ -137,7 +141,7 @@ class InspireHand(WiredHand[HandLine[Any], Reading]):
             forces,
             self._grip.holding,
             temperature=float(max(condition.temperatures)),
-            fault=", ".join(filter(None, (condition.described, self._grip.slipped))),
+            fault=", ".join(filter(None, (condition.described, self._grip.slipped, self._untaken))),
         )
 
     def open(self, timeout: float = MOTION_TIME) -> None:
@@ -151,6 +155,7 @@ class InspireHand(WiredHand[HandLine[Any], Reading]):
         """
         with self._motion(timeout) as motion:  # whatever is wrong: a person waits for the tool
             self._grip.end()
+            self._untaken = ""
             a, b, c, d, _, rotation = motion.reading.angles
             self._command(FORCE_SET, (FULL,) * 6)
             self._command(SPEED_SET, (FULL,) * 6)
@@ -178,6 +183,7 @@ class InspireHand(WiredHand[HandLine[Any], Reading]):
         with self._motion(timeout) as motion:
             motion.refuse_faults()
             self._grip.end()
+            self._untaken = ""
             self._command(FORCE_SET, (TOUCH_FORCE,) * 5 + (FULL,))
             self._command(SPEED_SET, (APPROACH_SPEED,) * 5 + (FULL,))
             if motion.reading.angles[_ROTATION] > OPENED:  # the thumb turns before it bends
@@ -245,4 +251,9 @@ class InspireHand(WiredHand[HandLine[Any], Reading]):
         """With every reading, in the poller's thread: judge the grip, and keep it up."""
         self._note(reading)
         if self._grip.follow(reading) and self._target is not None:
-            line.write(ANGLE_SET, pack(self._target, line.order))
+            try:
+                line.write(ANGLE_SET, pack(self._target, line.order), again=True)
+            except NoAnswerError:
+                self._untaken = UNTAKEN  # what is raised here is forgotten with the next reading
+                raise
+            self._untaken = ""

@@ -107,28 +107,40 @@ class HandLine(ABC, Generic[RequestT]):
                 return payload
         raise self._silent(register)
 
-    def write(self, register: int, data: bytes) -> None:
+    def write(self, register: int, data: bytes, *, again: bool = False) -> None:
         """Write bytes, and see them acknowledged, or else read them back, with some attempts.
 
         Args:
             register: Address of the first.
             data: The bytes; those of a number in `order`.
+            again: Whether the hand may hold them already, so that reading them back tells nothing.
 
         Raises:
-            NoAnswerError: The hand does not answer, or the port is gone: whether it has taken the bytes is not known.
+            NoAnswerError: The hand does not answer, or the port is gone: whether it has taken the bytes is not known;
+                or it answers and has not taken them (`no_answer.hand_write`).
             DeviceError: It refuses them.
         """
+        answers = False
         for attempt in range(ATTEMPTS):
             if attempt:
                 if not self._recover():
                     continue
-                if self._ask(self._reading(register, len(data))) == data:
+                there = self._ask(self._reading(register, len(data)))
+                if there == data and not again:
                     return
+                answers = answers or there is not None
             result = self._ask(self._writing(register, data))
             if result == WRITTEN:
                 return
             if result is not None:
                 raise self._refused(f"to take {data.hex(' ')} for register {register}")
+        if answers:
+            raise NoAnswerError(
+                f"the hand {self._hand_id} on {self._port.path} answers questions and does not take what is written "
+                f"(register {register}, {ATTEMPTS} attempts): switch it off and on, and end every other program that "
+                "commands it",
+                code="no_answer.hand_write",
+            )
         raise self._silent(register)
 
     @abstractmethod
