@@ -6,6 +6,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+from collections.abc import Iterator
 
 import pytest
 
@@ -27,6 +28,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--hardware", metavar="HOST", help="run the arm's contract suite on this robot too: IT MOVES")
     parser.addoption("--camera", metavar="YAML", help="run the camera's contract suite on this station file's too")
+    parser.addoption("--hand", metavar="YAML", help="run the hand's on this station file's too: ITS FINGERS MOVE")
+    parser.addoption("--person", metavar="YAML", help="run the person's on this station file's too")
     parser.addoption("--hardware-model", default="UR10", choices=["UR10", "UR10e"], help="what robot that is")
 
 
@@ -97,11 +100,26 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.line(f"RUN AGAIN: {report.nodeid}, the machine stalled for {1e3 * stall:.0f} ms")
 
 
-def pytest_report_header(config: pytest.Config) -> str | None:
-    host = config.getoption("--hardware")
-    if host is None:
-        return None
-    return (
-        f"WARNING: the robot at {host} WILL MOVE, by up to 0.03 rad a joint. Clear its surroundings, set its speed "
-        "slider to 100 %, and keep a hand on the emergency stop."
-    )
+@pytest.hookimpl(trylast=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Warn of what moves; pytest's own header is not shown with -q."""
+    reporter = session.config.pluginmanager.getplugin("terminalreporter")
+    if reporter is not None:
+        for warning in _warnings(session.config):
+            reporter.write_line(warning, yellow=True, bold=True)
+
+
+def _warnings(config: pytest.Config) -> Iterator[str]:
+    host, hand, person = (config.getoption(option) for option in ("--hardware", "--hand", "--person"))
+    if host is not None:
+        yield (
+            f"WARNING: the robot at {host} WILL MOVE, by up to 0.03 rad a joint. Clear its surroundings, set its speed "
+            "slider to 100 %, and keep a hand on the emergency stop."
+        )
+    if hand is not None:
+        yield (
+            f"WARNING: the hand of {hand} WILL OPEN AND CLOSE, each time after a person has pressed Enter. Have a "
+            "handle ready, and the power switch within reach."
+        )
+    if person is not None:
+        yield f"The arm of {person} is connected and not moved. Be at its door and hold-to-run switch."

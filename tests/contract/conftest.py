@@ -1,7 +1,9 @@
-"""On a robot and a camera as well.
+"""On a lab's own devices as well.
 
-`pytest tests/contract --hardware HOST [--hardware-model UR10e]` runs the suite of arms on a robot, `--camera lab.yaml`
-that of cameras on the camera of a station file.
+`pytest tests/contract --hardware HOST [--hardware-model UR10e]` runs the suite of arms on a robot,
+`pytest tests/contract/test_camera_contract.py --camera lab.yaml` that of cameras on the camera of a station file. So do
+`test_hand_contract.py --hand lab.yaml` and `test_person_contract.py --person lab.yaml`, which need a person at the
+terminal.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.contract.lab import OPTIONS
 from tests.contract.rigs import Rig, hardware_rig, sim_rig, stand_in_rig
 from toolee_robot.types import ArmModel
 
@@ -28,10 +31,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if config.getoption("--camera") is None:
-        lab = [item for item in items if item.name.endswith("[lab]")]
-        config.hook.pytest_deselected(items=lab)
-        items[:] = [item for item in items if item not in lab]
+    left_out = {suite for suite, option in OPTIONS.items() if config.getoption(option) is None}
+    lab = [item for item in items if item.path.name in left_out and item.name.endswith("[lab]")]
+    config.hook.pytest_deselected(items=lab)
+    items[:] = [item for item in items if item not in lab]
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,10 @@
-"""What `hal.RgbdCamera` promises, asked of every camera: the simulated one, a recording, and the RealSense driver on
-librealsense's software device; with --camera lab.yaml, the station file's."""
+"""What `hal.RgbdCamera` promises, asked of every camera: the simulated one, a recording, the RealSense driver on
+librealsense's software device, Orbbec's on OrbbecSDK's playback device, and the adapter of airo-camera-toolkit on a
+camera of its interface; with --camera lab.yaml, the station file's."""
 
 from __future__ import annotations
 
+import importlib.util
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,17 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.contract.lab import station_of
 from tests.errors import raises
-from toolee_robot.config import CameraConfig, StationConfig, load_station
+from toolee_robot.config import CameraConfig, StationConfig
 from toolee_robot.errors import DeviceError, StaleDataError
+from toolee_robot.faults.rigs.camera_devices import CameraEvent, OrbbecDevice
 from toolee_robot.hal import Clock, RgbdCamera
 from toolee_robot.hardware.cameras import StreamedCamera
+from toolee_robot.hardware.cameras.airo import AiroStream
 from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.hardware.cameras.recorded import RecordedStream
 from toolee_robot.hardware.cameras.recording import RecordingWriter
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.devices.software_airo import SoftwareAiroCamera
 from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
@@ -94,6 +100,38 @@ class RealSenseRig(Rig):
         self._device.frozen = False
 
 
+class OrbbecRig(Rig):
+    """The Orbbec driver on a recording that the maker's SDK plays; after a pause it is late for good."""
+
+    def __init__(self, device: OrbbecDevice) -> None:
+        self._device = device
+        self.clock = HostClock()
+        self.camera = StreamedCamera(device.stream(SERIAL), self.clock)
+
+    def freeze(self) -> None:
+        self._device.happen()
+        self.clock.sleep(0.2)
+
+
+class AiroRig(Rig):
+    """The adapter of airo-camera-toolkit on a camera of its interface."""
+
+    def __init__(self) -> None:
+        self.clock = HostClock()
+        self.camera = StreamedCamera(AiroStream(self._opened, SERIAL), self.clock)
+
+    def _opened(self) -> SoftwareAiroCamera:
+        self._camera = SoftwareAiroCamera()
+        return self._camera
+
+    def freeze(self) -> None:
+        self._camera.frozen = True
+        self.clock.sleep(0.2)
+
+    def thaw(self) -> None:
+        self._camera.frozen = False
+
+
 class LabRig(Rig):
     """The camera of a station file. Nothing is done to it."""
 
@@ -109,6 +147,8 @@ TIERS = {
     "simulated": pytest.mark.sim,
     "recorded": pytest.mark.realtime(light=True),
     "realsense": pytest.mark.realtime(light=True),
+    "orbbec": pytest.mark.realtime(light=True),
+    "airo": pytest.mark.realtime(light=True),
     "lab": pytest.mark.realtime,
 }
 
@@ -123,17 +163,24 @@ def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
     if request.param == "recorded":
         yield RecordedRig(tmp_path / "frames")
     elif request.param == "lab":
-        yield LabRig(load_station(Path(request.config.getoption("--camera"))).camera)
+        yield LabRig(station_of(request.config, "--camera").camera)
     elif request.param == "realsense":
         sdk = pytest.importorskip("pyrealsense2", exc_type=ImportError)
         with SoftwareRealSense(sdk) as device:
             yield RealSenseRig(device)
+    elif request.param == "orbbec":
+        if importlib.util.find_spec("pyorbbecsdk") is None:
+            pytest.skip("needs pyorbbecsdk2: docs/start/install.md")
+        with OrbbecDevice(SERIAL, CameraEvent.SILENT, tmp_path) as orbbec:
+            yield OrbbecRig(orbbec)
+    elif request.param == "airo":
+        yield AiroRig()
     else:
         with SimStation.build(StationConfig(), 100) as simulation:
             yield SimRig(simulation)
 
 
-@on("simulated", "recorded", "realsense", "lab")
+@on("simulated", "recorded", "realsense", "orbbec", "airo", "lab")
 def test_its_frames_are_new_registered_and_of_its_intrinsics(rig: Rig) -> None:
     with rig.camera as camera:
         assert isinstance(camera, RgbdCamera)
@@ -154,7 +201,7 @@ def test_its_frames_are_new_registered_and_of_its_intrinsics(rig: Rig) -> None:
         assert stamps == sorted(set(stamps))
 
 
-@on("simulated", "recorded", "realsense", "lab")
+@on("simulated", "recorded", "realsense", "orbbec", "airo", "lab")
 def test_closed_it_gives_nothing(rig: Rig) -> None:
     with rig.camera as camera:
         camera.read()
@@ -164,7 +211,7 @@ def test_closed_it_gives_nothing(rig: Rig) -> None:
         camera.read()
 
 
-@on("simulated", "recorded", "realsense")
+@on("simulated", "recorded", "realsense", "orbbec", "airo")
 def test_without_a_new_frame_it_says_so_within_the_time(rig: Rig) -> None:
     with rig.camera as camera:
         camera.read()
@@ -176,7 +223,7 @@ def test_without_a_new_frame_it_says_so_within_the_time(rig: Rig) -> None:
         assert rig.clock.now() - asked < 1.0
 
 
-@on("simulated", "realsense")
+@on("simulated", "realsense", "airo")
 def test_it_goes_on_when_frames_come_again(rig: Rig) -> None:
     with rig.camera as camera:
         camera.read()
@@ -188,7 +235,7 @@ def test_it_goes_on_when_frames_come_again(rig: Rig) -> None:
         assert camera.read().stamp >= asked - EARLY
 
 
-@on("simulated", "recorded", "realsense", "lab")
+@on("simulated", "recorded", "realsense", "orbbec", "airo", "lab")
 def test_a_frame_that_was_given_stays_as_it_was(rig: Rig) -> None:
     with rig.camera as camera:
         first = camera.read()

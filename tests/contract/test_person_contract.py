@@ -1,4 +1,5 @@
-"""What `hal.Person` promises, asked of every person: the simulated one, and the one on a robot's digital inputs."""
+"""What `hal.Person` promises, asked of every person: the simulated one, and the one on a robot's digital inputs; with
+--person lab.yaml, the station file's."""
 
 from __future__ import annotations
 
@@ -9,13 +10,15 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from tests.contract.lab import station_of, teller
 from toolee_robot.config import PersonConfig, StationConfig
 from toolee_robot.faults.rigs.panel import ONE_CONTACT, SWITCH_HELD, TWO_CONTACTS, Operator, Panel
-from toolee_robot.hal import CLEAR_TIME, Clock, Person
-from toolee_robot.hardware.operator.digital_inputs import DigitalInputPerson
+from toolee_robot.hal import CLEAR_TIME, Arm, Clock, Person
+from toolee_robot.hardware.operator.digital_inputs import DigitalInputPerson, open_person
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.world import Sample
+from toolee_robot.stations.ur import ur_driver
 from toolee_robot.tasks.common.motions import HOLD_SWITCH
 from toolee_robot.tasks.common.person_proof import PersonProof
 
@@ -128,10 +131,44 @@ class InputsRig(Rig):
         self.panel.high = SWITCH_HELD
 
 
+class LabRig(Rig):
+    """Somebody at the door and the switch of a station file, who does what is printed."""
+
+    patience = 60.0
+
+    def __init__(self, config: StationConfig, arm: Arm, tell: Callable[[str], None]) -> None:
+        self.clock, self._tell, self._asks = HostClock(), tell, True
+        self.person = self.device = open_person(config, arm, self.clock, self._told)
+
+    def _told(self, prompt: str) -> None:
+        if self._asks:
+            self._tell(prompt.replace("Put the hammer", "Open the door, and put the hammer"))
+
+    def stay(self) -> None:
+        self._asks = False
+        self._tell("Leave door and switch as they are.")
+
+    stick_switch = stay
+
+    def linger(self) -> None:
+        pytest.skip("somebody who is slow on purpose")
+
+    def return_once(self) -> None:
+        pytest.skip("somebody who comes back on purpose")
+
+
 @pytest.fixture(scope="module")
 def sim() -> Iterator[SimStation]:
     with SimStation.build(StationConfig(), 0, SimOptions()) as sim:
         yield sim
+
+
+@pytest.fixture(scope="module")
+def arm(request: pytest.FixtureRequest) -> Iterator[Arm]:
+    config = station_of(request.config, "--person")
+    assert config.arm.host is not None, "the station file lacks arm.host"
+    with ur_driver(config, config.arm.host) as arm:
+        yield arm
 
 
 @pytest.fixture(
@@ -139,11 +176,17 @@ def sim() -> Iterator[SimStation]:
         pytest.param("simulated", marks=pytest.mark.sim),
         pytest.param("one contact", marks=pytest.mark.realtime(light=True)),
         pytest.param("two contacts", marks=pytest.mark.realtime(light=True)),
+        pytest.param("lab", marks=pytest.mark.realtime),
     ]
 )
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     if request.param == "simulated":
         yield SimRig(request.getfixturevalue("sim"))
+        return
+    if request.param == "lab":
+        lab = LabRig(station_of(request.config, "--person"), request.getfixturevalue("arm"), teller(request.config))
+        with lab.device:
+            yield lab
         return
     rig = InputsRig(ONE_CONTACT if request.param == "one contact" else TWO_CONTACTS)
     with rig.device:

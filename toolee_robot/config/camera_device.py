@@ -25,3 +25,6 @@ class CameraDevice:
     """Exposure of the colour image [s]; null lets the camera choose it, differently in each view."""
     folder: str | None = None
     """Folder of the recording, for the driver `recorded`."""
+    camera_class: str | None = None
+    """Class of airo-camera-toolkit that opens the camera, with its module, for the driver `airo`, such as
+    airo_camera_toolkit.cameras.zed.zed.Zed."""

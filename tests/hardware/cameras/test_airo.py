@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 import time
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.errors import raises
+from tests.hardware.cameras.airo_cameras import OnTheirBase
 from toolee_robot.errors import NoAnswerError, StaleDataError
 from toolee_robot.hardware.cameras import StreamedCamera
 from toolee_robot.hardware.cameras.airo import AiroStream
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.software_airo import SoftwareAiroCamera
-
-try:
-    RGBDCamera: Any = importlib.import_module("airo_camera_toolkit.interfaces").RGBDCamera
-except ImportError:
-    RGBDCamera = object
-
-
-class OnTheirBase(SoftwareAiroCamera, RGBDCamera):
-    """The camera without hardware as one of the toolkit's, where that is installed."""
 
 
 @pytest.mark.realtime(light=True)

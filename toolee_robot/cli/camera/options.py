@@ -32,6 +32,8 @@ class CameraOptions:
     """Instead: the name of a driver, such as realsense, with --serial."""
     serial: Annotated[str | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Serial number of the camera."""
+    camera_class: Annotated[str | None, tyro.conf.arg(metavar="MODULE.CLASS", help_behavior_hint="")] = None
+    """With --driver airo: the class of airo-camera-toolkit that opens the camera."""
     size: Annotated[tuple[int, int], tyro.conf.arg(metavar="W H")] = (848, 480)
     """With --driver: size of the colour image [px]."""
     fps: int = 30
@@ -62,7 +64,9 @@ class CameraOptions:
             return CameraConfig(device=device)
         if self.driver is None or self.serial is None:
             raise UserError("--driver without --serial: `toolee camera list` shows them", code="user.option")
-        device = CameraDevice(self.driver, self.serial, UNKNOWN_RANGE, self.fps, self.exposure)
+        device = CameraDevice(
+            self.driver, self.serial, UNKNOWN_RANGE, self.fps, self.exposure, camera_class=self.camera_class
+        )
         return replace(CameraConfig(device=device), width=self.size[0], height=self.size[1])
 
     def open(self, clock: Clock, *, own_lens: bool = False) -> StreamedCamera:

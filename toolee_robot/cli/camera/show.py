@@ -117,6 +117,8 @@ def _station_lines(config: CameraConfig, profile: CameraProfile, chosen: ChosenL
     ]
     if device.exposure is not None:
         lines.append(f"    exposure: {device.exposure:g}")
+    if device.camera_class is not None:
+        lines.append(f"    camera_class: {device.camera_class}")
     if device.folder is not None:
         lines.append(f"    folder: {device.folder}")
     return "\n".join(lines)

@@ -183,7 +183,8 @@ def _told_by_the_camera(file: Path, data: dict[str, Any], console: Console) -> b
         console.print("  [dim]without camera.width and camera.height the camera is not asked for its intrinsics[/dim]")
         return False
     rate = device.get("fps", CameraDevice.fps)
-    opened = CameraDevice(device["driver"], str(device["serial"]), device["least_range"], rate)
+    own = {name: device.get(name) for name in ("folder", "camera_class")}
+    opened = CameraDevice(device["driver"], str(device["serial"]), device["least_range"], rate, **own)
     try:
         config = CameraConfig(device=opened, **size)
         with open_camera(config, HostClock(), check_intrinsics=False) as connected:

@@ -1,13 +1,13 @@
 """Any RGB-D camera of airo-camera-toolkit (RealSense, ZED, OAK), through its common interface `RGBDCamera`.
 
-    def open_stream(config, device, clock):  # named by an entry point, see `stations.devices`
-        from airo_camera_toolkit.cameras.zed.zed import Zed
-        return AiroStream(lambda: Zed(serial_number=device.serial), device.serial)
+    stream = AiroStream(lambda: Zed(resolution=(1280, 720), serial_number=31415926), "31415926")
 
 The toolkit's images carry no stamps and its interface no serial number: a frame's time is that of its fetching, and the
 serial number is taken on trust, and it tells no distortion: the station file states that (`camera.distortion`, or a
 record in `camera.intrinsics`). A picture that is frozen is still noticed; one that is late is not. Prefer a driver of
-this project where there is one. Written for the toolkit's release 2026.10.
+this project where there is one. `stations.camera` makes it of a station file.
+
+Written for the toolkit's release 2026.10.
 """
 
 from __future__ import annotations

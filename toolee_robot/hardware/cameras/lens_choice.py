@@ -18,6 +18,12 @@ the image's width. Assumed: some five times what a factory's calibration and a l
 REFUSED = frozenset(f"not_ready.camera_{what}" for what in ("size", "intrinsics", "distortion", "undistorted", "lens"))
 """Codes of the errors by which a lens that a station file states is refused (`choose_lens`)."""
 
+UNKNOWN_LENS = (
+    "measure it by `toolee calibrate intrinsics --station FILE --write`; or, if the driver's images are undistorted, "
+    "give camera.distortion: [0, 0, 0, 0]"
+)
+"""What a person does about a lens that nobody tells."""
+
 
 class LensSource(StrEnum):
     """Where the lens that holds is from."""

@@ -5,6 +5,7 @@ A package of a lab names its drivers in its own pyproject.toml, and station file
     [project.entry-points."toolee_robot.devices"]
     "camera.our_camera" = "our_lab.cameras:open_stream"
     "hand.our_hand" = "our_lab.hands:open_hand"
+    "hand_model.our_hand" = "our_lab.hands:OUR_HAND"
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def installed(kind: str) -> dict[str, EntryPoint]:
     """The drivers of a kind that installed packages bring.
 
     Args:
-        kind: Kind of device: `camera`, `hand`.
+        kind: Kind of device, `camera` or `hand`; or `hand_model`.
 
     Returns:
         Their entry points, by the name that a station file gives.
