@@ -155,6 +155,27 @@ def test_touches_of_wood_and_head_are_entered_in_the_station_file(
     assert abs(work.wood_normal @ (moved.p_base_entry - work.p_base_entry)) < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ("[0.1, 0.75]", "x and y are swapped there"),
+        ("[-0.75, -0.1]", "half a turn of the base"),
+        ("[0.75, 0.1]", None),
+        ("[0.35, 0.1]", None),
+    ],
+)
+def test_a_nail_that_was_typed_in_wrongly_is_named_where_it_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], typed: str, words: str | None
+) -> None:
+    true, lab = WorkConfig(), tmp_path / "lab.yaml"
+    options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])
+    lab.write_text(f"{ARM}work:\n  nail_xy: {typed}\n")
+    assert run(["calibrate", "nail", *options, "--config", str(lab), "--write"]) == 0
+    said = capsys.readouterr().out
+    assert (words is None and "swapped" not in said and "half a turn" not in said) or str(words) in said
+    np.testing.assert_allclose(load_station(lab).work.p_base_entry, true.p_base_entry, atol=2e-5)
+
+
 def test_the_wood_alone_leaves_the_nail_where_it_is_and_counts_from_the_middle_of_the_block(tmp_path: Path) -> None:
     true = WorkConfig(nail_xy=(0.75, 0.1), block_xy=(0.76, 0.11), stand_height=0.203, wood_rise=(0.05, 0.0))
     options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])

@@ -168,9 +168,29 @@ def test_two_programs_do_not_command_a_hand_on_a_serial_port(capsys: pytest.Capt
     assert "no other program uses it" in " ".join(told["said"].split())
 
 
+@pytest.mark.realtime(light=True)
+def test_a_lab_reads_the_efforts_of_its_shadow_hand_before_it_can_say_what_they_mean(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    station = tmp_path / "lab.yaml"
+    station.write_text("version: 2\nhand: {model: shadow_right}\n")
+    with _emulated(EXAMPLES / "shadow.yaml", 55.0) as emulator:
+        code, empty = _hand(capsys, station, emulator, "efforts", "--seconds", "1")
+        assert code == 0, empty
+        assert len(empty["largest"]) == 20
+        assert _hand(capsys, EXAMPLES / "shadow.yaml", emulator, "close", "--yes")[0] == 0
+        code, holding = _hand(capsys, station, emulator, "efforts", "--seconds", "0.5")
+        assert code == 0, holding
+    assert holding["now"]["FFJ3"] > 2.0 * max(empty["largest"].values()) > 0.0, "more than what counts as a touch"
+    assert all(holding["largest"][motor] >= now for motor, now in holding["now"].items())
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
+        (["efforts", "--station", str(INSPIRE)], "`toolee hand state` shows its forces in newtons"),
+        (["efforts", "--station", str(EXAMPLES / "mount.yaml")], "neither motors nor sensors"),
+        (["efforts", "--station", str(EXAMPLES / "shadow.yaml"), "--seconds", "0"], "must be more than 0"),
         (["open", "--station", str(INSPIRE)], "standard input is none"),
         (["close", "--station", str(INSPIRE)], "standard input is none"),
         (["clear-faults", "--station", str(INSPIRE)], "standard input is none"),

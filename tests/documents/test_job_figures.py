@@ -85,7 +85,7 @@ def test_two_hundred_hammers_are_counted_as_the_page_says() -> None:
     full, *_, uncorrected = arms
     assert len({record.figures["tool"] for record in full}) == plan.trials == len(full)
     hits = [share([record.success for record in arm]).hits for arm in arms]
-    assert "| flush: corrected, true poses, not | {}, {}, {} of 200 |".format(*hits) in README
+    assert "| flush of 200: corrected, true poses, uncorrected | {}, {}, {} |".format(*hits) in README
     failed = {record.trial.seed for record in full if not record.success}
     (told,) = re.findall(r"^(13\d{3}) is a .*$", PAGE, re.MULTILINE)
     assert {int(told)} == failed

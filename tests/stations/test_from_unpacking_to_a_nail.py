@@ -130,3 +130,4 @@ def test_from_an_empty_folder_to_a_driven_nail(tmp_path: Path, monkeypatch: pyte
     (run,) = Path("runs").iterdir()
     assert json.loads((run / "summary.json").read_text())["nail"] == "flush", "it truly is"
     print(f"{person.seconds:7.1f} s  in all")
+    assert person.seconds < 900.0, "a quarter of an hour of the commands' time on two cores that do nothing else"

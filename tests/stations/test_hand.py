@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,24 +12,29 @@ from tests.errors import raises
 from tests.robots.three_finger import THREE_FINGER_HAND
 from toolee_robot.config import HandConfig
 from toolee_robot.errors import ConfigError
-from toolee_robot.robots import HANDS
+from toolee_robot.robots import HANDS, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.stations.hand import WIRED_HANDS, emulated_hand, hand_drivers, open_hand
+from toolee_robot.stations.interview import questions
 from toolee_robot.types import HandEfforts, HandMounting
 
 MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
 
 
-def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "our_lab_hands.py").write_text("def open_ours(model, config, clock):\n    return model, config.port\n")
-    info = tmp_path / "our_lab_hands-1.0.dist-info"
+def _install(folder: Path, package: str, code: str, names: dict[str, str]) -> None:
+    """Install a package of one module; `names` are its entry points and what in the module each names."""
+    (folder / f"{package}.py").write_text(code)
+    info = folder / f"{package}-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: our_lab_hands\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[toolee_robot.devices]\n"
-        "hand.three_finger = our_lab_hands:open_ours\n"
-        "hand.inspire_rh56 = our_lab_hands:no_such\n"
-    )
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    entries = "".join(f"{entry} = {package}:{name}\n" for entry, name in names.items())
+    (info / "entry_points.txt").write_text(f"[toolee_robot.devices]\n{entries}")
+
+
+def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "def open_ours(model, config, clock):\n    return model, config.port\n"
+    names = {"hand.three_finger": "open_ours", "hand.inspire_rh56": "no_such"}
+    _install(tmp_path, "our_lab_hands", code, names)
     monkeypatch.setitem(HANDS, "three_finger", THREE_FINGER_HAND)
     with raises(ConfigError, "config.hand_driver"):
         open_hand(HandConfig("three_finger", port="here"), HostClock())
@@ -39,6 +45,37 @@ def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypat
     assert drivers["three_finger"] == "our_lab_hands:open_ours"
     for name in (*WIRED_HANDS, "mount"):
         assert drivers[name] == "toolee_robot", "ours stays ours"
+
+
+OURS = """
+from dataclasses import replace
+
+from toolee_robot.robots.hands import INSPIRE_RH56
+from toolee_robot.stations.hand import WIRED_HANDS
+
+MODEL = replace(INSPIRE_RH56, name="ours", label="our hand")
+KIND = WIRED_HANDS["inspire_rh56"]
+"""
+
+
+def test_a_labs_own_package_brings_a_whole_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Model, driver and emulator, and nothing of this project is edited."""
+    names = {"hand.ours": "KIND", "hand_model.ours": "MODEL", "hand_model.other": "MODEL"}
+    _install(tmp_path, "our_whole_hand", OURS, names)
+    with raises(ConfigError, "config"):
+        hand_model("ours")
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    config = HandConfig("ours", mounting=MOUNTING)
+    assert hand_model(config).label == "our hand"
+    with raises(ConfigError, "config.device_plugin"):
+        hand_model("other")
+    names = {question.name for question in questions({"hand": {"model": "ours"}})}
+    assert {"hand.port", "hand.weighed.mass", "hand.mounting.fingers"} <= names
+    with emulated_hand(config) as emulator, open_hand(replace(config, port=emulator.port), HostClock()) as hand:
+        assert hand.joint_names == hand_model(config).joints
+        assert not hand.state(max_age=2.0).holding
+    with raises(ConfigError, "config.hand_port"):
+        open_hand(replace(config, port="ws://127.0.0.1:1"), HostClock())
 
 
 def test_every_hand_on_a_wire_has_an_emulator() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,12 @@ from hypothesis import strategies as st
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.config import ToolEnvelope, load_lab_station
-from toolee_robot.errors import UserError
+from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.stations.hand import WIRED_HANDS
 from toolee_robot.stations.interview import Question, put, questions
 from toolee_robot.stations.lab import Purpose, check_purpose
+from toolee_robot.stations.open_fields import open_fields
+from toolee_robot.types import HandEfforts
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 
@@ -53,6 +57,46 @@ def test_a_hand_is_asked_how_it_is_screwed_on_and_what_it_weighs() -> None:
     names = {question.name for question in questions(data)}
     assert {"hand.port", "hand.weighed.mass", "hand.mounting.fingers", "hand.strap_force"} <= names
     assert not any(name.startswith("hand.mount.") for name in names)
+
+
+def test_every_hand_is_asked_for_what_its_driver_and_a_job_need() -> None:
+    """What `open_hand` and `check_purpose` refuse to be without."""
+    for model, kind in WIRED_HANDS.items():
+        names = {question.name for question in questions({"hand": {"model": model}})}
+        efforts = {f"hand.efforts.{field.name}" for field in fields(HandEfforts)}
+        assert "hand.port" in names
+        assert (names & efforts == efforts) is kind.measured_efforts, model
+
+
+def test_a_file_without_the_efforts_of_its_hand_is_not_complete(tmp_path: Path) -> None:
+    hand = yaml.safe_load((LAB.parent / "shadow.yaml").read_text())["hand"]
+    hand["weighed"] = {"mass": 4.3, "center_of_mass": [0.0, 0.0, 0.17]}
+    path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text()) | {"hand": hand}
+    path.write_text(yaml.safe_dump(said))
+    check_purpose(load_lab_station(path))
+    del hand["efforts"]
+    path.write_text(yaml.safe_dump(said))
+    with raises(ConfigError, "config.station_lacks") as lacking:
+        check_purpose(load_lab_station(path))
+    assert "give hand.efforts" in str(lacking.value)
+    (entry,) = (entry for entry in open_fields(said, path) if entry.section == "hand.efforts")
+    assert entry.names == ("touch", "grip", "newtons_per_unit")
+    assert "toolee hand efforts" in entry.source
+
+
+@pytest.mark.parametrize(
+    ("driver", "asked", "tells_its_lens"),
+    [("realsense", set(), True), ("orbbec", set(), True), ("airo", {"camera_class"}, False),
+     ("recorded", {"folder"}, False)],
+)  # fmt: skip
+def test_a_camera_is_asked_what_its_driver_needs_and_does_not_tell(
+    driver: str, asked: set[str], tells_its_lens: bool
+) -> None:
+    names = {question.name for question in questions({"camera": {"device": {"driver": driver}}})}
+    own = {"camera_class", "folder"}
+    assert {name for name in own if f"camera.device.{name}" in names} == asked
+    assert ("camera.distortion" in names) is not tells_its_lens
+    assert {"camera.device.serial", "camera.device.least_range", "camera.fx", "camera.width"} <= names
 
 
 @pytest.mark.parametrize(

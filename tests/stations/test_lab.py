@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,8 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import angle_between, rotation_angle
 from toolee_robot.hal import ArmStatus
+from toolee_robot.hardware.cameras import CameraProfile, RawImages
+from toolee_robot.hardware.cameras.lens import Lens, LensModel
 from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.shadow import ShadowHand
@@ -48,11 +51,17 @@ def config() -> StationConfig:
     return load_lab_station(LAB)
 
 
-@pytest.mark.parametrize("field", ["arm.host", "camera.device", "person", "calibration", "tool", "hand.port"])
+@pytest.mark.parametrize(
+    "field", ["arm.host", "camera.device", "person", "calibration", "tool", "hand.port", "hand.efforts"]
+)
 def test_what_is_missing_is_named(config: StationConfig, field: str) -> None:
     section, _, name = field.partition(".")
     if field == "hand.port":
         lacking = _with_hand(config, "inspire", port=None)
+    elif field == "hand.efforts":
+        whole = _with_hand(config, "shadow", port="ws://127.0.0.1:9090")
+        check_purpose(whole)
+        lacking = replace(whole, hand=replace(whole.hand, efforts=None))
     else:
         changed: Any = replace(getattr(config, section), **{name: None}) if name else None
         without: dict[str, Any] = {section: changed}
@@ -250,6 +259,36 @@ def test_a_camera_that_is_not_there_is_named(config: StationConfig) -> None:
     with pytest.raises((DeviceError, NotReadyError)) as caught, LabStation(config, print):
         pass
     assert "832112070123" in str(caught.value), "no such camera is connected here"
+
+
+class UntoldLens:
+    """A camera whose driver does not tell its lens."""
+
+    def __init__(self, config: StationConfig) -> None:
+        self._intrinsics, self._rng = config.camera.intrinsics, np.random.default_rng(0)
+
+    def open(self) -> CameraProfile:
+        return CameraProfile("camera", "832112070123", Lens(self._intrinsics, LensModel.UNKNOWN), 30.0)
+
+    def fetch(self, timeout: float) -> RawImages:
+        time.sleep(min(timeout, 1.0 / 30.0))
+        size, stamp = (self._intrinsics.height, self._intrinsics.width), time.monotonic()
+        rgb = self._rng.integers(0, 255, (*size, 3), np.uint8)
+        return RawImages(rgb, self._rng.uniform(0.5, 1.0, size).astype(np.float32), stamp, stamp)
+
+    def close(self) -> None: ...
+
+
+def test_a_camera_whose_lens_nobody_knows_is_not_calibrated(config: StationConfig) -> None:
+    lab = LabStation(config, print, purpose=Purpose.CALIBRATION, stream=UntoldLens(config))
+    with raises(NotReadyError, "not_ready.camera_lens_unknown") as caught, lab:
+        pass
+    assert "toolee calibrate intrinsics" in str(caught.value)
+    told = replace(config, camera=replace(config.camera, distortion=(0.0, 0.0, 0.0, 0.0)))
+    arm = replace(told.arm, host="127.0.0.99")  # nobody is there: what is refused next
+    lab = LabStation(replace(told, arm=arm), print, purpose=Purpose.CALIBRATION, stream=UntoldLens(config))
+    with pytest.raises(DeviceError), lab:
+        pass
 
 
 def _driver(config: StationConfig, name: str) -> StationConfig:

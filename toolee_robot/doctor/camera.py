@@ -13,7 +13,7 @@ from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hal import Clock
 from toolee_robot.hardware.cameras import StreamedCamera
-from toolee_robot.hardware.cameras.lens_choice import LensSource
+from toolee_robot.hardware.cameras.lens_choice import UNKNOWN_LENS, LensSource
 from toolee_robot.types import RgbdFrame
 
 BRIGHT, DARK = 250, 5
@@ -144,12 +144,7 @@ def check_lens(camera: StreamedCamera) -> Finding:
             "or `false` to its recording.json",
         )
     if not chosen.lens.known:
-        return warn(
-            "lens",
-            chosen.words,
-            "measure it by `toolee calibrate intrinsics --station FILE --write`; or, if the driver's images are "
-            "undistorted, give camera.distortion: [0, 0, 0, 0]",
-        )
+        return warn("lens", chosen.words, UNKNOWN_LENS)
     if chosen.source is LensSource.RECORD and chosen.told.known:
         off = chosen.told.largest_difference(chosen.lens)
         return ok("lens", f"{chosen.words}; the camera's own is up to {off:.1f} px off")

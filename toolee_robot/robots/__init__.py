@@ -27,6 +27,7 @@ from toolee_robot.robots.hands import (
     HandModel,
     NominalGrasp,
     WristJoint,
+    find_hand,
     hand_model,
 )
 from toolee_robot.robots.tree import FLANGE_FRAME
@@ -48,6 +49,7 @@ __all__ = [
     "WristJoint",
     "arm_link_poses",
     "arm_meshes",
+    "find_hand",
     "hand_model",
     "load_robot",
     "wrap_fingers",

@@ -7,12 +7,12 @@ with open_hand(load_lab_station(Path("lab.yaml")).hand, HostClock()) as hand:
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from toolee_robot.config import HandConfig
-from toolee_robot.errors import ConfigError
+from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
 from toolee_robot.hardware.hands.ability import AbilityHand
@@ -20,15 +20,16 @@ from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.inspire.tcp_port import is_tcp, tcp_address
 from toolee_robot.hardware.hands.mount import MountedTool
 from toolee_robot.hardware.hands.shadow import ShadowHand
+from toolee_robot.hardware.hands.shadow.efforts import read_efforts
 from toolee_robot.robots import MOUNT, HandModel, hand_model
 from toolee_robot.robots.hands.ability import ABILITY, joints_of_closures
 from toolee_robot.robots.hands.inspire import INSPIRE, joints_of_counts
 from toolee_robot.robots.hands.shadow import SHADOW, joints_of_motors
+from toolee_robot.runtime.device_plugins import installed, load
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
-from toolee_robot.stations.devices import installed, load
 from toolee_robot.types import HandEfforts
 
 Address = tuple[str, int]
@@ -47,6 +48,7 @@ class WiredHandKind:
         ports: What its port may be, for people.
         scheme: Scheme of its port if that is an address, such as tcp; None for a serial port only.
         hand_id: Number with which its maker delivers it; None for a hand without one.
+        measured_efforts: Whether a lab must measure what its efforts mean.
     """
 
     driver: Callable[[HandModel, str, HandConfig, Clock], Hand]
@@ -55,10 +57,12 @@ class WiredHandKind:
     ports: str
     scheme: str | None = None
     hand_id: int | None = None
+    measured_efforts: bool = False
 
 
 def _number(config: HandConfig) -> int:
-    number = config.hand_id or WIRED_HANDS[config.model].hand_id
+    kind = wired_hand(config.model)
+    number = config.hand_id if config.hand_id is not None or kind is None else kind.hand_id
     assert number is not None
     return number
 
@@ -100,19 +104,46 @@ WIRED_HANDS: dict[str, WiredHandKind] = {
     ),
     ABILITY: WiredHandKind(_ability, _emulated_ability, joints_of_closures, _SERIAL, hand_id=0x50),
     SHADOW: WiredHandKind(
-        _shadow, _emulated_shadow, joints_of_motors, "the address of its rosbridge, such as ws://HOST:9090", "ws"
+        _shadow,
+        _emulated_shadow,
+        joints_of_motors,
+        "the address of its rosbridge, such as ws://HOST:9090",
+        "ws",
+        measured_efforts=True,
     ),
 }
 """Name in the station file -> hand on a wire."""
+_ENTRIES = "hand"
+"""Kind of the entry points by which packages bring drivers."""
 LOOPBACK: Address = ("127.0.0.1", 0)
 """Where an emulated hand on TCP listens if nobody says otherwise."""
+
+
+def wired_hand(model: str) -> WiredHandKind | None:
+    """Look up a kind of hand on a wire: one of `WIRED_HANDS`, or one that an installed package names.
+
+    Args:
+        model: Its name in the station file.
+
+    Returns:
+        The kind; None where there is none of that name, or its package brings a driver alone.
+
+    Raises:
+        ConfigError: What a package names cannot be imported (`config.device_plugin`).
+    """
+    if model in WIRED_HANDS:
+        return WIRED_HANDS[model]
+    entry = installed(_ENTRIES).get(model)
+    found = None if entry is None else load(entry)
+    return found if isinstance(found, WiredHandKind) else None
 
 
 def open_hand(config: HandConfig, clock: Clock) -> Hand:
     """Build the driver of a station's hand.
 
-    A package of a lab may bring one: an entry point `hand.NAME` of the group `toolee_robot.devices` that takes model,
-    station file's `hand` and clock, for the hand that a station file calls NAME.
+    A package of a lab may bring one: an entry point `hand.NAME` of the group `toolee_robot.devices` for the hand that a
+    station file calls NAME. It names a `WiredHandKind`, whose emulator then stands in for the hand in rehearsals; or
+    what takes model, station file's `hand` and clock, and builds the driver. Its model is `hand_model.NAME`.
 
     Args:
         config: What the station file says of the hand.
@@ -127,18 +158,40 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     model = hand_model(config)
     if config.model == MOUNT:
         return MountedTool(model, clock)
-    if config.model not in WIRED_HANDS:
-        plugins = installed("hand")
+    kind = wired_hand(config.model)
+    if kind is None:
+        plugins = installed(_ENTRIES)
         if config.model in plugins:
             hand: Hand = load(plugins[config.model])(model, config, clock)
             return hand
         known = ", ".join((*WIRED_HANDS, *plugins, MOUNT))
         message = f"the {model.label} has no driver here: those with one are {known}; docs/how-to/add_a_hand.md"
         raise ConfigError(message, code="config.hand_driver")
-    if config.port is None:
-        message = f"hand.port of the {model.label} is missing: {WIRED_HANDS[config.model].ports}"
-        raise ConfigError(message, code="config.hand_port")
-    return _kind(config).driver(model, config.port, config, clock)
+    port = _port(config, kind)
+    _check_address(config, kind)
+    return kind.driver(model, port, config, clock)
+
+
+def efforts_of(config: HandConfig, clock: Clock) -> Iterator[Array]:
+    """Read the efforts of a hand of which a lab must measure what they mean; nothing is moved.
+
+    Args:
+        config: What the station file says of the hand; `efforts` may be missing.
+        clock: The station's clock, the host's.
+
+    Returns:
+        Effort of each motor as they come, (20,) [in the hand's unit].
+
+    Raises:
+        UserError: The hand's maker says what its forces mean (`user.no_efforts`).
+        ConfigError: The port is missing, or none of this hand.
+    """
+    kind = wired_hand(config.model)
+    if kind is None or not kind.measured_efforts:
+        message = f"{config.model} has no hand.efforts to measure: `toolee hand state` shows its forces in newtons"
+        raise UserError(message, code="user.no_efforts")
+    _check_address(config, kind)
+    return read_efforts(_port(config, kind), clock)
 
 
 def emulated_hand(
@@ -159,15 +212,23 @@ def emulated_hand(
         ConfigError: The hand has no emulator.
         UserError: It cannot listen there.
     """
-    if config.model not in WIRED_HANDS:
+    kind = wired_hand(config.model)
+    if kind is None:
         known = ", ".join(WIRED_HANDS)
         raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.hand_driver")
-    return _kind(config).emulator(config, listen, seed, pace)
+    _check_address(config, kind)
+    return kind.emulator(config, listen, seed, pace)
 
 
-def _kind(config: HandConfig) -> WiredHandKind:
-    """The kind of a hand with a driver here; refuses a port or a number that it cannot have."""
-    kind = WIRED_HANDS[config.model]
+def _port(config: HandConfig, kind: WiredHandKind) -> str:
+    if config.port is None:
+        message = f"hand.port of the {hand_model(config).label} is missing: {kind.ports}"
+        raise ConfigError(message, code="config.hand_port")
+    return config.port
+
+
+def _check_address(config: HandConfig, kind: WiredHandKind) -> None:
+    """Refuse a port or a number that a kind of hand cannot have."""
     if config.hand_id is not None and kind.hand_id is None:
         message = f"hand.hand_id: {config.model} has no number, its port is an address; remove the field"
         raise ConfigError(message, code="config.hand_id")
@@ -180,10 +241,9 @@ def _kind(config: HandConfig) -> WiredHandKind:
     elif config.port is not None and kind.scheme is not None and re.fullmatch(r"[\w.-]+:\d+", config.port):
         message = f"hand.port {config.port!r} is no serial port: write {kind.scheme}://{config.port}"
         raise ConfigError(message, code="config.hand_port")
-    return kind
 
 
 def hand_drivers() -> dict[str, str]:
     """The hands that a station file may name and that have a driver, and where each is from."""
-    others = {name: entry.value for name, entry in installed("hand").items()}
+    others = {name: entry.value for name, entry in installed(_ENTRIES).items()}
     return others | dict.fromkeys((*WIRED_HANDS, MOUNT), "toolee_robot")

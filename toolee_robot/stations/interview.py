@@ -5,7 +5,7 @@ What is asked follows from what was answered. The words are those of the fields'
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -32,11 +32,11 @@ from toolee_robot.config.field_docs import field_docs
 from toolee_robot.config.units import wrong_unit
 from toolee_robot.errors import UserError
 from toolee_robot.frames import BaseFrame
-from toolee_robot.robots import HANDS, MOUNT
+from toolee_robot.robots import MOUNT, find_hand
 from toolee_robot.robots.hands.model import UNMOUNTED
-from toolee_robot.stations.camera import WITH_MODE, camera_drivers
-from toolee_robot.stations.hand import hand_drivers
-from toolee_robot.types import ArmModel, HandMounting, HandWeight, ToolMount
+from toolee_robot.stations.camera import AIRO, RECORDED, WITH_LENS, WITH_MODE, camera_drivers
+from toolee_robot.stations.hand import hand_drivers, wired_hand
+from toolee_robot.types import ArmModel, HandEfforts, HandMounting, HandWeight, ToolMount
 
 NONE = "none"
 """The answer of a lab that has no such thing."""
@@ -47,6 +47,7 @@ _SEVERAL = -1
 INTRINSICS = (*_LENS, *SIZE)
 """Fields of `camera` that its driver tells, where it is connected."""
 _DEVICE = ("driver", "serial", "least_range")
+_OF_DRIVER: Mapping[str, tuple[str, ...]] = {AIRO: ("camera_class",), RECORDED: ("folder",)}
 _FIRST_SPEED = "0.4"
 """Speed of the first strikes on a robot [m/s], as docs/how-to/bring_up_a_ur.md has it."""
 
@@ -220,13 +221,16 @@ def _all(data: dict[str, Any]) -> Iterator[Question]:
     yield from _of_hand(data.get("hand") or {})
     device = ("camera", "device")
     yield Question((*device, "driver"), str, field_docs(CameraDevice)["driver"], tuple(camera_drivers()))
+    driver = ((data.get("camera") or {}).get("device") or {}).get("driver")
+    yield from _of(CameraDevice, device, _OF_DRIVER.get(str(driver), ()))
     yield from _of(CameraDevice, device, _DEVICE[1:])
     yield from _of_camera(data.get("camera") or {})
     yield from _of(SceneConfig, ("scene",), MEASURED["scene"])
     of_nails = given_by_nails((data.get("work") or {}).get("nails"))
     yield from _of(WorkConfig, ("work",), [name for name in MEASURED["work"] if f"work.{name}" not in of_nails])
-    (block,) = _of(WorkConfig, ("work",), ("block_xy",))
+    block, turn = _of(WorkConfig, ("work",), ("block_xy", "block_turn"))
     yield replace(block, optional=True, offered=NONE)
+    yield replace(turn, offered="0")
     records: tuple[tuple[type[Any], str], ...] = ((PersonConfig, "person"), (ToolData, "tool"))
     for record, section in records:
         for question in _of(record, (section,), [field.name for field in fields(record)]):
@@ -239,7 +243,7 @@ def _all(data: dict[str, Any]) -> Iterator[Question]:
 def _of_strikes(hand: dict[str, Any]) -> Iterator[Question]:
     (speed,) = _of(StrikeConfig, ("strike",), ("speed",))
     yield replace(speed, text=f"{speed.text} On a robot {_FIRST_SPEED} at first.", offered=_FIRST_SPEED)
-    model = HANDS.get(str(hand.get("model")))
+    model = find_hand(str(hand.get("model")))
     if model is not None and model.yielding is None:
         yield from _of(StrikeConfig, ("strike",), ("deepest",))
 
@@ -247,16 +251,16 @@ def _of_strikes(hand: dict[str, Any]) -> Iterator[Question]:
 def _of_camera(camera: dict[str, Any]) -> Iterator[Question]:
     given = given_by_pose(camera.get("X_base_camera")) | given_by_intrinsics(camera.get("intrinsics"))
     names = [name for name in MEASURED["camera"] if f"camera.{name}" not in given]
-    if (camera.get("device") or {}).get("driver") not in WITH_MODE:
+    driver = (camera.get("device") or {}).get("driver")
+    if driver in WITH_MODE:  # the mode first: the driver opens the camera in it, and the camera then tells the rest
+        for question in _of(CameraConfig, ("camera",), sorted(names, key=lambda name: name in _LENS)):
+            mode = " Of a mode that the camera has." if question.path[-1] in SIZE else ""
+            yield replace(question, text=question.text + mode)
+    else:
         yield from _of(CameraConfig, ("camera",), names)
-        if "camera.distortion" not in given:  # other drivers tell it themselves
-            (distortion,) = _of(CameraConfig, ("camera",), ("distortion",))
-            yield replace(distortion, optional=True, offered=NONE)
-        return
-    # The mode first: the driver opens the camera in it, and the camera then tells the rest.
-    for question in _of(CameraConfig, ("camera",), sorted(names, key=lambda name: name in _LENS)):
-        mode = " Of a mode that the camera has." if question.path[-1] in SIZE else ""
-        yield replace(question, text=question.text + mode)
+    if driver not in WITH_LENS and "camera.distortion" not in given:  # the others tell it themselves
+        (distortion,) = _of(CameraConfig, ("camera",), ("distortion",))
+        yield replace(distortion, optional=True, offered=NONE)
 
 
 def _of_hand(hand: dict[str, Any]) -> Iterator[Question]:
@@ -265,12 +269,14 @@ def _of_hand(hand: dict[str, Any]) -> Iterator[Question]:
     if model == MOUNT:
         yield from _of(HandConfig, ("hand",), ("yield_torque",))
         yield from _of(ToolMount, ("hand", "mount"), [field.name for field in fields(ToolMount)])
-    elif model in HANDS:
+    elif (known := find_hand(str(model))) is not None:
         yield from _of(HandConfig, ("hand",), ("port",))
         weighed = ("hand", "weighed")
         yield from _of(HandWeight, weighed, [field.name for field in fields(HandWeight)])
-        if HANDS[model].X_flange_root is UNMOUNTED:
+        if known.X_flange_root is UNMOUNTED:
             yield from _of(HandMounting, ("hand", "mounting"), [field.name for field in fields(HandMounting)])
+        if (kind := wired_hand(str(model))) is not None and kind.measured_efforts:
+            yield from _of(HandEfforts, ("hand", "efforts"), [field.name for field in fields(HandEfforts)])
         (strap,) = _of(HandConfig, ("hand",), ("strap_force",))
         yield Question(strap.path, strap.hint, strap.text, optional=True)
 

@@ -14,14 +14,15 @@ from typing import Any, Self
 
 from toolee_robot.config import StationConfig, ToolData, check_upright
 from toolee_robot.control.planning.views import DISTANCE
-from toolee_robot.errors import ConfigError
+from toolee_robot.errors import ConfigError, NotReadyError
 from toolee_robot.hal import Station
 from toolee_robot.hardware.cameras import CameraStream
+from toolee_robot.hardware.cameras.lens_choice import UNKNOWN_LENS
 from toolee_robot.hardware.operator.digital_inputs import open_person
 from toolee_robot.robots import MOUNT, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.stations.camera import RECORDED, open_camera
-from toolee_robot.stations.hand import WIRED_HANDS, open_hand
+from toolee_robot.stations.hand import open_hand, wired_hand
 from toolee_robot.stations.ur import ur_driver
 
 
@@ -63,6 +64,7 @@ class LabStation:
         stream: CameraStream | None = None,
     ) -> None:
         check_purpose(config, purpose)
+        self._purpose = purpose
         self.config, self._tell, self._factor, self._stream = config, tell, real_time_factor, stream
         self._doing = doing
         self._stack = ExitStack()
@@ -78,7 +80,8 @@ class LabStation:
 
         Raises:
             ConfigError: A device has no driver here, or the station file lacks what its driver needs.
-            NotReadyError: A device is there and not ready; the message says what a person must do.
+            NotReadyError: A device is there and not ready, or a camera is to be calibrated whose lens nobody knows; the
+                message says what a person must do.
             DeviceError: A device does not answer.
         """
         config, clock = self.config, HostClock(self._factor)
@@ -88,6 +91,12 @@ class LabStation:
         with ExitStack() as stack:
             self._doing(f"connecting to the camera {device.serial} ({device.driver})")
             camera = stack.enter_context(open_camera(config.camera, clock, stream=self._stream))
+            if self._purpose is Purpose.CALIBRATION and not camera.lens.lens.known:
+                raise NotReadyError(
+                    f"the camera {device.serial}: {camera.lens.words}, with which its place can be millimetres off: "
+                    f"{UNKNOWN_LENS}",
+                    code="not_ready.camera_lens_unknown",
+                )
             if config.hand.model != MOUNT:
                 self._doing(f"connecting to the hand at {config.hand.port}")
             hand = stack.enter_context(open_hand(config.hand, clock))
@@ -126,8 +135,10 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
             "calibration": config.calibration,
             "tool": config.tool,
         }
-        if config.hand.model in WIRED_HANDS:
+        if (kind := wired_hand(config.hand.model)) is not None:
             wanted["hand.port"] = config.hand.port
+            if kind.measured_efforts:
+                wanted["hand.efforts"] = config.hand.efforts
     if missing := [name for name, value in wanted.items() if value is None]:
         raise ConfigError(
             f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/run_a_job.md",

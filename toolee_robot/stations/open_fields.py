@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.stations.camera import RECORDED, WITH_MODE
+from toolee_robot.config import MEASURED
+from toolee_robot.stations.camera import AIRO, RECORDED, WITH_MODE
 from toolee_robot.stations.interview import INTRINSICS, questions
 
 _SOURCES = {
@@ -16,6 +17,7 @@ _SOURCES = {
     "arm": "its name plate, the network",
     "arm.up": "spirit level on the base; or set_gravity in the script of a program that the pendant has saved",
     "hand": "its name plate, scales, spring balance",
+    "hand.efforts": "`toolee hand efforts`, spring balance; docs/how-to/shadow_hand.md",
     "camera.device": "its label and data sheet",
     "camera": "tape measure",
     "camera.distortion": "`toolee calibrate intrinsics --station`, or the driver's documents",
@@ -72,7 +74,8 @@ def open_fields(data: dict[str, Any], path: Path) -> list[OpenFields]:
         if question.path[0] == "camera" and name in INTRINSICS:
             intrinsics.append(name)
         else:
-            note = STANDS_IN if question.offered else ""
+            required = name in MEASURED.get(question.path[0], ())
+            note = STANDS_IN if question.offered and not required else ""
             by_source.setdefault((".".join(sections), _source(question.name), note), []).append(name)
     typed = [
         OpenFields(section, tuple(names), source, typed=True, note=note)
@@ -125,6 +128,8 @@ def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> I
             which = f"--recording {shlex.quote(str(device.get('folder', 'DIR')))}"
         else:
             which = f"--driver {device.get('driver', 'NAME')} --serial {device.get('serial', 'NUMBER')}"
+            if device.get("driver") == AIRO:
+                which += f" --camera-class {device.get('camera_class', 'MODULE.CLASS')}"
         if device.get("driver") in WITH_MODE:
             which += f" --size {camera.get('width', 'W')} {camera.get('height', 'H')}"
         yield OpenFields("camera", intrinsics, f"toolee camera show {which}", typed=False)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart
 from toolee_robot.config import StationConfig, load_lab_station, read_station, unmeasured
 from toolee_robot.config.station import to_station
 from toolee_robot.errors import ConfigError, UserError
@@ -67,6 +68,23 @@ def check_near(places: Array, at: Array) -> None:
             "(work.nail_xy, or its touches)",
             code="user.wood_far",
         )
+
+
+def mistake(entry: Array, by_file: Array) -> str:
+    """Name the mistake that explains why a nail is far from where the station file has it.
+
+    Args:
+        entry: Where its axis meets the wood, in `base`, (3,) [m].
+        by_file: The same by the station file, (3,) [m].
+
+    Returns:
+        The mistake in words; empty where the file is near, or no usual one explains it.
+    """
+    if not camera_is_elsewhere(entry, by_file):
+        return ""
+    if half_a_turn_apart(entry, by_file):
+        return "half a turn of the base: the file's positions are of the other `frame`"
+    return "x and y are swapped there: look at the file's other positions, too" if axes_swapped(entry, by_file) else ""
 
 
 def check_loads(path: Path, places: Sequence[tuple[tuple[str, str] | None, dict[str, Any]]]) -> None:

@@ -27,7 +27,7 @@ from toolee_robot.calibration.nail import (
 from toolee_robot.calibration.record import read_record
 from toolee_robot.calibration.tip import read_touches
 from toolee_robot.calibration.wood import WoodPlane, fit_wood
-from toolee_robot.cli.calibrate.nail_checks import check_loads, check_near
+from toolee_robot.cli.calibrate.nail_checks import check_loads, check_near, mistake
 from toolee_robot.cli.calibrate.nail_fields import nail_fields
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig
@@ -277,6 +277,8 @@ class NailJob:
         off = entry - work.p_base_entry
         self.figures["height_off"] = float(off[2])
         rows.append(("from the station file", f"({_mm(off, sign=True)}) mm"))
+        if why := mistake(entry, work.p_base_entry):
+            rows.append(("", f"[red]{why}[/red]"))
         if "true_lateral_mm" in self.figures:
             f = self.figures
             rows.append(

@@ -9,6 +9,7 @@ import tyro
 
 from toolee_robot.cli.hand.clear_faults import ClearFaults
 from toolee_robot.cli.hand.close import Close
+from toolee_robot.cli.hand.efforts import Efforts
 from toolee_robot.cli.hand.open import Open
 from toolee_robot.cli.hand.state import State
 
@@ -17,6 +18,7 @@ _Action = (
     | Annotated[Open, tyro.conf.subcommand("open")]
     | Annotated[Close, tyro.conf.subcommand("close")]
     | Annotated[ClearFaults, tyro.conf.subcommand("clear-faults")]
+    | Annotated[Efforts, tyro.conf.subcommand("efforts")]
 )
 
 

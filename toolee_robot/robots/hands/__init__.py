@@ -1,7 +1,8 @@
 """The known hands, one `HandModel` each, and the tool mount.
 
-A new hand is a record in a module of its own here, and an entry in `HANDS`; its device driver is a
-`toolee_robot.hal.Hand` with the record's joints.
+A new hand is a record: in a module of its own here with an entry in `HANDS`, or in a package of a lab, which names it
+by an entry point `hand_model.NAME` of the group `toolee_robot.devices`. Its device driver is a `toolee_robot.hal.Hand`
+with the record's joints.
 """
 
 from dataclasses import replace
@@ -17,10 +18,13 @@ from toolee_robot.robots.hands.inspire import INSPIRE_RH56
 from toolee_robot.robots.hands.model import PALM, UNMOUNTED, Finger, HandModel, NominalGrasp, Phalanx, WristJoint
 from toolee_robot.robots.hands.mount import mount_model
 from toolee_robot.robots.hands.shadow import SHADOW_HAND
+from toolee_robot.runtime.device_plugins import installed, load
 from toolee_robot.types import MOUNT, HandMounting, HandWeight, ToolMount
 
 HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND, INSPIRE_RH56, ABILITY_HAND)}
 """Name in the station file -> hand."""
+_ENTRIES = "hand_model"
+"""Kind of the entry points by which packages bring models."""
 
 
 class HandChoice(Protocol):
@@ -28,7 +32,7 @@ class HandChoice(Protocol):
 
     @property
     def model(self) -> str:
-        """Name of the hand, a key of `HANDS`, or `MOUNT`."""
+        """Name of the hand, as for `find_hand`, or `MOUNT`."""
 
     @property
     def yield_torque(self) -> float | None:
@@ -51,7 +55,7 @@ def hand_model(hand: str | HandChoice) -> HandModel:
     """Look up a hand, or build a tool mount.
 
     Args:
-        hand: Name of the hand, a key of `HANDS`; or what the station file says of it.
+        hand: Name of the hand, as for `find_hand`; or what the station file says of it.
 
     Returns:
         The hand, with the station's yield torque, weight and mounting where it gives them. By its name alone, a hand
@@ -69,16 +73,37 @@ def hand_model(hand: str | HandChoice) -> HandModel:
         return mount_model(mount, torque)
     if name == MOUNT:
         raise ConfigError("a tool mount needs its data: give hand.mount and hand.yield_torque in a station file")
-    try:
-        model = HANDS[name]
-    except KeyError:
-        known = ", ".join((*HANDS, MOUNT))
-        raise ConfigError(
-            f"there is no hand {name!r} (hand.model in a station file, --hand): choose one of {known}"
-        ) from None
+    model = find_hand(name)
+    if model is None:
+        known = ", ".join((*HANDS, *installed(_ENTRIES), MOUNT))
+        raise ConfigError(f"there is no hand {name!r} (hand.model in a station file, --hand): choose one of {known}")
     if not isinstance(hand, str):
         model = _mounted(model, hand.mounting)
     return model if torque is None and weighed is None else _with(model, torque, weighed)
+
+
+def find_hand(name: str) -> HandModel | None:
+    """Look up the model of a hand, as it leaves its maker.
+
+    Args:
+        name: Its name: a key of `HANDS`, or that of a hand that an installed package brings.
+
+    Returns:
+        The model; None where there is none of that name.
+
+    Raises:
+        ConfigError: What a package names cannot be imported, or is no such model (`config.device_plugin`).
+    """
+    if name in HANDS:
+        return HANDS[name]
+    entry = installed(_ENTRIES).get(name)
+    if entry is None:
+        return None
+    model = load(entry)
+    if not isinstance(model, HandModel) or model.name != name:
+        message = f"{entry.value}, named as {entry.name}, is no HandModel of the name {name!r}"
+        raise ConfigError(message, code="config.device_plugin")
+    return model
 
 
 @lru_cache(maxsize=8)
@@ -122,5 +147,6 @@ __all__ = [
     "NominalGrasp",
     "Phalanx",
     "WristJoint",
+    "find_hand",
     "hand_model",
 ]
