@@ -257,12 +257,39 @@ def test_the_table_of_hands_without_a_wrist_is_of_their_records(job: str, label:
     _check_row(_rows("Hands without a wrist")[row], [one["figures"] for one in kept if one["job"] == job])
 
 
-def test_the_other_hands_rehearsals_are_all_there() -> None:
-    """Those that ran to their end have a row each, the others are counted."""
-    names = {"inspire": "Inspire RH56, serial", "ability": "PSYONIC Ability Hand", "modbus": "Inspire RH56, Modbus-TCP"}
+REHEARSED = {
+    "mount": "mount",
+    "shadow": "Shadow Hand",
+    "ability": "PSYONIC Ability Hand",
+    "inspire": "Inspire RH56, serial",
+    "modbus": "Inspire RH56, Modbus-TCP",
+}
+
+
+def _rehearsals() -> list[dict[str, Any]]:
     kept = [json.loads(line) for line in (KEPT / "rehearsals.jsonl").read_text().splitlines()]
-    kept = [one for one in kept if one["job"] in names]
-    stopped = [one for one in kept if one["figures"]["outcome"] in ("person_near", "device_fault")]
+    return [one for one in kept if one["job"] in REHEARSED]
+
+
+def _stopped(one: dict[str, Any]) -> bool:
+    """Whether late data ended it."""
+    return one["figures"]["outcome"] in ("person_near", "device_fault")
+
+
+@pytest.mark.parametrize("row", ["mount", "Shadow Hand", "PSYONIC Ability Hand", "Inspire RH56"])
+def test_ten_rehearsals_of_each_hand_are_counted(row: str) -> None:
+    jobs = [job for job, name in REHEARSED.items() if name.startswith(row)]
+    kept = [one for one in _rehearsals() if one["job"] in jobs and not _stopped(one)]
+    assert len(kept) == 10
+    assert len({(one["job"], one["seed"]) for one in kept}) == 10, "ten that are not the same"
+    assert _rows("Rehearsals")[row][0] == str(share([one["figures"]["success"] for one in kept]))
+
+
+def test_the_later_rehearsals_are_all_there() -> None:
+    """Those that ran to their end have a row each, the others are counted."""
+    names, first = REHEARSED, range(7402, 7410)
+    kept = [one for one in _rehearsals() if one["job"] not in ("mount", "shadow") or one["seed"] not in first]
+    stopped = [one for one in kept if _stopped(one)]
     assert all("late" in one["figures"]["reason"] or "servo process" in one["figures"]["reason"] for one in stopped)
     assert f"\n{len(stopped)} other tries were stopped by late data" in PAGE
     for one in (one for one in kept if one not in stopped):
