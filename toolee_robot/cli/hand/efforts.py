@@ -58,7 +58,7 @@ class Efforts(HandOptions):
             live.update(_table(MOTORS, now, largest), refresh=True)
         motor = MOTORS[int(np.argmax(largest))]
         console.print(
-            f"The largest effort was {largest.max():.0f}, of {motor}. Of a hand that was empty and moved freely: "
+            f"\nThe largest effort was {largest.max():.0f}, of {motor}. Of a hand that was empty and moved freely: "
             f"hand.efforts.touch is {TWICE * largest.max():.0f}."
         )
         if self.json:
