@@ -69,8 +69,8 @@ def test_a_labs_own_package_brings_a_whole_hand(tmp_path: Path, monkeypatch: pyt
     assert hand_model(config).label == "our hand"
     with raises(ConfigError, "config.device_plugin"):
         hand_model("other")
-    names = {question.name for question in questions({"hand": {"model": "ours"}})}
-    assert {"hand.port", "hand.weighed.mass", "hand.mounting.fingers"} <= names
+    asked = {question.name for question in questions({"hand": {"model": "ours"}})}
+    assert {"hand.port", "hand.weighed.mass", "hand.mounting.fingers"} <= asked
     with emulated_hand(config) as emulator, open_hand(replace(config, port=emulator.port), HostClock()) as hand:
         assert hand.joint_names == hand_model(config).joints
         assert not hand.state(max_age=2.0).holding

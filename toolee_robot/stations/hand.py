@@ -7,7 +7,7 @@ with open_hand(load_lab_station(Path("lab.yaml")).hand, HostClock()) as hand:
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
@@ -172,7 +172,7 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     return kind.driver(model, port, config, clock)
 
 
-def efforts_of(config: HandConfig, clock: Clock) -> Iterator[Array]:
+def efforts_of(config: HandConfig, clock: Clock) -> Generator[Array]:
     """Read the efforts of a hand of which a lab must measure what they mean; nothing is moved.
 
     Args:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -44,10 +45,12 @@ class Efforts(HandOptions):
         from toolee_robot.stations.hand import efforts_of
 
         console = Console(stderr=self.json, highlight=False)
-        readings = efforts_of(self.hand(), HostClock())
         now = largest = np.zeros(len(MOTORS))
         end, shown = time.monotonic() + self.seconds, -np.inf
-        with Live(console=console, auto_refresh=False) as live:
+        with (
+            closing(efforts_of(self.hand(), HostClock())) as readings,
+            Live(console=console, auto_refresh=False) as live,
+        ):
             for now in readings:
                 largest = np.maximum(largest, now)
                 if time.monotonic() - shown >= PERIOD:

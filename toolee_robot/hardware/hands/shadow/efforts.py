@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 
 from toolee_robot.errors import NoAnswerError
 from toolee_robot.frames import Array
@@ -15,7 +15,7 @@ SILENCE = 0.5
 """Longest time without a reading [s]."""
 
 
-def read_efforts(url: str, clock: Clock) -> Iterator[Array]:
+def read_efforts(url: str, clock: Clock) -> Generator[Array]:
     """Read the efforts as they come. Nothing is moved.
 
     Args:
