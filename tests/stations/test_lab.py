@@ -109,7 +109,7 @@ def test_a_recording_is_no_camera_of_a_station(config: StationConfig, purpose: P
 def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(
     config: StationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cell = job_cell(replace(config, hand=replace(StationConfig().hand, port="/dev/ttyUSB0")), LAB, 1)
+    cell = job_cell(_with_hand(config, "shadow", port="ws://127.0.0.1:9090"), LAB, 1)
     monkeypatch.delitem(WIRED_HANDS, cell.measured.hand.model)  # as a hand for which a lab brought the driver alone
     with raises(ConfigError, "config.no_emulator"):
         EmulatedLab(cell, print, FACTOR, "ideal")

@@ -109,8 +109,8 @@ def toolkit_camera(name: str, serial: str, size: tuple[int, int], fps: int) -> C
         base = importlib.import_module("airo_camera_toolkit.interfaces").RGBDCamera
     except (ImportError, OSError) as error:  # OSError: what its Open3D asks of the system is missing
         raise UserError(
-            f"the driver airo needs airo-camera-toolkit ({error}): docs/start/install.md says how to install it, since "
-            "its OpenCV would take the place of this project's",
+            f"the driver airo needs airo-camera-toolkit ({words_of(error)}): docs/start/install.md says how to install "
+            "it, since its OpenCV would take the place of this project's",
             code="user.missing_package",
         ) from error
     kind = _class_of(name, base)

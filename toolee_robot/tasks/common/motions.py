@@ -240,7 +240,19 @@ class Motions:
         """
         if not (self.in_the_way and self.held):
             return
-        self.straight("up from among the nails", UP, rise_to_clear(self._robot, self.world(), self.q))
+        self.rise("up from among the nails")
+
+    def rise(self, name: str, least: float = 0.0) -> None:
+        """Rise straight until a transfer may begin, by what is known of the tool.
+
+        Args:
+            name: Name of the motion.
+            least: Least height [m].
+
+        Raises:
+            TooleeError: As `straight`.
+        """
+        self.straight(name, UP, max(least, rise_to_clear(self._robot, self.world(), self.q)))
 
     def retreat(self) -> bool:
         """After the tool has dropped, move slowly up and away from the person's place, else up, else not at all.

@@ -35,7 +35,7 @@ from toolee_robot.errors import (
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
 from toolee_robot.tasks.common.look import Perceiver
-from toolee_robot.tasks.common.motions import UP, Motions
+from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, JobEnded, Outcome, Stage
 from toolee_robot.tasks.common.recovery import PUT_AWAY, TAKE_OUT, Stops
@@ -275,7 +275,7 @@ class HammeringTask:
             try:
                 if lift:
                     with suppress(PlanningError):  # a hand that stands far from the work need not be lifted
-                        self._motions.straight("up", UP, LIFT)
+                        self._motions.rise("up", LIFT)
                 self._look(self._config.task.views)
                 self._nails.looked()
                 return driving.run()
