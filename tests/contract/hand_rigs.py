@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.devices.hand import SimHand
+from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
 from toolee_robot.stations.hand import open_hand
@@ -96,65 +98,62 @@ class MountRig(Rig):
         pass
 
 
-class InspireRig(Rig):
+class EmulatedRig(Rig):
+    """A driver on an emulated hand.
+
+    Args:
+        emulator: The emulated hand.
+    """
+
+    def __init__(self, emulator: HandEmulator[Any]) -> None:
+        self._emulator = emulator
+        self.clock = HostClock()
+
+    def cut(self) -> None:
+        self._emulator.faults.muted = True
+
+    def restore(self) -> None:
+        self._emulator.faults.muted = False
+
+
+class InspireRig(EmulatedRig):
     """The Inspire driver on the emulated hand, whose motors are four times as fast as real ones."""
 
     def __init__(self, emulator: InspireEmulator | ModbusEmulator) -> None:
-        self._emulator = emulator
+        super().__init__(emulator)
         self.model = hand_model(HandConfig("inspire_rh56", mounting=MOUNTING))
-        self.clock = HostClock()
         self.hand = InspireHand(self.model, emulator.port, self.clock)
 
     def give(self) -> None:
         self._emulator.tell(lambda hand: hand.hold(400.0))
 
-    def cut(self) -> None:
-        self._emulator.faults.muted = True
 
-    def restore(self) -> None:
-        self._emulator.faults.muted = False
-
-
-class AbilityRig(Rig):
+class AbilityRig(EmulatedRig):
     """The Ability Hand's driver on the emulated hand."""
 
     rest = 0.4  # its motors approach their targets with a time constant of 67 ms
 
     def __init__(self, emulator: AbilityEmulator) -> None:
-        self._emulator = emulator
+        super().__init__(emulator)
         self.model = hand_model(HandConfig("ability_hand", mounting=MOUNTING))
-        self.clock = HostClock()
         self.hand = AbilityHand(self.model, emulator.port, self.clock)
 
     def give(self) -> None:
         self._emulator.hold(55.0)
 
-    def cut(self) -> None:
-        self._emulator.faults.muted = True
 
-    def restore(self) -> None:
-        self._emulator.faults.muted = False
-
-
-class ShadowRig(Rig):
+class ShadowRig(EmulatedRig):
     """The Shadow Hand's driver on the emulated hand, over a websocket."""
 
     rest = 0.4
 
     def __init__(self, emulator: ShadowEmulator) -> None:
-        self._emulator = emulator
+        super().__init__(emulator)
         self.model = SHADOW_HAND
-        self.clock = HostClock()
         self.hand = ShadowHand(self.model, emulator.port, HandEfforts(60.0, 300.0, 0.03), self.clock)
 
     def give(self) -> None:
         self._emulator.hold(55.0)
-
-    def cut(self) -> None:
-        self._emulator.faults.muted = True
-
-    def restore(self) -> None:
-        self._emulator.faults.muted = False
 
 
 class LabRig(Rig):

@@ -140,9 +140,8 @@ class WorkConfig:
                 f"{whose}nail_lean {nail.lean} is {np.rad2deg(lean):.1f} degrees off the wood's normal, "
                 f"{np.rad2deg(LARGEST_TILT):.0f} are allowed: it is metres per metre, 0.0175 for 1 degree"
             )
-        dx, dy = np.subtract(nail.xy, self.block_center)
-        cos, sin = np.cos(self.block_turn), np.sin(self.block_turn)
-        off = np.abs([cos * dx + sin * dy, cos * dy - sin * dx])
+        (cos, sin, _), away = self._along, np.subtract(nail.xy, self.block_center)
+        off = np.abs(np.array([[cos, sin], [-sin, cos]]) @ away)
         if np.any(off > np.array(self.block_size[:2]) / 2):
             x, y = self.block_center
             raise ValueError(
