@@ -13,7 +13,6 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision_shapes import (
     Body,
     arm_bodies,
@@ -24,6 +23,7 @@ from toolee_robot.control.collision_shapes import (
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError
 from toolee_robot.frames import Array
+from toolee_robot.station import StationConfig
 
 FAR = 0.05
 """Largest clearance that is measured [m]; a larger one is reported as this value."""

@@ -12,10 +12,10 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 
-from toolee_robot.config import StationConfig, ToolEnvelope, WorkConfig
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import Array, frame_from_axes, transform, transform_points
 from toolee_robot.robots import SHAPE_MARGIN, HandModel
+from toolee_robot.station import StationConfig, ToolEnvelope, WorkConfig
 
 WORLD_JOINT = 0
 """Joint index of a body that stands still."""

@@ -7,10 +7,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from toolee_robot.config import SupervisorConfig
 from toolee_robot.control.kinematics import ArmKinematics
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
+from toolee_robot.station import SupervisorConfig
 
 
 class Meeting(StrEnum):

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.config import ArmLimits
 from toolee_robot.control.inverse_kinematics import InverseKinematics
 from toolee_robot.control.kinematics import smallest_singular_value, solve
 from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array, inverse
+from toolee_robot.station import ArmLimits
 
 SPIN_STEP = np.deg2rad(7.5)
 """Step of the sampled spins [rad]."""

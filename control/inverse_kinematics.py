@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from toolee_robot.arm_data import ArmData
 from toolee_robot.control.kinematics import ArmKinematics, solve
+from toolee_robot.control.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.errors import AssetError, UnreachableError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.robots.dh import DhParameters, dh_transform
 
 BRANCHES = 8

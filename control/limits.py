@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.config import ArmLimits, SceneConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.kinematics import ArmKinematics
 from toolee_robot.errors import LimitError
 from toolee_robot.frames import Array
+from toolee_robot.station import ArmLimits, SceneConfig
 from toolee_robot.types import Trajectory
 
 TOLERANCE = 1e-3

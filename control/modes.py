@@ -7,10 +7,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from toolee_robot.config import SupervisorConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.collision_shapes import TOOL_JOINT
 from toolee_robot.frames import Array
+from toolee_robot.station import SupervisorConfig
 from toolee_robot.types import Trajectory
 
 

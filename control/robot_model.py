@@ -7,12 +7,12 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.control.inverse_kinematics import InverseKinematics
 from toolee_robot.control.kinematics import ArmKinematics
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, inverse, is_rigid
 from toolee_robot.robots import SHADOW_HAND, HandChoice, RobotDescription, load_robot
+from toolee_robot.station import ArmLimits, StationConfig
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 

@@ -15,11 +15,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Self
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT, CollisionWorld
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, judge_contact
 from toolee_robot.control.dynamics.torque_room import bound_stop
 from toolee_robot.control.modes import Mode
+from toolee_robot.control.motion.trajectory_checks import check_start
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor_checks import (
     check_clear,
@@ -33,7 +33,7 @@ from toolee_robot.control.supervisor_checks import (
 from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import DeviceError, LatchedError, LimitError, MotionFaultError, PersonNearError
 from toolee_robot.hal import Arm, ArmState, ContactGuard, HandGuidedArm, MotionReport, MotionWatch, Person
-from toolee_robot.motion.trajectory_checks import check_start
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Payload, Trajectory
 
 UNKNOWN_OCCUPANCY = "the station cannot tell whether a person is near"

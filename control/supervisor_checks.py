@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.modes import Mode, carried_speed
@@ -14,6 +13,7 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, LimitError, NotReadyError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, Person
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Trajectory
 
 STEP = 0.015

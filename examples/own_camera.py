@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from toolee_robot import CameraIntrinsics
-from toolee_robot.config import CameraConfig, CameraDevice
+from toolee_robot.devices.cameras import CameraProfile, CameraStream, Lens, LensModel, RawImages
 from toolee_robot.errors import NoAnswerError
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras import CameraProfile, CameraStream, Lens, LensModel, RawImages
+from toolee_robot.station import CameraConfig, CameraDevice
 
 COLOR = Lens(CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480), LensModel.BROWN_CONRADY, (0.05, -0.1, 0, 0, 0))
 DEPTH = Lens(CameraIntrinsics(570.0, 570.0, 319.5, 239.5, 640, 480))  # a real driver asks its device for these

@@ -10,9 +10,9 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import HALF_TURN
+from toolee_robot.station import StationConfig
 
 mpl.use("svg")
 import matplotlib.pyplot as plt

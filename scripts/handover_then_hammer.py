@@ -5,9 +5,9 @@ Example: `python scripts/handover_then_hammer.py --seed 7`
 
 import tyro
 
-from toolee_robot.config import StationConfig
 from toolee_robot.perception import ToolPerception
 from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
 

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from toolee_robot import errors
-from toolee_robot.config import StationConfig
-from toolee_robot.config.field_docs import field_docs
 from toolee_robot.runtime.yaml_files import name_in_file
+from toolee_robot.station import StationConfig
+from toolee_robot.station.field_docs import field_docs
 
 MARKER = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
 COMMAND_WIDTH = 80

@@ -14,12 +14,12 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.record import rows
-from toolee_robot.config import StationConfig, ToolData
-from toolee_robot.config.values import STRICT, NotNegative
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
+from toolee_robot.station import StationConfig, ToolData
+from toolee_robot.station.values import STRICT, NotNegative
 from toolee_robot.tools import Tool
 from toolee_robot.types import DhCalibration, HandWeight
 from toolee_robot.types.arm import Six

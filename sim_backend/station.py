@@ -7,7 +7,6 @@ from typing import Self
 
 import numpy as np
 
-from toolee_robot.config import SIMULATED, StationConfig, check_upright
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
@@ -22,6 +21,7 @@ from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
 from toolee_robot.sim_backend.world import Sample, SimWorld
+from toolee_robot.station import SIMULATED, StationConfig, check_upright
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_tool, split
 
 MAX_MOMENT = 1.7  # [Nm] largest moment of the tool's weight about the grip's centre: what the wrist can swing

@@ -13,7 +13,6 @@ from itertools import chain, repeat
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array, cross
 from toolee_robot.robots import load_robot
@@ -25,6 +24,7 @@ from toolee_robot.sim_backend.physics.impact_steps import IMPACT, StepSettings
 from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.sim_backend.physics.robot_body import RobotBody
 from toolee_robot.sim_backend.physics.wood import NailSpec
+from toolee_robot.station import StationConfig
 from toolee_robot.tools import Tool
 
 QUANTUM = IMPACT.time_step  # [s]

@@ -9,13 +9,13 @@ from functools import partial
 
 import numpy as np
 
-from toolee_robot.config import ServoConfig
+from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, MotionWatch
-from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
+from toolee_robot.station import ServoConfig
 from toolee_robot.types import ArmModel
 
 HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])

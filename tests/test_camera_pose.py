@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.calibration.board import SHEETS
-from toolee_robot.config import CameraConfig, StationConfig, load_lab_station, load_station, unmeasured
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import HALF_TURN, Array, is_rigid, rotation_angle, transform
 from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.sim_backend.cell_errors import NOMINAL, draw_errors
+from toolee_robot.station import CameraConfig, StationConfig, load_lab_station, load_station, unmeasured
 from toolee_robot.stations.interview import contradiction, questions
 from toolee_robot.stations.open_fields import open_fields, told
 from toolee_robot.stations.simulated_board import TAPE, simulated_board

@@ -12,7 +12,11 @@ import pytest
 import yaml
 
 from tests.errors import raises
-from toolee_robot.config import (
+from toolee_robot.devices.ur.config import UrArmConfig
+from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.frames import is_rigid
+from toolee_robot.runtime.yaml_files import to_record
+from toolee_robot.station import (
     MEASURED,
     SIMULATED,
     CalibrationConfig,
@@ -23,10 +27,6 @@ from toolee_robot.config import (
     servo_lag,
     unmeasured,
 )
-from toolee_robot.errors import ConfigError, UserError
-from toolee_robot.frames import is_rigid
-from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.runtime.yaml_files import to_record
 
 
 def _write(folder: Path, text: str) -> Path:

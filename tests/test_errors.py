@@ -16,11 +16,11 @@ from pathlib import Path
 import pytest
 import serial
 
+from toolee_robot.devices.hands.inspire.tcp_port import TcpPort
+from toolee_robot.devices.hands.shadow.connection import Connection
+from toolee_robot.devices.hands.wire.port import SerialPort
+from toolee_robot.devices.ur.protocols import tcp
 from toolee_robot.errors import TooleeError, words_of
-from toolee_robot.hardware.hands.inspire.tcp_port import TcpPort
-from toolee_robot.hardware.hands.shadow.connection import Connection
-from toolee_robot.hardware.hands.wire.port import SerialPort
-from toolee_robot.hardware.ur.protocols import tcp
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient

@@ -17,19 +17,19 @@ from scipy.spatial.transform import Rotation
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.cli.app import run
-from toolee_robot.config import ArmLimits, StationConfig, load_lab_station, load_station
 from toolee_robot.control import RobotModel
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
+from toolee_robot.devices.ur.report import UrState
 from toolee_robot.doctor.mounting import check_base, check_mounting
 from toolee_robot.errors import ConfigError
 from toolee_robot.findings import Finding, Level
 from toolee_robot.frames import HALF_TURN, Array
-from toolee_robot.hardware.ur.report import UrState
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.station import ArmLimits, StationConfig, load_lab_station, load_station
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.types import Payload
 

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.errors import raises
-from toolee_robot.config import StationConfig, ToolData, load_lab_station, load_station, with_setup
-from toolee_robot.config.tool_enclosure import check_enclosed
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import inverse
+from toolee_robot.station import StationConfig, ToolData, load_lab_station, load_station, with_setup
+from toolee_robot.station.tool_enclosure import check_enclosed
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 TOOL = """

@@ -9,9 +9,9 @@ import pytest
 import yaml
 
 from tests.errors import raises
-from toolee_robot.config import NailConfig, StationConfig, load_station
 from toolee_robot.control.collision_shapes import nail_bodies
 from toolee_robot.errors import ConfigError
+from toolee_robot.station import NailConfig, StationConfig, load_station
 
 BLOCK = [0.08, 0.14, 0.06]
 LEFT = {"name": "left", "xy": [0.75, 0.14]}

@@ -15,7 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import (
+from toolee_robot.errors import ConfigError
+from toolee_robot.frames import HALF_TURN, transform
+from toolee_robot.runtime.yaml_files import name_in_file
+from toolee_robot.station import (
     ArmLimits,
     CameraConfig,
     Obstacle,
@@ -24,11 +27,8 @@ from toolee_robot.config import (
     WorkConfig,
     load_station,
 )
-from toolee_robot.config.field_docs import field_docs
-from toolee_robot.config.station_frame import BOX, OBSTACLES, POINTS, POSE
-from toolee_robot.errors import ConfigError
-from toolee_robot.frames import HALF_TURN, transform
-from toolee_robot.runtime.yaml_files import name_in_file
+from toolee_robot.station.field_docs import field_docs
+from toolee_robot.station.station_frame import BOX, OBSTACLES, POINTS, POSE
 
 SECTIONS = {"arm": ArmLimits, "camera": CameraConfig, "work": WorkConfig, "scene": SceneConfig}
 _coordinate = st.floats(-1.5, 1.5)

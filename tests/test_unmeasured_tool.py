@@ -12,11 +12,11 @@ import yaml
 
 from tests.errors import raises
 from toolee_robot.cli.app import run
-from toolee_robot.config import StationConfig, ToolData, load_lab_station, with_setup
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.planning.views import plan_handover
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import ConfigError
+from toolee_robot.station import StationConfig, ToolData, load_lab_station, with_setup
 from toolee_robot.stations.interview import NONE, put, questions
 from toolee_robot.stations.lab import check_purpose
 from toolee_robot.stations.rehearsal import job_cell

@@ -17,11 +17,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from toolee_robot.config import StationConfig, load_station
     from toolee_robot.end_effectors import Category
     from toolee_robot.errors import TooleeError
     from toolee_robot.perception.pipeline import ToolPerception
     from toolee_robot.recording.recorder import RunRecorder
+    from toolee_robot.station import StationConfig, load_station
     from toolee_robot.stations.simulated import open_station
     from toolee_robot.tasks.hammering.grasp import nominal_grasp
     from toolee_robot.tasks.hammering.task import HammeringTask
@@ -49,10 +49,10 @@ _MODULES = {
     "HammeringTask": "toolee_robot.tasks.hammering.task",
     "RgbdFrame": "toolee_robot.types",
     "RunRecorder": "toolee_robot.recording.recorder",
-    "StationConfig": "toolee_robot.config",
+    "StationConfig": "toolee_robot.station",
     "ToolPerception": "toolee_robot.perception.pipeline",
     "TooleeError": "toolee_robot.errors",
-    "load_station": "toolee_robot.config",
+    "load_station": "toolee_robot.station",
     "open_station": "toolee_robot.stations.simulated",
     "nominal_grasp": "toolee_robot.tasks.hammering.grasp",
 }

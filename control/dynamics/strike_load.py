@@ -8,11 +8,11 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import StrikeConfig
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
+from toolee_robot.station import StrikeConfig
 from toolee_robot.types import ArmModel, Payload
 
 BEFORE, AFTER = 0.016, 0.080

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, CollisionWorld
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.line import Line
@@ -15,6 +14,7 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Trajectory
 
 LOWERING_SPEED = 0.5

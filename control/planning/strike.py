@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BESIDE_NAILS, BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.compliance import yield_length
 from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
@@ -28,6 +27,7 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, is_rigid
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Payload, Trajectory
 
 SHORTLIST = 24
@@ -66,7 +66,7 @@ def plan_strike(
         X_hand_ee: Estimated pose of the end effector in the hand, (4, 4); the nominal one for the uncorrected baseline.
         X_base_nail: Pose of the nail, (4, 4), z into the wood.
         tool: Mass of the tool [kg] and its centre of mass in the end effector's frame [m].
-        speed: Wanted speed at the contact [m/s]; `config.strike.speed` if None. It is reduced where a limit requires
+        speed: Wanted speed at the contact [m/s]; `station.strike.speed` if None. It is reduced where a limit requires
             it.
 
     Returns:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.limits import check_carried, check_trajectory
 from toolee_robot.control.planning.timing import concatenate, joint_move
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, UserError
 from toolee_robot.frames import Array
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Trajectory
 
 STEP = 0.03

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.config import CameraConfig, StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.kinematics import smallest_singular_value
 from toolee_robot.control.planning.transfer import NEED, plan_transfer
@@ -22,6 +21,7 @@ from toolee_robot.control.records import View, ViewPlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, frame_from_axes, inverse, transform, transform_points
+from toolee_robot.station import CameraConfig, StationConfig
 from toolee_robot.types import Trajectory
 
 DISTANCE = (0.42, 0.52)  # [m] camera to EE

@@ -8,10 +8,10 @@ from pathlib import Path
 import yaml
 from pydantic import TypeAdapter
 
-from toolee_robot.config.values import STRICT
 from toolee_robot.perception.annotation.protocol import Role, Shape
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_record
+from toolee_robot.station.values import STRICT
 
 CLICKS = "clicks.yaml"
 """Name of the file in the folder of the frames."""

@@ -1,6 +1,6 @@
 """Scenes of the station: a UR10 with a Shadow Hand shows a tool to the fixed camera, above block and nail.
 
-Dimensions and positions are those of `toolee_robot.config`, repeated here as centres of random ranges: a training
+Dimensions and positions are those of `toolee_robot.station`, repeated here as centres of random ranges: a training
 machine does not need the packages of the configuration, and a real station deviates from the defaults.
 """
 

@@ -8,12 +8,12 @@ from typing import Self
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA, CB3_RATE
+from toolee_robot.control.motion.contact_force import ContactForce
+from toolee_robot.control.motion.path_stop import stop_on_path
+from toolee_robot.control.motion.trajectory_checks import check_payload, check_trajectory
 from toolee_robot.errors import DeviceError, LatchedError, NotReadyError, StaleDataError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
-from toolee_robot.motion.contact_force import ContactForce
-from toolee_robot.motion.path_stop import stop_on_path
-from toolee_robot.motion.trajectory_checks import check_payload, check_trajectory
 from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor
 from toolee_robot.sim_backend.devices.motion_fault import Fault, motion_fault
 from toolee_robot.sim_backend.devices.motion_log import MotionLog

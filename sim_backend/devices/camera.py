@@ -7,7 +7,6 @@ from typing import Self
 
 import numpy as np
 
-from toolee_robot.config import CameraConfig
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.hal import Clock
@@ -22,6 +21,7 @@ from toolee_robot.render.sensors.depth_camera import measure_depth
 from toolee_robot.render.sensors.depth_sensors import random_reading
 from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody, VisualWorld
+from toolee_robot.station import CameraConfig
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 _ROOM_ID = 0

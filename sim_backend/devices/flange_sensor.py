@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from toolee_robot.control.motion.touch_force import check_offset
 from toolee_robot.frames import Array, cross
 from toolee_robot.hal import ZERO_TIME
-from toolee_robot.motion.touch_force import check_offset
 from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.config import WorkConfig
 from toolee_robot.errors import ConfigError
+from toolee_robot.station import WorkConfig
 
 WITHDRAWAL = 54.12e6  # [Pa] friction force per (diameter x depth) at G = 1
 TIP_PRESSURE = 150.0 / 0.003**2 / 0.42**2.5  # [Pa] tip force per squared diameter at G = 1; an estimate

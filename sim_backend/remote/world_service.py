@@ -15,7 +15,6 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.hal import Clock, HandState
 from toolee_robot.sim_backend.devices.coupled_fingers import CoupledFingers
@@ -26,6 +25,7 @@ from toolee_robot.sim_backend.remote.device_commands import Commands
 from toolee_robot.sim_backend.remote.host_timed_truth import HostTimedTruth
 from toolee_robot.sim_backend.station import build_world, draw_handover, simulated_hand
 from toolee_robot.sim_backend.visuals.scene import scene_state
+from toolee_robot.station import StationConfig
 
 Handler = Callable[..., Any]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
-from toolee_robot.config import StationConfig
 from toolee_robot.robots import load_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.runtime.clock import HostClock
@@ -14,6 +13,7 @@ from toolee_robot.sim_backend.remote.world_plant import WorldPlant
 from toolee_robot.sim_backend.remote.world_service import WorldService
 from toolee_robot.sim_backend.ur_controller.controller import Controller
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.station import StationConfig
 
 PUBLISH_AT = 0.5
 """Fraction of a tick after which its data are sent. The command of a driver that answers a third of a tick later still

@@ -9,7 +9,6 @@ from typing import Protocol
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.render.mesh import Mesh, box, cylinder, sphere
 from toolee_robot.render.palette import skin_tone
@@ -21,6 +20,7 @@ from toolee_robot.sim_backend.physics.wood import NailSpec
 from toolee_robot.sim_backend.visuals.board import BoardVisuals
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 from toolee_robot.sim_backend.world import SimWorld
+from toolee_robot.station import StationConfig
 from toolee_robot.tools import Tool
 
 Color = tuple[float, float, float]

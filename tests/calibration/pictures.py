@@ -14,8 +14,8 @@ from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.record import rows
 from toolee_robot.calibration.session import Session, SessionPose, write_session
-from toolee_robot.config import CameraConfig
 from toolee_robot.frames import Array, BaseFrame, inverse
+from toolee_robot.station import CameraConfig
 
 CAMERA = CameraConfig()
 BOARD = SHEETS["a3"].board

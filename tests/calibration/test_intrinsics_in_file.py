@@ -13,16 +13,16 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA, picture
+from tests.devices.cameras.toy_recording import say_undistorted, toy_recording
 from tests.errors import raises
-from tests.hardware.cameras.toy_recording import say_undistorted, toy_recording
 from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, read_intrinsics, write_intrinsics
 from toolee_robot.cli.app import EXIT_USER, run
 from toolee_robot.cli.calibrate.intrinsics_entry import camera_of
-from toolee_robot.config import SIMULATED, load_lab_station, load_station
+from toolee_robot.devices.cameras import Lens, LensModel
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import transform
-from toolee_robot.hardware.cameras import Lens, LensModel
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import SIMULATED, load_lab_station, load_station
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.stations.interview import questions
 

@@ -15,11 +15,11 @@ from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.nail import LocatedNail, SeenNail, combine, see_nail
 from toolee_robot.cli.app import run
 from toolee_robot.cli.calibrate.nail_job import known_camera
-from toolee_robot.config import SIMULATED_CALIBRATION, StationConfig
 from toolee_robot.errors import ConfigError, NotReadyError, UserError
 from toolee_robot.frames import angle_between
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.station import SIMULATED_CALIBRATION, StationConfig
 from toolee_robot.stations.simulated_nail import SimulatedNailBoard, place_board, simulated_nail_board
 from toolee_robot.tasks.calibration.still_frame import mean_frame
 

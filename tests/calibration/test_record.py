@@ -14,14 +14,14 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA, draw_session, picture
-from tests.hardware.cameras.toy_recording import say_undistorted, toy_recording
+from tests.devices.cameras.toy_recording import say_undistorted, toy_recording
 from toolee_robot.calibration.observation import find_board
 from toolee_robot.calibration.record import read_record, write_record
 from toolee_robot.calibration.touch_check import see_corner
 from toolee_robot.cli.app import run
-from toolee_robot.config import SIMULATED, SIMULATED_CALIBRATION, load_station
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import HALF_TURN, BaseFrame, transform, transform_points
+from toolee_robot.station import SIMULATED, SIMULATED_CALIBRATION, load_station
 
 BARS = [f"{length * 1e3:.4f}" for length in BOARD.size]
 STATION = "frame: base_link\ncamera: {position: [0.93, -0.60, 0.86], target: [0.61, -0.17, 0.7]}\n"

@@ -16,10 +16,10 @@ from tests.errors import raises
 from toolee_robot.calibration.nail import locate_nail
 from toolee_robot.calibration.tip import locate_tip
 from toolee_robot.cli.app import run
-from toolee_robot.config import StationConfig, load_station
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.station import StationConfig, load_station
 
 POINT = np.array([0.6, 0.1, 0.3])
 TIP = np.array([0.004, -0.002, 0.15])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from toolee_robot.calibration.board import SHEETS
-from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import inverse
+from toolee_robot.station import StationConfig
 from toolee_robot.stations.simulated_board import simulated_board
 from toolee_robot.tasks.calibration.views import plan_views
 

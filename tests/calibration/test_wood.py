@@ -21,10 +21,10 @@ from toolee_robot.calibration.tip import add_touch, read_touches
 from toolee_robot.calibration.wood import MIN_WIDTH, fit_wood
 from toolee_robot.cli.app import run
 from toolee_robot.cli.calibrate.nail_checks import check_near
-from toolee_robot.config import StationConfig, WorkConfig, load_station
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array, angle_between, transform
+from toolee_robot.station import StationConfig, WorkConfig, load_station
 
 AT = np.array([0.75, 0.1])
 TRIANGLE = np.array([[0.032, 0.0], [-0.016, 0.028], [-0.016, -0.028]])

@@ -11,12 +11,12 @@ import pytest
 
 from toolee_robot.calibration.tip import add_touch
 from toolee_robot.cli.app import run
-from toolee_robot.config import ArmLimits, StationConfig, WorkConfig, load_station
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, plan_handover
 from toolee_robot.control.planning.straight import plan_over_nail
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.frames import angle_between, inverse, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.station import ArmLimits, StationConfig, WorkConfig, load_station
 from toolee_robot.tasks.bring_up.caps import SlowStation
 from toolee_robot.tasks.bring_up.jog import MotionFrame, plan_line
 from toolee_robot.tasks.bring_up.touch import approach, measured_settings

@@ -23,11 +23,11 @@ from tests.slow_motion import assert_slow
 from tests.stand_in import stand_in
 from toolee_robot.cli.app import run
 from toolee_robot.cli.arm.terminal import TerminalPerson
-from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import PersonNearError, UserError
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.35"

@@ -12,11 +12,11 @@ import pytest
 from tests.errors import raises
 from toolee_robot.calibration.record import read_record, rows, write_record
 from toolee_robot.cli.app import run
-from toolee_robot.config import StationConfig, load_station
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import inverse
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.station import StationConfig, load_station
 
 pytestmark = pytest.mark.sim(seconds=30)
 TRUTH = StationConfig().camera.X_base_camera

@@ -10,11 +10,11 @@ import cv2
 import pytest
 import yaml
 
-from tests.hardware.cameras.toy_recording import INTRINSICS, SERIAL, say_undistorted, toy_recording
+from tests.devices.cameras.toy_recording import INTRINSICS, SERIAL, say_undistorted, toy_recording
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, write_intrinsics
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
-from toolee_robot.hardware.cameras.recording import open_recording
+from toolee_robot.devices.cameras.recording import open_recording
 
 LENS = (-0.2, 0.0, 0.0, 0.0)
 

@@ -13,10 +13,10 @@ import yaml
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, write_intrinsics
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
-from toolee_robot.config import CameraConfig, CameraDevice
+from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.sim_backend.devices.software_realsense import COEFFICIENTS, COLOR, SERIAL, SoftwareRealSense
+from toolee_robot.station import CameraConfig, CameraDevice
 from toolee_robot.stations import camera
 from toolee_robot.types import CameraIntrinsics
 

@@ -16,11 +16,11 @@ import pytest
 
 from tests.stand_in import stand_in
 from toolee_robot.cli.app import run
-from toolee_robot.config import StationConfig, load_station
 from toolee_robot.doctor.robot import expected_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.station import StationConfig, load_station
 from toolee_robot.types import ArmModel
 
 _TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]

@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
-from toolee_robot.config import HandConfig, load_station
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hand_wire import HandEmulator, happen
+from toolee_robot.station import HandConfig, load_station
 from toolee_robot.stations.hand import emulated_hand, open_hand
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

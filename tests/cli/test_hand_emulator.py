@@ -13,10 +13,10 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.cli.app import EXIT_USER, run
+from toolee_robot.devices.hands.ability.line import HandLine as AbilityLine
+from toolee_robot.devices.hands.inspire.modbus_line import ModbusLine
+from toolee_robot.devices.hands.inspire.serial_line import SerialLine
 from toolee_robot.errors import NoAnswerError, UserError
-from toolee_robot.hardware.hands.ability.line import HandLine as AbilityLine
-from toolee_robot.hardware.hands.inspire.modbus_line import ModbusLine
-from toolee_robot.hardware.hands.inspire.serial_line import SerialLine
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hand_wire import LineFault, happen
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator

@@ -14,10 +14,10 @@ from rich.console import Console
 
 from toolee_robot.cli.hammering.job import HammerJob
 from toolee_robot.cli.hammering.sources import Opened, Tell
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 
 pytestmark = pytest.mark.sim(seconds=10)

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from toolee_robot.cli.bench.servo_trace import TraceFigures, compare
+from toolee_robot.devices.ur.servo_benchmark import drift, wave
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
-from toolee_robot.hardware.ur.servo_benchmark import drift, wave
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.servo.exact import ServoJ
 

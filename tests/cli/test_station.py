@@ -17,10 +17,10 @@ import pytest
 import yaml
 
 from toolee_robot.cli.app import run
-from toolee_robot.config import CameraConfig, CameraDevice, load_lab_station
+from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
+from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
 from toolee_robot.stations import camera
 from toolee_robot.stations.interview import INTRINSICS, put, questions
 from toolee_robot.viewer.station_page import named_frames

@@ -11,8 +11,8 @@ import yaml
 
 from tests.errors import raises
 from toolee_robot.cli.app import run
-from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.errors import ConfigError
+from toolee_robot.station import StationConfig, load_lab_station, load_station
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LAB = EXAMPLES / "lab.yaml"

@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.config import HandConfig, StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
+from toolee_robot.devices.hands.ability import AbilityHand
+from toolee_robot.devices.hands.inspire import InspireHand
+from toolee_robot.devices.hands.mount import MountedTool
+from toolee_robot.devices.hands.shadow import ShadowHand
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
-from toolee_robot.hardware.hands.ability import AbilityHand
-from toolee_robot.hardware.hands.inspire import InspireHand
-from toolee_robot.hardware.hands.mount import MountedTool
-from toolee_robot.hardware.hands.shadow import ShadowHand
 from toolee_robot.robots import SHADOW_HAND, HandModel, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
@@ -25,6 +24,7 @@ from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
+from toolee_robot.station import HandConfig, StationConfig
 from toolee_robot.stations.hand import open_hand
 from toolee_robot.types import HandEfforts, HandMounting, ToolMount
 

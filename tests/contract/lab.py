@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from toolee_robot.config import HandConfig, StationConfig, load_station
 from toolee_robot.robots import MOUNT
+from toolee_robot.station import HandConfig, StationConfig, load_station
 
 OPTIONS = {
     "test_camera_contract.py": "--camera",

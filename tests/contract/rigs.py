@@ -15,16 +15,16 @@ import pytest
 
 from tests.sim_backend.kinematics import joints_for_hand, line
 from tests.stand_in import HOME, PATIENT, held, patient, stand_in
-from toolee_robot.config import ArmLimits, StationConfig
+from toolee_robot.devices.ur.config import UrArmConfig
+from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import ZERO_TIME, Arm, ContactGuard, MotionReport, MotionWatch
-from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.runtime.clock import is_loopback
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.station import ArmLimits, StationConfig
 from toolee_robot.types import ArmModel, Payload, Trajectory
 
 NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])

@@ -13,6 +13,7 @@ from tests.contract.rigs import Rig
 from tests.errors import raises
 from tests.sim_backend.kinematics import line
 from tests.stand_in import PATIENT
+from toolee_robot.control.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.errors import (
     DeviceError,
     EmergencyStopError,
@@ -25,7 +26,6 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, ArmStatus, ContactGuard, MotionOutcome, MotionReport
-from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.types import Payload, Trajectory
 
 AT_REST = 0.02  # [rad/s]

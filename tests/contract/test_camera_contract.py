@@ -14,20 +14,20 @@ import pytest
 
 from tests.contract.lab import station_of
 from tests.errors import raises
-from toolee_robot.config import CameraConfig, StationConfig
+from toolee_robot.devices.cameras import StreamedCamera
+from toolee_robot.devices.cameras.airo import AiroStream
+from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.recorded import RecordedStream
+from toolee_robot.devices.cameras.recording import RecordingWriter
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.faults.rigs.camera_devices import CameraEvent, OrbbecDevice
 from toolee_robot.hal import Clock, RgbdCamera
-from toolee_robot.hardware.cameras import StreamedCamera
-from toolee_robot.hardware.cameras.airo import AiroStream
-from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
-from toolee_robot.hardware.cameras.recorded import RecordedStream
-from toolee_robot.hardware.cameras.recording import RecordingWriter
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_airo import SoftwareAiroCamera
 from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
+from toolee_robot.station import CameraConfig, StationConfig
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 

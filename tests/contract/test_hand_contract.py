@@ -14,7 +14,6 @@ import pytest
 from tests.contract.hand_rigs import AbilityRig, InspireRig, LabRig, MountRig, Rig, ShadowRig, SimRig, at_handover
 from tests.contract.lab import asker, hand_of
 from tests.errors import raises
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.hal import Hand, HandState
 from toolee_robot.robots import PALM
@@ -22,6 +21,7 @@ from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
+from toolee_robot.station import StationConfig
 
 TIERS = {
     "simulated": pytest.mark.sim,

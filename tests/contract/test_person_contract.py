@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from tests.contract.lab import station_of, teller
-from toolee_robot.config import PersonConfig, StationConfig
+from toolee_robot.devices.person.digital_inputs import DigitalInputPerson, open_person
 from toolee_robot.faults.rigs.panel import ONE_CONTACT, SWITCH_HELD, TWO_CONTACTS, Operator, Panel
 from toolee_robot.hal import CLEAR_TIME, Arm, Clock, Person
-from toolee_robot.hardware.operator.digital_inputs import DigitalInputPerson, open_person
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.world import Sample
+from toolee_robot.station import PersonConfig, StationConfig
 from toolee_robot.stations.ur import ur_driver
 from toolee_robot.tasks.common.motions import HOLD_SWITCH
 from toolee_robot.tasks.common.person_proof import PersonProof

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.control.desk import TOOL, Desk
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.station import StationConfig
 
 
 @pytest.fixture(scope="session")

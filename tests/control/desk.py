@@ -8,7 +8,6 @@ import numpy as np
 
 from tests.control.paper_arm import Bystander, PaperArm
 from tests.errors import raises
-from toolee_robot.config import StationConfig
 from toolee_robot.control import (
     CollisionWorld,
     Mode,
@@ -24,6 +23,7 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Payload, Trajectory
 
 GUARD = ContactGuard(15.0)

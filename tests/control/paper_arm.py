@@ -9,10 +9,10 @@ from typing import Self
 
 import numpy as np
 
+from toolee_robot.control.motion.path_stop import stop_on_path
 from toolee_robot.errors import DeviceError, MotionFaultError, StaleDataError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
-from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.types import JointState, Payload, Trajectory
 
 STOP_ACCELERATION, STOP_JERK = 15.0, 1500.0

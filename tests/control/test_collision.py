@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from toolee_robot.config import Obstacle, StationConfig, ToolEnvelope
 from toolee_robot.control import CollisionWorld, RobotModel
 from toolee_robot.control.collision import FAR
 from toolee_robot.control.collision_shapes import TOOL_JOINT, Body, arm_bodies, box_body, tool_bodies
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import CollisionError
 from toolee_robot.frames import Array, inverse, transform, transform_points
+from toolee_robot.station import Obstacle, StationConfig, ToolEnvelope
 from toolee_robot.tools import Family, ToolKind, kinds_of, make_tool
 from toolee_robot.tools import test_seeds as seeds_of_test_tools
 from toolee_robot.types import ArmModel

@@ -10,13 +10,13 @@ import pytest
 from tests.control.desk import TOOL
 from tests.control.test_stop_torque import GRASP, HELD, OVER_THE_NAIL
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import ServoConfig, StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import profile
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.servo.lagging import LaggingServoJ
+from toolee_robot.station import ServoConfig, StationConfig
 from toolee_robot.types import ArmModel
 
 SHARP = (1200.0, 0.03)

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from tests.control.desk import TOOL
 from tests.examples import examples
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
+from toolee_robot.control.motion.path_stop import PathStop, stop_on_path
 from toolee_robot.control.planning import timing
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.frames import Array, transform
-from toolee_robot.motion.path_stop import PathStop, stop_on_path
 from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Trajectory
 
 ACCELERATION, JERK = 15.0, 1500.0

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
-from toolee_robot.config import WorkConfig
 from toolee_robot.control import merge, protrusion, slip
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
+from toolee_robot.station import WorkConfig
 from toolee_robot.types import InHandEstimate
 
 SURE = np.eye(6) * 1e-6

@@ -14,13 +14,13 @@ from tests.control.desk import TOOL, Desk
 from tests.control.test_path_stop import ACCELERATION, JERK, PERIODS, check, driven, plans
 from tests.examples import examples
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.dynamics.torque_room import TORQUE_SHARE, permitted_braking
+from toolee_robot.control.motion.path_stop import MIN_SHARE, stop_on_path
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.frames import Array, transform
-from toolee_robot.motion.path_stop import MIN_SHARE, stop_on_path
+from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel, Payload, Trajectory
 
 __all__ = ["plans"]  # the fixture

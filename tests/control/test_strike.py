@@ -15,7 +15,6 @@ from tests.control.desk import TOOL
 from tests.control.test_swing import RATED, torques
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import StationConfig, WorkConfig
 from toolee_robot.control import (
     CollisionWorld,
     RobotModel,
@@ -32,6 +31,7 @@ from toolee_robot.control.correction import candidates, flange_targets
 from toolee_robot.errors import CollisionError, LimitError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.station import StationConfig, WorkConfig
 
 
 def offset(along: float, about_deg: float, tilt_deg: float) -> Array:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from tests.control.test_swing import RATED, torques
-from toolee_robot.config import StationConfig, StrikeConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.dynamics.strike_load import StrikeLoad, strike_load
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
 from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.station import StationConfig, StrikeConfig
 from toolee_robot.types import ArmModel, JointState, Payload
 
 CONFIG = StationConfig()

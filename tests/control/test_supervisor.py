@@ -12,7 +12,6 @@ import pytest
 
 from tests.control.desk import GUARD, Desk, refused
 from tests.errors import raises
-from toolee_robot.config import StationConfig, SupervisorConfig
 from toolee_robot.control import (
     CollisionWorld,
     Meeting,
@@ -25,6 +24,7 @@ from toolee_robot.control import (
 )
 from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.modes import carried_speed
+from toolee_robot.control.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import (
     CollisionError,
@@ -38,7 +38,7 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, ArmStatus, MotionOutcome
-from toolee_robot.motion.trajectory_checks import START_TOLERANCE
+from toolee_robot.station import StationConfig, SupervisorConfig
 from toolee_robot.types import Trajectory
 
 # -- what passes -------------------------------------------------------------------------------------------------

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from tests.control.paper_arm import STOP_ACCELERATION, STOP_JERK, Bystander, PaperArm
 from tests.examples import examples
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, slowed_to
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import DeviceError, EmergencyStopError, PlanningError, ProtectiveStopError, TrackingError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Trajectory
 
 VALUES = st.one_of(

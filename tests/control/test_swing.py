@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from tests.control.desk import TOOL
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, check_trajectory
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT
 from toolee_robot.control.collision_shapes import box_body
@@ -25,6 +24,7 @@ from toolee_robot.control.supervisor_checks import check_limits, check_speed
 from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel, Payload
 
 RATED = np.array([330.0, 330, 150, 56, 56, 56])

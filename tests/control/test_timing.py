@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import SceneConfig, StationConfig
 from toolee_robot.control import RobotModel, check_trajectory
 from toolee_robot.control.planning.timing import brake_profile, concatenate, joint_move, ramp_length, run_up_profile
 from toolee_robot.errors import LimitError
 from toolee_robot.frames import Array
+from toolee_robot.station import SceneConfig, StationConfig
 from toolee_robot.types import Trajectory
 
 

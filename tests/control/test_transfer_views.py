@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, ViewPlan, plan_handover, plan_transfer, plan_views
 from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.planning.transfer import NEED
@@ -17,6 +16,7 @@ from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.errors import CollisionError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, inverse, transform, transform_points
 from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.station import StationConfig
 
 
 def test_straight_transfer_when_nothing_is_in_the_way(

@@ -13,9 +13,9 @@ from tests.cross_checks.held_hammer import GRIP_WIDTH, HeldStrike, Rig
 from tests.cross_checks.held_mujoco import held_in_mujoco
 from tests.cross_checks.held_pybullet import held_in_pybullet
 from tests.sim_backend.physics.energy_balance import driven_by
-from toolee_robot.config import WorkConfig
 from toolee_robot.sim_backend.physics.grip import GripLimits
 from toolee_robot.sim_backend.physics.wood import NailSpec
+from toolee_robot.station import WorkConfig
 
 SPEC = NailSpec.from_config(WorkConfig())
 THICK = NailSpec(0.0031, 0.065, 0.007, 0.001, 0.045, 0.42, 0.0)

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.hardware.cameras.toy_recording import INTRINSICS, toy_frames, toy_recording
-from toolee_robot.config import CameraDevice, StationConfig
+from tests.devices.cameras.toy_recording import INTRINSICS, toy_frames, toy_recording
+from toolee_robot.devices.cameras import StreamedCamera
+from toolee_robot.devices.cameras.recorded import RecordedStream
 from toolee_robot.doctor.camera import check_exposure, check_holes, check_range, check_stream, sample_stream
 from toolee_robot.findings import Level
-from toolee_robot.hardware.cameras import StreamedCamera
-from toolee_robot.hardware.cameras.recorded import RecordedStream
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import CameraDevice, StationConfig
 from toolee_robot.types import RgbdFrame
 
 

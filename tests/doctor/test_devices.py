@@ -9,7 +9,6 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from toolee_robot.config import StationConfig
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
 from toolee_robot.findings import Finding, Level
 from toolee_robot.hal import Clock, HandState, RgbdCamera
@@ -17,6 +16,7 @@ from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.hand import SimHand
+from toolee_robot.station import StationConfig
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 pytestmark = pytest.mark.sim

@@ -9,7 +9,11 @@ from typing import Any
 
 import pytest
 
-from toolee_robot.config import (
+from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_sides
+from toolee_robot.doctor.reach import check_reach
+from toolee_robot.doctor.weights import check_weights
+from toolee_robot.findings import Finding, Level, worst
+from toolee_robot.station import (
     SIMULATED,
     SIMULATED_CALIBRATION,
     CalibrationConfig,
@@ -18,10 +22,6 @@ from toolee_robot.config import (
     StationConfig,
     load_station,
 )
-from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_sides
-from toolee_robot.doctor.reach import check_reach
-from toolee_robot.doctor.weights import check_weights
-from toolee_robot.findings import Finding, Level, worst
 from toolee_robot.types import ArmModel
 
 _TODAY = date(2026, 11, 20)

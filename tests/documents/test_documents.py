@@ -14,8 +14,8 @@ import tyro
 from scripts.site_reference import PAGES, records
 from tests.documents.blocks import DOCUMENTS, ROOT, blocks, commands
 from toolee_robot.cli import app
-from toolee_robot.config import StationConfig
-from toolee_robot.config.field_docs import field_docs
+from toolee_robot.station import StationConfig
+from toolee_robot.station.field_docs import field_docs
 
 
 def exit_code(words: list[str]) -> int | str | None:

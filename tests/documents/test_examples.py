@@ -18,15 +18,15 @@ from tests.documents.blocks import blocks
 from tests.documents.hand_device import HandDevice
 from tests.robots.three_finger import THREE_FINGER_HAND
 from toolee_robot import Category, StationConfig, ToolPerception
-from toolee_robot.config import TaskConfig, WorkConfig
+from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.hal import Hand, RgbdCamera
-from toolee_robot.hardware.cameras import StreamedCamera
 from toolee_robot.perception.io import bop_images
 from toolee_robot.robots import hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.station import TaskConfig, WorkConfig
 from toolee_robot.tools import ToolKind, make_tool, test_seeds
 
 pytestmark = pytest.mark.sim(seconds=60)

@@ -10,6 +10,8 @@ from dataclasses import replace
 
 import pytest
 
+from toolee_robot.devices.person.contact import Contact
+from toolee_robot.devices.ur import driver
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import Phase
 from toolee_robot.faults.rigs.driver_rig import Rig, rig
@@ -29,8 +31,6 @@ from toolee_robot.faults.rows.inputs import input_rows
 from toolee_robot.faults.rows.process import process_rows
 from toolee_robot.faults.rows.released_stops import RELEASED_STOPS, ReleasedStop, released_row, released_rows
 from toolee_robot.faults.rows.switch import ONE_CONTACT, STUCK, SWITCH_FAULTS, at_rest, in_slow_motion, switch_rows
-from toolee_robot.hardware.operator.contact import Contact
-from toolee_robot.hardware.ur import driver
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.safety import error_codes

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from toolee_robot.devices.cameras.frame_gate import FrameGate, Refusal
+from toolee_robot.devices.cameras.stream import RawImages
 from toolee_robot.errors import UserError
 from toolee_robot.faults.matrix import MatrixOptions, Part, left_out
 from toolee_robot.faults.record import FaultRow, Phase
@@ -26,8 +28,6 @@ from toolee_robot.faults.rows.cameras import (
     other_lens_row,
 )
 from toolee_robot.hal import Station
-from toolee_robot.hardware.cameras.frame_gate import FrameGate, Refusal
-from toolee_robot.hardware.cameras.stream import RawImages
 from toolee_robot.tasks.hammering.task import HammeringTask
 
 pytestmark = pytest.mark.realtime

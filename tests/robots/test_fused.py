@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolee_robot.config import StationConfig, load_station
 from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription, load_robot, write_urdf
 from toolee_robot.robots.fused import combined, fuse_links
 from toolee_robot.robots.tree import Inertial, Tree
+from toolee_robot.station import StationConfig, load_station
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 HOME = np.array(StationConfig().scene.home)

@@ -10,7 +10,6 @@ import pybullet as pb
 import pytest
 
 from tests.errors import raises
-from toolee_robot.config import HandConfig, StationConfig, load_station
 from toolee_robot.control import CollisionWorld, RobotModel, plan_strike
 from toolee_robot.control.compliance import yield_length
 from toolee_robot.end_effectors import Category
@@ -19,6 +18,7 @@ from toolee_robot.frames import Array
 from toolee_robot.robots import SHADOW_HAND, hand_model
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.station import HandConfig, StationConfig, load_station
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tools import Family, kinds_of, make_tool
 from toolee_robot.types import ToolMount

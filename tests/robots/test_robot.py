@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.examples import examples
-from toolee_robot.config import HandConfig, StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.robots import (
@@ -22,6 +21,7 @@ from toolee_robot.robots import (
     load_robot,
     wrap_fingers,
 )
+from toolee_robot.station import HandConfig, StationConfig
 from toolee_robot.types import HandWeight
 
 

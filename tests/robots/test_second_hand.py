@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from tests.robots.three_finger import THREE_FINGER_HAND
-from toolee_robot.config import HandConfig, StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.errors import AssetError, ConfigError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.robots import HANDS, SHADOW_HAND, load_robot, wrap_fingers
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.station import HandConfig, StationConfig
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask

@@ -12,15 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import ArmLimits, SceneConfig, StationConfig, load_station
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.control.kinematics import smallest_singular_value
+from toolee_robot.control.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.control.planning.line import Line
 from toolee_robot.errors import AssetError, ConfigError, UnreachableError
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform
-from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.robots import FLANGE_FRAME, SHADOW_HAND, load_robot
 from toolee_robot.robots.dh import DhParameters
+from toolee_robot.station import ArmLimits, SceneConfig, StationConfig, load_station
 from toolee_robot.types import ArmModel, DhCalibration
 
 MODELS = list(ArmModel)

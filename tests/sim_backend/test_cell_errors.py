@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from toolee_robot.config import StationConfig, load_station
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.robots import load_robot
@@ -19,6 +18,7 @@ from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, draw_errors
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.station import draw_handover
+from toolee_robot.station import StationConfig, load_station
 from toolee_robot.tools import NAIL_DRIVERS, make_tool
 from toolee_robot.types import Payload
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolee_robot.config import load_station
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.hal import ArmStatus
 from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.station import load_station
 
 pytestmark = pytest.mark.sim(seconds=8)
 

@@ -10,7 +10,6 @@ import pytest
 
 from tests.errors import raises
 from tests.sim_backend.kinematics import HOME, joints_for_hand, line
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, LimitError, StaleDataError, UserError
 from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_angle, transform
 from toolee_robot.hal import Arm, Clock, ContactGuard, Hand, MotionOutcome, Person, RgbdCamera
@@ -20,6 +19,7 @@ from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.physics.grip import RELEASE_SLIP, GripLimits
+from toolee_robot.station import StationConfig
 from toolee_robot.tools import ToolKind, make_tool, split
 from toolee_robot.types import Payload, Trajectory
 

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.cli import main
-from toolee_robot.config import CameraConfig, CameraDevice, load_lab_station
+from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream, sdk
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import frame_from_axes, inverse, transform
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream, sdk
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, SoftwareRealSense
 from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
+from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
 from toolee_robot.stations import camera
 from toolee_robot.stations.rehearsal.color_and_depth import ColorAndDepth
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.devices.cameras import airo_cameras
+from tests.devices.cameras.toy_recording import INTRINSICS, SERIAL, toy_recording
 from tests.errors import raises
-from tests.hardware.cameras import airo_cameras
-from tests.hardware.cameras.toy_recording import INTRINSICS, SERIAL, toy_recording
-from toolee_robot.config import CameraConfig, CameraDevice, load_station
 from toolee_robot.errors import ConfigError, NoAnswerError, NotReadyError, UserError
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import CameraConfig, CameraDevice, load_station
 from toolee_robot.stations.camera import camera_drivers, open_camera, toolkit_camera
 
 
@@ -155,7 +155,7 @@ def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypat
     toy_recording(tmp_path / "r")
     (tmp_path / "our_lab.py").write_text(
         "from pathlib import Path\n"
-        "from toolee_robot.hardware.cameras.recorded import RecordedStream\n"
+        "from toolee_robot.devices.cameras.recorded import RecordedStream\n"
         "def open_stream(config, device, clock):\n"
         "    return RecordedStream(Path(__file__).parent / 'r', clock)\n"
     )

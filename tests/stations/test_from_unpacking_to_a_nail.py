@@ -20,10 +20,10 @@ import yaml
 
 from tests.stations.lab_camera import LAB, TOOLEE
 from tests.trials.terminal import Terminal
-from toolee_robot.config import load_lab_station
 from toolee_robot.doctor.robot import expected_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.station import load_lab_station
 from toolee_robot.stations.interview import INTRINSICS, put, questions
 from toolee_robot.types import ArmModel
 

@@ -10,10 +10,10 @@ import pytest
 
 from tests.errors import raises
 from tests.robots.three_finger import THREE_FINGER_HAND
-from toolee_robot.config import HandConfig
 from toolee_robot.errors import ConfigError
 from toolee_robot.robots import HANDS, hand_model
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import HandConfig
 from toolee_robot.stations.hand import WIRED_HANDS, emulated_hand, hand_drivers, open_hand
 from toolee_robot.stations.interview import questions
 from toolee_robot.types import HandEfforts, HandMounting

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import ToolEnvelope, load_lab_station
 from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.station import ToolEnvelope, load_lab_station
 from toolee_robot.stations.hand import WIRED_HANDS
 from toolee_robot.stations.interview import Question, put, questions
 from toolee_robot.stations.lab import Purpose, check_purpose

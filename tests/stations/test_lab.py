@@ -11,9 +11,14 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.control.supervisor_checks import UNSURE
+from toolee_robot.devices.cameras import CameraProfile, RawImages
+from toolee_robot.devices.cameras.lens import Lens, LensModel
+from toolee_robot.devices.hands.ability import AbilityHand
+from toolee_robot.devices.hands.inspire import InspireHand
+from toolee_robot.devices.hands.shadow import ShadowHand
+from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import (
     ConfigError,
@@ -27,13 +32,8 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import angle_between, rotation_angle
 from toolee_robot.hal import ArmStatus
-from toolee_robot.hardware.cameras import CameraProfile, RawImages
-from toolee_robot.hardware.cameras.lens import Lens, LensModel
-from toolee_robot.hardware.hands.ability import AbilityHand
-from toolee_robot.hardware.hands.inspire import InspireHand
-from toolee_robot.hardware.hands.shadow import ShadowHand
-from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.cell_errors import NOMINAL
+from toolee_robot.station import StationConfig, load_lab_station, load_station
 from toolee_robot.stations.hand import WIRED_HANDS
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell

@@ -18,10 +18,9 @@ from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import Observation, find_board
 from toolee_robot.calibration.record import rows
 from toolee_robot.cli.app import run
-from toolee_robot.config import CameraConfig, CameraDevice, load_lab_station
+from toolee_robot.devices.cameras.lens_choice import LensSource
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.hardware.cameras.lens_choice import LensSource
 from toolee_robot.render.scene import Rendering
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.camera import SimCamera
@@ -29,6 +28,7 @@ from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals.board import BoardVisuals
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
 from toolee_robot.stations.camera import REALSENSE, open_camera
 from toolee_robot.stations.rehearsal.camera import emulated_stream
 from toolee_robot.stations.rehearsal.held_board import held_pose

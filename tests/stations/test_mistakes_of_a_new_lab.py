@@ -19,14 +19,14 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.hardware.cameras.toy_recording import toy_recording
+from tests.devices.cameras.toy_recording import toy_recording
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
-from toolee_robot.config import CameraConfig, CameraDevice
+from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.hands.wire import port
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
-from toolee_robot.hardware.hands.wire import port
 from toolee_robot.sim_backend.devices.software_realsense import SERIAL, SoftwareRealSense
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
+from toolee_robot.station import CameraConfig, CameraDevice
 from toolee_robot.stations import camera
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -10,8 +10,8 @@ import yaml
 
 from tests.errors import raises
 from toolee_robot.cli.app import run
-from toolee_robot.config import MEASURED
 from toolee_robot.errors import UserError
+from toolee_robot.station import MEASURED
 from toolee_robot.stations.interview import questions
 from toolee_robot.stations.open_fields import open_fields, told
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from tests.tasks.bench import Log
-from toolee_robot.config import StationConfig
 from toolee_robot.control import Mode, RobotModel, plan_over_nail, plan_strike
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import inverse
 from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.hammering.touch import Touch
 from toolee_robot.types import ArmModel

@@ -12,10 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
-from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
 from toolee_robot.tasks.hammering.learnt_grasp import LEAST_JOBS, learn_shift
 from toolee_robot.types import (

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolee_robot.config import NailConfig, WorkConfig
+from toolee_robot.station import NailConfig, WorkConfig
 from toolee_robot.tasks.hammering.bare_wood import ASIDE, EDGE, way_to_bare_wood
 
 angles = st.floats(0.0, 2.0 * np.pi)

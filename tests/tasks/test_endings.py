@@ -11,7 +11,6 @@ import pybullet as pb
 import pytest
 
 from tests.tasks.bench import Log, is_home, soon
-from toolee_robot.config import CameraDevice, StationConfig
 from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.errors import PerceptionError, StaleDataError, UserError
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
@@ -21,6 +20,7 @@ from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.nail import HINGE_X, SLIDE
+from toolee_robot.station import CameraDevice, StationConfig
 from toolee_robot.tasks.common.look import Look
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome, Stage

@@ -11,10 +11,10 @@ import pybullet as pb
 import pytest
 
 from tests.tasks.bench import Log
-from toolee_robot.config import StationConfig
 from toolee_robot.control import Meeting
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from toolee_robot.frames import Array
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 
 pytestmark = pytest.mark.sim(seconds=30)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from toolee_robot.config import NailConfig, StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.station import NailConfig, StationConfig
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import NailResult, Outcome, Strike
 from toolee_robot.tasks.hammering.grasp import nominal_grasp

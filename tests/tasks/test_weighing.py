@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import StationConfig, ToolData
 from toolee_robot.control import RobotModel
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import LimitError, UserError
@@ -26,6 +25,7 @@ from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.station import draw_hammer
 from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import CollisionDetection
 from toolee_robot.sim_backend.world import Sample
+from toolee_robot.station import StationConfig, ToolData
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 from toolee_robot.tasks.hammering.grasp import UNKNOWN_FACE, UNKNOWN_FACE_OFF, measured_grasp

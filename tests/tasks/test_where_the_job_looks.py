@@ -11,8 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolee_robot.config import StationConfig
-from toolee_robot.config.calibration import SIMULATED_CALIBRATION
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception import Segmenter, ToolPerception
@@ -20,6 +18,8 @@ from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.station import StationConfig
+from toolee_robot.station.calibration import SIMULATED_CALIBRATION
 from toolee_robot.tasks.common.held_region import POSE_ERRORS, held_region
 from toolee_robot.tasks.common.look import largest_displacement
 from toolee_robot.tasks.common.observer import TaskObserver

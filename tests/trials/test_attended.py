@@ -14,8 +14,8 @@ import yaml
 
 from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
-from toolee_robot.config import ToolData
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
+from toolee_robot.station import ToolData
 from toolee_robot.trials import Arm, TrialPlan, lead_trials, load_plan, run_trials, write_report
 from toolee_robot.trials.attended_plan import option
 from toolee_robot.trials.plan import NailSizes

@@ -13,11 +13,11 @@ import pytest
 
 from tests.recording import small_run
 from tests.viewer.browser import CHROMIUM, MOST_MESSAGES, MOST_RECEIVED, MOST_SERVED, browser
-from toolee_robot.config import StationConfig
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.reading import read_history
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.robots import load_robot
+from toolee_robot.station import StationConfig
 from toolee_robot.viewer.run_page import WORDS, RunPage
 
 

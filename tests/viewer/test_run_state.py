@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolee_robot.config import NailConfig, StationConfig, WorkConfig
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.series import Series
 from toolee_robot.sim_backend.physics.wood import NailSpec
 from toolee_robot.sim_backend.visuals.scene import NailVisuals
+from toolee_robot.station import NailConfig, StationConfig, WorkConfig
 from toolee_robot.viewer.run_state import RunStates
 
 LEANS = {"left": (0.0, 0.0), "right": (0.12, -0.05)}

@@ -13,8 +13,8 @@ import pytest
 import yaml
 from PIL import Image
 
-from toolee_robot.config import load_station
 from toolee_robot.control.collision_shapes import station_bodies
+from toolee_robot.station import load_station
 from toolee_robot.viewer.station_page import StationPage
 from toolee_robot.viewer.station_scene import CAMERA_BOX, OBSTACLE
 

@@ -16,11 +16,11 @@ from rich.table import Table
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig, load_lab_station, load_station
+from toolee_robot.devices.person.digital_inputs import check_wired
 from toolee_robot.errors import UserError
 from toolee_robot.findings import Finding, Level, worst
 from toolee_robot.frames import Array
-from toolee_robot.hardware.operator.digital_inputs import check_wired
+from toolee_robot.station import StationConfig, load_lab_station, load_station
 
 _MARK = {Level.OK: "[green]✓[/green]", Level.WARN: "[yellow]![/yellow]", Level.FAIL: "[bold red]✗[/bold red]"}
 _STYLE = {Level.OK: "none", Level.WARN: "yellow", Level.FAIL: "red"}

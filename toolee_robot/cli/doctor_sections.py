@@ -9,7 +9,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.config import UPRIGHT_WITHIN, StationConfig
+from toolee_robot.devices.person.check_inputs import check_inputs
+from toolee_robot.devices.person.digital_inputs import open_person
 from toolee_robot.doctor.camera import check_lens, check_range
 from toolee_robot.doctor.configuration import (
     check_calibration,
@@ -28,13 +29,12 @@ from toolee_robot.errors import ConfigError, DeviceError, UserError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
-from toolee_robot.hardware.operator.check_inputs import check_inputs
-from toolee_robot.hardware.operator.digital_inputs import open_person
 from toolee_robot.runtime.clock import HostClock, is_loopback
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import SimStation, draw_handover
+from toolee_robot.station import UPRIGHT_WITHIN, StationConfig
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.stations.hand import open_hand
 from toolee_robot.stations.ur import ur_driver

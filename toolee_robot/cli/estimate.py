@@ -15,11 +15,11 @@ from rich.table import Table
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import HandConfig
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.station import HandConfig
 from toolee_robot.types import HoldingHand, ToolEstimate
 
 _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]

@@ -52,9 +52,9 @@ class HandEmulator:
     """Seed of the line's noise."""
 
     def run(self) -> int:
-        from toolee_robot.config import HandConfig
-        from toolee_robot.hardware.hands.inspire.tcp_port import tcp_address
+        from toolee_robot.devices.hands.inspire.tcp_port import tcp_address
         from toolee_robot.sim_backend.hand_wire import happen
+        from toolee_robot.station import HandConfig
         from toolee_robot.stations.hand import LOOPBACK, emulated_hand
 
         if self.hand_id is not None and not 1 <= self.hand_id <= 254:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.planning.views import DISTANCE
+from toolee_robot.devices.cameras import StreamedCamera
+from toolee_robot.devices.cameras.lens_choice import UNKNOWN_LENS, LensSource
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras import StreamedCamera
-from toolee_robot.hardware.cameras.lens_choice import UNKNOWN_LENS, LensSource
+from toolee_robot.station import StationConfig
 from toolee_robot.types import RgbdFrame
 
 BRIGHT, DARK = 250, 5

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import MEASURED, StationConfig, unmeasured
 from toolee_robot.control import RobotModel
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import Array, angle_between
+from toolee_robot.station import MEASURED, StationConfig, unmeasured
 from toolee_robot.tools import SWUNG_MASS
 
 REDUCED_SPEED = 0.25

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel
 from toolee_robot.errors import TooleeError
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hal import Arm, ArmStatus, Clock, Hand, Person, RgbdCamera
+from toolee_robot.station import StationConfig
 
 DEPTH_KNOWN = 0.3
 """Least share of an image with known depth."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
+from toolee_robot.control.motion.touch_force import touch_settings
+from toolee_robot.devices.ur.protocols.rtde import RtdeReader
 from toolee_robot.errors import DeviceError, ProtocolError
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import Array
-from toolee_robot.hardware.ur.protocols.rtde import RtdeReader
-from toolee_robot.motion.touch_force import touch_settings
+from toolee_robot.station import StationConfig
 
 DURATION, PATIENCE = 1.0, 2.0
 """Duration of the measurement, and time for connecting on top [s]."""

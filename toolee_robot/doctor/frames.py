@@ -11,12 +11,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
+from toolee_robot.devices.ur.kinematics import pose_matrix
+from toolee_robot.devices.ur.report import UrState
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import HALF_TURN, Array, BaseFrame
-from toolee_robot.hardware.ur.kinematics import pose_matrix
-from toolee_robot.hardware.ur.report import UrState
 from toolee_robot.robots.dh import DhParameters
+from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel
 
 TOLERANCE = 2e-3

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from toolee_robot.devices.ur.servo.clock import PRIORITY
 from toolee_robot.findings import Finding, fail, ok, warn
-from toolee_robot.hardware.ur.servo.clock import PRIORITY
 
 CPUS = 4
 """Recommended number of cores: servo process, task with planner, perception, and the rest of the system."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.config import UPRIGHT_WITHIN, StationConfig
-from toolee_robot.config.robot import GRAVITY
+from toolee_robot.devices.ur.report import UrState
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import HALF_TURN, Array, BaseFrame
-from toolee_robot.hardware.ur.report import UrState
 from toolee_robot.robots.dh import DhParameters
+from toolee_robot.station import UPRIGHT_WITHIN, StationConfig
+from toolee_robot.station.robot import GRAVITY
 
 NAME = "mounting"
 TOLERANCE = np.radians(5.0)

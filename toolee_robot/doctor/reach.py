@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_strike, plan_views
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PlanningError
 from toolee_robot.findings import Finding, ok, warn
 from toolee_robot.frames import Array, inverse
+from toolee_robot.station import StationConfig
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_tool
 from toolee_robot.types import Payload
 

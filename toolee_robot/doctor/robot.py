@@ -7,17 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.arm_data import CB3_RATE
-from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
+from toolee_robot.devices.ur.checks import UrExpected, check
+from toolee_robot.devices.ur.kinematics import calibration_of
+from toolee_robot.devices.ur.probe import nominal_rate, probe
 from toolee_robot.doctor.force import check_force, measure_force
 from toolee_robot.doctor.frames import JOGGED_POINT, check_frames
 from toolee_robot.doctor.mounting import check_mounting
 from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding
 from toolee_robot.frames import Array
-from toolee_robot.hardware.ur.checks import UrExpected, check
-from toolee_robot.hardware.ur.kinematics import calibration_of
-from toolee_robot.hardware.ur.probe import nominal_rate, probe
+from toolee_robot.station import StationConfig
 from toolee_robot.types import DhCalibration
 
 

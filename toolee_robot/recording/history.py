@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.config import ONLY_NAIL, StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.recording.messages import matrix
 from toolee_robot.recording.series import SeenDecision, SeenEstimate, SeenStatus, Series
 from toolee_robot.runtime.yaml_files import to_record
+from toolee_robot.station import ONLY_NAIL, StationConfig
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.config import ONLY_NAIL, StationConfig
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError
@@ -20,6 +19,7 @@ from toolee_robot.recording.messages import plain
 from toolee_robot.recording.picture import NailCurve, draw
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.robots import ARM_JOINTS
+from toolee_robot.station import ONLY_NAIL, StationConfig
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.nail.appearance import NailPose
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.station import StationConfig
 from toolee_robot.types import RgbdFrame
 
 CAMERA, CAMERA_ANGLE = 0.002, np.deg2rad(0.3)

@@ -12,15 +12,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.config import SIMULATED, CameraConfig, CameraDevice
+from toolee_robot.devices.cameras import CameraProfile, CameraStream, RawImages, StatedLens, StreamedCamera
+from toolee_robot.devices.cameras.airo import AiroStream
+from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream
+from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.recorded import RecordedStream
 from toolee_robot.errors import ConfigError, NotReadyError, UserError, words_of
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras import CameraProfile, CameraStream, RawImages, StatedLens, StreamedCamera
-from toolee_robot.hardware.cameras.airo import AiroStream
-from toolee_robot.hardware.cameras.orbbec import OrbbecMode, OrbbecStream
-from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
-from toolee_robot.hardware.cameras.recorded import RecordedStream
 from toolee_robot.runtime.device_plugins import installed, load
+from toolee_robot.station import SIMULATED, CameraConfig, CameraDevice
 
 REALSENSE, ORBBEC, AIRO, RECORDED = "realsense", "orbbec", "airo", "recorded"
 """Names of drivers: of a camera whose SDK has software devices, of another one, of those of airo-camera-toolkit, and of

@@ -10,7 +10,6 @@ from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from typing import Any, Self
 
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Clock, Hand, Station
 from toolee_robot.sim_backend.devices.driven_hand import DrivenHand
@@ -18,6 +17,7 @@ from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.station import StationConfig
 from toolee_robot.stations.hand import emulated_hand, open_hand
 from toolee_robot.tools import Tool
 

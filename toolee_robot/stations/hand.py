@@ -11,16 +11,15 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from toolee_robot.config import HandConfig
+from toolee_robot.devices.hands.ability import AbilityHand
+from toolee_robot.devices.hands.inspire import InspireHand
+from toolee_robot.devices.hands.inspire.tcp_port import is_tcp, tcp_address
+from toolee_robot.devices.hands.mount import MountedTool
+from toolee_robot.devices.hands.shadow import ShadowHand
+from toolee_robot.devices.hands.shadow.efforts import read_efforts
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
-from toolee_robot.hardware.hands.ability import AbilityHand
-from toolee_robot.hardware.hands.inspire import InspireHand
-from toolee_robot.hardware.hands.inspire.tcp_port import is_tcp, tcp_address
-from toolee_robot.hardware.hands.mount import MountedTool
-from toolee_robot.hardware.hands.shadow import ShadowHand
-from toolee_robot.hardware.hands.shadow.efforts import read_efforts
 from toolee_robot.robots import MOUNT, HandModel, hand_model
 from toolee_robot.robots.hands.ability import ABILITY, joints_of_closures
 from toolee_robot.robots.hands.inspire import INSPIRE, joints_of_counts
@@ -30,6 +29,7 @@ from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
+from toolee_robot.station import HandConfig
 from toolee_robot.types import HandEfforts
 
 Address = tuple[str, int]

@@ -11,7 +11,11 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from toolee_robot.config import (
+from toolee_robot.errors import UserError
+from toolee_robot.frames import BaseFrame
+from toolee_robot.robots import MOUNT, find_hand
+from toolee_robot.robots.hands.model import UNMOUNTED
+from toolee_robot.station import (
     MEASURED,
     ArmLimits,
     CameraConfig,
@@ -28,12 +32,8 @@ from toolee_robot.config import (
     given_by_nails,
     given_by_pose,
 )
-from toolee_robot.config.field_docs import field_docs
-from toolee_robot.config.units import wrong_unit
-from toolee_robot.errors import UserError
-from toolee_robot.frames import BaseFrame
-from toolee_robot.robots import MOUNT, find_hand
-from toolee_robot.robots.hands.model import UNMOUNTED
+from toolee_robot.station.field_docs import field_docs
+from toolee_robot.station.units import wrong_unit
 from toolee_robot.stations.camera import AIRO, RECORDED, WITH_LENS, WITH_MODE, camera_drivers
 from toolee_robot.stations.hand import hand_drivers, wired_hand
 from toolee_robot.types import ArmModel, HandEfforts, HandMounting, HandWeight, ToolMount

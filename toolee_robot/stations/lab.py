@@ -12,15 +12,15 @@ from datetime import date
 from enum import StrEnum
 from typing import Any, Self
 
-from toolee_robot.config import StationConfig, ToolData, check_upright
 from toolee_robot.control.planning.views import DISTANCE
+from toolee_robot.devices.cameras import CameraStream
+from toolee_robot.devices.cameras.lens_choice import UNKNOWN_LENS
+from toolee_robot.devices.person.digital_inputs import open_person
 from toolee_robot.errors import ConfigError, NotReadyError
 from toolee_robot.hal import Station
-from toolee_robot.hardware.cameras import CameraStream
-from toolee_robot.hardware.cameras.lens_choice import UNKNOWN_LENS
-from toolee_robot.hardware.operator.digital_inputs import open_person
 from toolee_robot.robots import MOUNT, hand_model
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import StationConfig, ToolData, check_upright
 from toolee_robot.stations.camera import RECORDED, open_camera
 from toolee_robot.stations.hand import open_hand, wired_hand
 from toolee_robot.stations.ur import ur_driver

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.config import MEASURED
+from toolee_robot.station import MEASURED
 from toolee_robot.stations.camera import AIRO, RECORDED, WITH_MODE
 from toolee_robot.stations.interview import INTRINSICS, questions
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, Self
 
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.hal import Station
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
+from toolee_robot.station import StationConfig
 from toolee_robot.tools import Tool
 
 

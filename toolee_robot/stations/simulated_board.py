@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Sheet
 from toolee_robot.calibration.record import rows
-from toolee_robot.config import CameraConfig, StationConfig
 from toolee_robot.frames import transform
 from toolee_robot.sim_backend.options import PlacedBoard, SimOptions
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.station import CameraConfig, StationConfig
 from toolee_robot.tasks.calibration.plate import Plate
 
 PRINT_SCALE = (0.985, 1.01)

@@ -21,10 +21,10 @@ from toolee_robot.calibration.hand_eye.solve import best_start
 from toolee_robot.calibration.hand_eye.synthetic import draw
 from toolee_robot.calibration.nail import LocatedNail, OnWood
 from toolee_robot.calibration.observation import camera_board
-from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.options import PlacedBoard, SimOptions
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.station import StationConfig
 from toolee_robot.stations.simulated_board import PRINT_SCALE, RULE
 
 PROTOCOL = "15 poses"

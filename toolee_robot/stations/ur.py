@@ -6,11 +6,11 @@ with open_arm(load_station(Path("lab.yaml")), "192.168.1.10", person) as arm:
 
 from __future__ import annotations
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, Supervisor
+from toolee_robot.devices.ur.config import UrArmConfig
+from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.hal import Person
-from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
+from toolee_robot.station import StationConfig
 
 
 def ur_driver(config: StationConfig, host: str, *, real_time_factor: float = 1.0) -> UnsupervisedUrArm:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import Any, Self
 
-from toolee_robot.config import StationConfig
 from toolee_robot.hal import Station
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
@@ -14,6 +13,7 @@ from toolee_robot.sim_backend.remote.station import RemoteJudge, remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
+from toolee_robot.station import StationConfig
 from toolee_robot.stations.ur import ur_driver
 
 

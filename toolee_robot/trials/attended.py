@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from toolee_robot.config import StationConfig, load_lab_station, with_setup
 from toolee_robot.errors import ConfigError, TooleeError
+from toolee_robot.station import StationConfig, load_lab_station, with_setup
 from toolee_robot.tasks.common.recovery import MAX_STOPS
 from toolee_robot.trials.attended_plan import option
 from toolee_robot.trials.judgement import Ask, choice, judged, words, yes

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from toolee_robot.config import StationConfig
+from toolee_robot.station import StationConfig
 
 Ask = Callable[[str], str]
 """Shows a question and returns the line that was typed; raises EOFError where nobody can answer any more."""

@@ -14,10 +14,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from toolee_robot.config import ToolData
-from toolee_robot.config.values import STRICT, Count, NotNegative, Positive
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sensor_kinds import SensorKind
+from toolee_robot.station import ToolData
+from toolee_robot.station.values import STRICT, Count, NotNegative, Positive
 from toolee_robot.trials.attended_plan import option, why_not_attended
 
 

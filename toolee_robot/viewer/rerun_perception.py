@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError, PerceptionError
@@ -16,6 +15,7 @@ from toolee_robot.frames import Array
 from toolee_robot.perception import ToolPerception
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.series import SeenEstimate
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.look import Look
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import InHandEstimate

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.recording.history import RunHistory, thinned
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.recording.series import SeenDecision
+from toolee_robot.station import StationConfig
 from toolee_robot.viewer.run_scene import SIGMAS, RunScene
 from toolee_robot.viewer.run_state import RunState
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.series import SeenEstimate, Series
 from toolee_robot.recording.tool_file import read_tool_model
 from toolee_robot.sim_backend.visuals.scene import BodyId
+from toolee_robot.station import StationConfig
 from toolee_robot.viewer.run_state import RunState, RunStates
 from toolee_robot.viewer.station_scene import StationPicture, bodies, position_wxyz
 

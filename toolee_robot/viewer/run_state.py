@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.series import SeenEstimate
 from toolee_robot.sim_backend.visuals.scene import nail_of
+from toolee_robot.station import StationConfig
 
 GAP = 0.1
 """Time without a sample after which a motion is over [s]."""

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.config import StationConfig, given_by_nails, given_by_pose, read_station
-from toolee_robot.config.station import to_station
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import HALF_TURN, Array, BaseFrame, frame_from_axes, inverse, transform, transform_points
 from toolee_robot.sim_backend.visuals.scene import PINE_COLOR, STAND_COLOR
+from toolee_robot.station import StationConfig, given_by_nails, given_by_pose, read_station
+from toolee_robot.station.station import to_station
 from toolee_robot.stations.open_fields import open_fields
 from toolee_robot.viewer.station_scene import CAMERA_BOX, OBSTACLE, StationPicture, rgb
 

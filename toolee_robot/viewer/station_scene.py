@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.physics.bodies import OBSTACLE_COLOR
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.sim_backend.visuals.scene import BodyId, SceneVisuals, scene_state
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+from toolee_robot.station import StationConfig
 
 CAMERA_BOX, TABLE = (220, 120, 40), (200, 200, 195)
 """Colours of the camera's box and of the table."""

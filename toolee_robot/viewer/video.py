@@ -11,7 +11,6 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.recording.history import RunHistory, thinned
@@ -22,6 +21,7 @@ from toolee_robot.render.palette import finish, linear
 from toolee_robot.render.renderer import render
 from toolee_robot.render.scene import Body, Environment, Light, Scene
 from toolee_robot.sim_backend.visuals.scene import BodyId
+from toolee_robot.station import StationConfig
 from toolee_robot.types import CameraIntrinsics
 from toolee_robot.viewer.run_state import RunState, RunStates
 from toolee_robot.viewer.station_scene import bodies

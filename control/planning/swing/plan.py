@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.collision_shapes import TOOL_JOINT
 from toolee_robot.control.correction import Candidates, candidates, rank
@@ -26,6 +25,7 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, is_rigid
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Trajectory
 
 SHORTLIST = 12
@@ -59,7 +59,7 @@ def plan_swing(
         q_hand: Joint positions of the hand, wrist first, (n,) [rad].
         X_hand_ee: Estimated pose of the end effector in the hand, (4, 4).
         X_base_nail: Pose of the nail, (4, 4), z into the wood.
-        speed: Wanted speed at the contact [m/s]; None for `config.strike.speed`, infinite for the fastest. It is
+        speed: Wanted speed at the contact [m/s]; None for `station.strike.speed`, infinite for the fastest. It is
             reduced where a limit requires it.
         limits: The tool's mass, and further limits.
 

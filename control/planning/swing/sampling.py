@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.config import ArmLimits
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.dynamics.torque_room import torque_use
@@ -12,6 +11,7 @@ from toolee_robot.control.modes import carried_speed
 from toolee_robot.control.planning.swing.spline import Spline
 from toolee_robot.control.planning.timing import SAMPLE_PERIOD
 from toolee_robot.frames import Array
+from toolee_robot.station import ArmLimits
 from toolee_robot.types import Trajectory
 
 BEFORE, AFTER = 10, 8

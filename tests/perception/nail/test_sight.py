@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.config import NailConfig, StationConfig
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.physics.nail import Nail
+from toolee_robot.station import NailConfig, StationConfig
 from toolee_robot.stations.bent_nails import look_at_nails
 from toolee_robot.types import RgbdFrame
 

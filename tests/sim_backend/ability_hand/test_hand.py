@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.hardware.hands.ability.recorded import PADS
+from tests.devices.hands.ability.recorded import PADS
 from toolee_robot.sim_backend.ability_hand import Hand
 from toolee_robot.sim_backend.ability_hand.messages import Message, MessageParser, foreign
 

@@ -7,13 +7,13 @@ import pytest
 
 from tests.contract.rigs import sim_rig
 from tests.errors import raises
-from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import NotReadyError
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.arm import HOLD_TIME, RATE, STANDSTILL
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Payload, Trajectory
 
 pytestmark = pytest.mark.sim

@@ -9,12 +9,12 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.cli.app import EXIT_USER, run
-from toolee_robot.config import StationConfig, load_station
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.errors import UserError
 from toolee_robot.hal import Hand
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
+from toolee_robot.station import StationConfig, load_station
 from toolee_robot.stations.driven_hand import DrivenHandStation
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, LatchedError, ProtectiveStopError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
@@ -23,6 +22,7 @@ from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, profil
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
+from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel, Trajectory
 
 pytestmark = pytest.mark.sim

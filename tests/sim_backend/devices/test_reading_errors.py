@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, ForceErrors
+from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel, Payload
 
 pytestmark = pytest.mark.sim

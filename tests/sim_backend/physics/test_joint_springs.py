@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from toolee_robot.config import StationConfig, load_station
 from toolee_robot.frames import Array, cross
 from toolee_robot.robots import RobotDescription, load_robot
 from toolee_robot.sim_backend.physics.bullet import pb
@@ -20,6 +19,7 @@ from toolee_robot.sim_backend.physics.impact_steps import IMPACT, StepSettings
 from toolee_robot.sim_backend.physics.joint_springs import STIFFNESS, JointSprings
 from toolee_robot.sim_backend.physics.robot_body import RobotBody
 from toolee_robot.sim_backend.world import NORMAL
+from toolee_robot.station import StationConfig, load_station
 from toolee_robot.types import Payload
 
 pytestmark = pytest.mark.sim

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
 from tests.sim_backend.physics.energy_balance import driven_by
-from toolee_robot.config import WorkConfig
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, inverse, is_rigid, transform
@@ -27,6 +26,7 @@ from toolee_robot.sim_backend.physics.wood import (
     resistance,
     tip_force,
 )
+from toolee_robot.station import WorkConfig
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.tools import test_seeds as held_out_seeds
 

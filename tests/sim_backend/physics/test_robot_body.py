@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from toolee_robot.config import StationConfig
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.physics.bodies import fixed_box
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.physics.robot_body import RobotBody
+from toolee_robot.station import StationConfig
 
 pytestmark = pytest.mark.sim
 

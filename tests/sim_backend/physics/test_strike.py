@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from tests.sim_backend.physics.energy_balance import driven_by
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_straight, plan_strike
+from toolee_robot.control.motion.strike_contact import strike_guard
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.hal import MotionOutcome
-from toolee_robot.motion.strike_contact import strike_guard
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.station import StationConfig
 from toolee_robot.types import Payload
 
 pytestmark = pytest.mark.sim

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from toolee_robot.config import StationConfig
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.world_plant import WorldPlant
 from toolee_robot.sim_backend.station import build_world, draw_handover
+from toolee_robot.station import StationConfig
 
 pytestmark = pytest.mark.sim
 

@@ -14,7 +14,6 @@ import pytest
 
 from tests.errors import raises
 from tests.sim_backend.kinematics import joints_for_hand
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.hal import Hand, Person, RgbdCamera
@@ -28,6 +27,7 @@ from toolee_robot.sim_backend.remote.world_service import WorldService
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.server.service import Service
+from toolee_robot.station import StationConfig
 
 pytestmark = pytest.mark.sim
 

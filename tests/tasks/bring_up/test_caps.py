@@ -17,12 +17,12 @@ from toolee_robot.cli.arm.move import Move
 from toolee_robot.cli.arm.options import MotionOptions
 from toolee_robot.cli.arm.touch import Touch
 from toolee_robot.cli.arm.transfer import Transfer
-from toolee_robot.config import StationConfig
 from toolee_robot.control import Supervisor
+from toolee_robot.control.motion.touch_force import TouchSettings
 from toolee_robot.errors import DeviceError, LimitError, TooleeError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
-from toolee_robot.motion.touch_force import TouchSettings
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.bring_up.caps import ACCELERATION, SPEED, Caps, SlowStation
 from toolee_robot.tasks.bring_up.lag_motion import lag_motion
 from toolee_robot.tasks.bring_up.touch import Touch as Contact

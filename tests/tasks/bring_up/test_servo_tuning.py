@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.control.paper_arm import Bystander, PaperArm
-from toolee_robot.config import StationConfig
 from toolee_robot.control import Supervisor
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, MotionWatch
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.bring_up.caps import Caps, SlowStation
 from toolee_robot.tasks.bring_up.servo_tuning import PAIRS, SHARES, Trial, recommend, tune
 from toolee_robot.types import Trajectory

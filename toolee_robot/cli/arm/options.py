@@ -9,9 +9,9 @@ from typing import Annotated
 import tyro
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import is_loopback
+from toolee_robot.station import StationConfig, load_lab_station, load_station
 
 Vector = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")]
 """Three numbers, or none."""

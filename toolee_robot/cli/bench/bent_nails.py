@@ -51,7 +51,7 @@ class BenchBentNails:
     def run(self) -> int:
         if self.runs < 5 or self.seed < 0:
             raise UserError("give --runs 5 or more, and --seed 0 or more", code="user.option")
-        from toolee_robot.config import load_station
+        from toolee_robot.station import load_station
         from toolee_robot.stations.bent_nails import look_at_nails
 
         config = None if self.config is None else load_station(self.config)

@@ -39,7 +39,7 @@ class BenchCalibration:
         console = Console(stderr=self.json, highlight=False)
         from toolee_robot.calibration.board import SHEETS
         from toolee_robot.calibration.hand_eye.benchmark import PROTOCOLS, measure
-        from toolee_robot.config import CameraConfig
+        from toolee_robot.station import CameraConfig
 
         camera, board = CameraConfig(), SHEETS[self.sheet].board
         console.print(

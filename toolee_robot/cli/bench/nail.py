@@ -87,8 +87,8 @@ def _errors(sheet: str, seed: int) -> tuple[tuple[float, ...], bool]:
 
     from toolee_robot.calibration.board import SHEETS
     from toolee_robot.calibration.nail import combine, see_nail
-    from toolee_robot.config import StationConfig
     from toolee_robot.frames import angle_between
+    from toolee_robot.station import StationConfig
     from toolee_robot.stations.simulated_nail import simulated_nail_board
     from toolee_robot.tasks.calibration.still_frame import mean_frame
 

@@ -8,7 +8,6 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.errors import PlanningError, TooleeError
 from toolee_robot.frames import Array
@@ -16,6 +15,7 @@ from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.held_region import held_region
 from toolee_robot.tasks.common.look import largest_displacement
 from toolee_robot.tasks.common.observer import TaskObserver

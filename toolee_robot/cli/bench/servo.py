@@ -16,13 +16,13 @@ from rich.table import Table
 from toolee_robot.cli.host_info import describe_machine
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import ArmLimits, SceneConfig, ServoConfig
 from toolee_robot.errors import UserError
+from toolee_robot.station import ArmLimits, SceneConfig, ServoConfig
 from toolee_robot.types import ArmModel
 
 if TYPE_CHECKING:
     from toolee_robot.cli.bench.servo_trace import TraceFigures
-    from toolee_robot.hardware.ur.servo_benchmark import ServoFigures
+    from toolee_robot.devices.ur.servo_benchmark import ServoFigures
 
 _PERIOD_TARGET_MS = 1.0
 _AROUND = 60.0  # [s] of the stand-in before and after the motion, at most
@@ -52,9 +52,9 @@ class BenchServo:
         if not 5.0 <= self.seconds <= 3600.0:
             raise UserError(f"--seconds {self.seconds:g}: give 5 to 3600", code="user.seconds")
         from toolee_robot.cli.bench.servo_trace import RecordedJoints, TraceMemory, compare
-        from toolee_robot.hardware.ur.config import UrArmConfig
-        from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
-        from toolee_robot.hardware.ur.servo_benchmark import servo_benchmark
+        from toolee_robot.devices.ur.config import UrArmConfig
+        from toolee_robot.devices.ur.driver import UnsupervisedUrArm
+        from toolee_robot.devices.ur.servo_benchmark import servo_benchmark
         from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
         from toolee_robot.runtime.latency_monitor import LatencyMonitor
         from toolee_robot.sim_backend.ur_controller.process import ControllerProcess

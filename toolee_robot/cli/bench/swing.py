@@ -16,8 +16,8 @@ from rich.table import Table
 from toolee_robot.cli.host_info import describe_machine
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import UserError
+from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel
 
 _TARGET_MS = 300.0

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.planning.swing import Face, SwingLimits, plan_swing
@@ -18,6 +17,7 @@ from toolee_robot.errors import PlanningError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.options import InHandOffset
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tools import ToolKind, make_tool, test_seeds
 from toolee_robot.types import ArmModel

@@ -12,9 +12,9 @@ from rich.console import Console
 
 from toolee_robot.cli.calibrate.board import BARS_MISSING
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import SIMULATED, StationConfig, load_lab_station, load_station
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.runtime.clock import check_real_time_factor
+from toolee_robot.station import SIMULATED, StationConfig, load_lab_station, load_station
 
 SIMULATED_PLATE = 0.12, 1.2
 """Distance of a simulated print from the flange [m], and mass of its plate [kg]."""

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, read_intrinsics
-from toolee_robot.config import SIMULATED, CameraConfig, read_station
-from toolee_robot.config.intrinsics_record import FIELD, PINHOLE, SECTION
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.runtime.yaml_edit import set_fields
 from toolee_robot.runtime.yaml_files import to_record
+from toolee_robot.station import SIMULATED, CameraConfig, read_station
+from toolee_robot.station.intrinsics_record import FIELD, PINHOLE, SECTION
 from toolee_robot.stations.camera import WITH_MODE
 
 NOMINAL_FOCAL = 0.72

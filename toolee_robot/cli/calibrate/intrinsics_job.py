@@ -20,12 +20,12 @@ from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, write_i
 from toolee_robot.calibration.observation import BoardView
 from toolee_robot.cli.calibrate.recorded_images import check_raw
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import SIMULATED, CameraConfig
+from toolee_robot.devices.cameras import StatedLens, StreamedCamera
+from toolee_robot.devices.cameras.recording import recording_of
 from toolee_robot.errors import StaleDataError, UserError
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras import StatedLens, StreamedCamera
-from toolee_robot.hardware.cameras.recording import recording_of
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import SIMULATED, CameraConfig
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.stations.rehearsal.camera import emulated_stream
 from toolee_robot.stations.rehearsal.held_board import HeldBoard, drawn_camera

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig, load_station
+from toolee_robot.station import StationConfig, load_station
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,9 @@ from rich.console import Console
 
 from toolee_robot.cli.calibrate.nail_checks import touched_station
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import StationConfig, check_upright, load_lab_station, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor
+from toolee_robot.station import StationConfig, check_upright, load_lab_station, load_station
 
 
 @dataclass(frozen=True, kw_only=True)

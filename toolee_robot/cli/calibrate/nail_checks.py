@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart
-from toolee_robot.config import StationConfig, load_lab_station, read_station, unmeasured
-from toolee_robot.config.station import to_station
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array
+from toolee_robot.station import StationConfig, load_lab_station, read_station, unmeasured
+from toolee_robot.station.station import to_station
 
 FARTHEST = 0.050
 """Largest distance of the nail from the circle around the touches of the wood [m]: a rise that is known to 0.5 degrees

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.config import WorkConfig, read_station
 from toolee_robot.frames import Array, BaseFrame, inverse
+from toolee_robot.station import WorkConfig, read_station
 
 
 def nail_fields(

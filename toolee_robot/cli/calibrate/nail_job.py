@@ -30,13 +30,13 @@ from toolee_robot.calibration.wood import WoodPlane, fit_wood
 from toolee_robot.cli.calibrate.nail_checks import check_loads, check_near, mistake
 from toolee_robot.cli.calibrate.nail_fields import nail_fields
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig
-from toolee_robot.config.work import LARGEST_TILT
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, NotReadyError, UserError
 from toolee_robot.frames import Array, angle_between, transform_points
 from toolee_robot.hal import Station
 from toolee_robot.runtime.yaml_edit import set_fields
+from toolee_robot.station import StationConfig
+from toolee_robot.station.work import LARGEST_TILT
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.stations.rehearsal.job import camera_covariance

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from toolee_robot.devices.cameras.recording import recording_of
 from toolee_robot.errors import UserError
-from toolee_robot.hardware.cameras.recording import recording_of
 
 
 def check_raw(what: str, undistorted: bool | None) -> None:

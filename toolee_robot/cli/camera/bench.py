@@ -27,7 +27,7 @@ class BenchRegistration:
     def run(self) -> int:
         import cv2
 
-        from toolee_robot.hardware.cameras.registration_benchmark import (
+        from toolee_robot.devices.cameras.registration_benchmark import (
             COLORS,
             measure_registration,
             undistortion_time,

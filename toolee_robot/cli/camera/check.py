@@ -11,9 +11,9 @@ from toolee_robot.cli.camera.options import CameraOptions
 from toolee_robot.cli.doctor import findings_table
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import load_station
 from toolee_robot.errors import UserError
 from toolee_robot.findings import Finding, Level, warn, worst
+from toolee_robot.station import load_station
 
 if TYPE_CHECKING:
     import numpy as np

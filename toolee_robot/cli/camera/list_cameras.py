@@ -26,7 +26,7 @@ class ListCameras:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.hardware.cameras import orbbec, realsense
+        from toolee_robot.devices.cameras import orbbec, realsense
         from toolee_robot.stations.camera import camera_drivers
 
         console = Console(stderr=self.json, highlight=False)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import CameraConfig, CameraDevice, load_station
 from toolee_robot.errors import UserError
+from toolee_robot.station import CameraConfig, CameraDevice, load_station
 
 if TYPE_CHECKING:
+    from toolee_robot.devices.cameras import StreamedCamera
     from toolee_robot.hal import Clock
-    from toolee_robot.hardware.cameras import StreamedCamera
 
 UNKNOWN_RANGE = 1e-3
 """Stands in for the least range of a camera that no station file describes, where nothing asks for it [m]."""
@@ -57,7 +57,7 @@ class CameraOptions:
         if self.config is not None:
             return load_station(self.config).camera
         if self.recording is not None:
-            from toolee_robot.hardware.cameras.recording import open_recording
+            from toolee_robot.devices.cameras.recording import open_recording
 
             recording = open_recording(self.recording)
             device = CameraDevice("recorded", recording.serial, UNKNOWN_RANGE, folder=str(self.recording))

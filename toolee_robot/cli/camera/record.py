@@ -32,7 +32,7 @@ class Record(CameraOptions):
     """Record one frame every so many seconds, of which the terminal rings; 0: every frame."""
 
     def run(self) -> int:
-        from toolee_robot.hardware.cameras.recording import RecordingWriter
+        from toolee_robot.devices.cameras.recording import RecordingWriter
         from toolee_robot.runtime.clock import HostClock
 
         if self.seconds <= 0:

@@ -14,13 +14,13 @@ from rich.table import Table
 
 from toolee_robot.cli.camera.options import CameraOptions
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import CameraConfig
 from toolee_robot.errors import TooleeError
+from toolee_robot.station import CameraConfig
 
 if TYPE_CHECKING:
+    from toolee_robot.devices.cameras import CameraProfile, StreamedCamera
+    from toolee_robot.devices.cameras.lens_choice import ChosenLens
     from toolee_robot.hal import Clock
-    from toolee_robot.hardware.cameras import CameraProfile, StreamedCamera
-    from toolee_robot.hardware.cameras.lens_choice import ChosenLens
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Show(CameraOptions):
     """Also write what it sees, colour and depth side by side."""
 
     def run(self) -> int:
-        from toolee_robot.hardware.cameras.picture import write_picture
+        from toolee_robot.devices.cameras.picture import write_picture
         from toolee_robot.runtime.clock import HostClock
 
         console = Console(stderr=self.json, highlight=False)
@@ -87,7 +87,7 @@ class Show(CameraOptions):
 
     def _entered(self, stack: ExitStack, clock: Clock) -> tuple[StreamedCamera, str | None]:
         """Open the camera by the station file's lens; by its own where that one is refused, with the reason."""
-        from toolee_robot.hardware.cameras.lens_choice import REFUSED
+        from toolee_robot.devices.cameras.lens_choice import REFUSED
 
         try:
             return stack.enter_context(self.open(clock)), None
@@ -125,7 +125,7 @@ def _station_lines(config: CameraConfig, profile: CameraProfile, chosen: ChosenL
 
 
 def _lens_lines(config: CameraConfig, chosen: ChosenLens) -> list[str]:
-    from toolee_robot.hardware.cameras.lens_choice import LensSource
+    from toolee_robot.devices.cameras.lens_choice import LensSource
 
     recorded = chosen.source is LensSource.RECORDING and config.intrinsics_record is not None
     if chosen.source is LensSource.RECORD or recorded:

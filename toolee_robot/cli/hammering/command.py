@@ -13,13 +13,13 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig, load_lab_station, load_station, with_setup
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor, is_loopback
 from toolee_robot.runtime.gc_pause import gc_spared
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
+from toolee_robot.station import StationConfig, load_lab_station, load_station, with_setup
 from toolee_robot.types import ArmModel
 
 if TYPE_CHECKING:

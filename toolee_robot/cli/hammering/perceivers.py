@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 
 from toolee_robot.cli.hammering.sources import Opened
-from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform_points
@@ -15,6 +14,7 @@ from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.research import classical
 from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
 from toolee_robot.tasks.hammering.learnt_grasp import LearntShift

@@ -10,7 +10,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Station
 from toolee_robot.sensor_kinds import SensorKind
@@ -18,6 +17,7 @@ from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, Dra
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
+from toolee_robot.station import StationConfig
 from toolee_robot.stations.lab import LabStation
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp

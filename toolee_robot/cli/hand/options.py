@@ -12,7 +12,7 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
-    from toolee_robot.config import HandConfig
+    from toolee_robot.station import HandConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +36,8 @@ class HandOptions:
             UserError: It is a tool mount (`user.no_fingers`).
             ConfigError: The file cannot be read, or is invalid.
         """
-        from toolee_robot.config import load_station
         from toolee_robot.robots import MOUNT
+        from toolee_robot.station import load_station
 
         hand = load_station(self.station).hand
         if hand.model == MOUNT:

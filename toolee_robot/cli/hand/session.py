@@ -13,10 +13,10 @@ from rich.table import Table
 from toolee_robot.cli.hand.options import HandMotionOptions, HandOptions
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.terminal import confirm_typed, require_terminal
-from toolee_robot.config import HandConfig
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.hal import ClearsFaults, Hand, HandState
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import HandConfig
 from toolee_robot.stations.hand import open_hand
 
 SETTLED = 0.2

@@ -18,8 +18,8 @@ from toolee_robot.cli.serving import serve
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
-    from toolee_robot.config import StationConfig
     from toolee_robot.recording.history import RunHistory
+    from toolee_robot.station import StationConfig
     from toolee_robot.viewer.rerun_perception import LookAgain
 
 

@@ -11,8 +11,8 @@ from rich.markup import escape
 
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import check_current, load_lab_station, load_station, read_station
 from toolee_robot.errors import ConfigError
+from toolee_robot.station import check_current, load_lab_station, load_station, read_station
 
 
 @dataclass(frozen=True)

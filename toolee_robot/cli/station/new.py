@@ -12,12 +12,12 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.config import VERSION, check_current
-from toolee_robot.config.station import read_station, to_station
 from toolee_robot.errors import ConfigError, TooleeError, UserError
 from toolee_robot.findings import Level
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_edit import add_first, set_fields
+from toolee_robot.station import VERSION, check_current
+from toolee_robot.station.station import read_station, to_station
 
 if TYPE_CHECKING:
     from toolee_robot.stations.interview import Question
@@ -170,8 +170,8 @@ def _ask(question: Question, frame: str, console: Console) -> str:
 
 def _told_by_the_camera(file: Path, data: dict[str, Any], console: Console) -> bool:
     """Fill in the intrinsics from the camera itself, if it is connected."""
-    from toolee_robot.config import CameraConfig, CameraDevice
     from toolee_robot.runtime.clock import HostClock
+    from toolee_robot.station import CameraConfig, CameraDevice
     from toolee_robot.stations.camera import WITH_MODE, open_camera
     from toolee_robot.stations.interview import INTRINSICS, SIZE, put
 

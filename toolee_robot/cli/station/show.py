@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from toolee_robot.cli.serving import serve
-from toolee_robot.config import load_station
+from toolee_robot.station import load_station
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.config import VERSION, is_current, read_station
-from toolee_robot.config.station import to_station
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.files import written_whole
 from toolee_robot.runtime.yaml_edit import add_first, set_fields
 from toolee_robot.runtime.yaml_lines import YamlLines
+from toolee_robot.station import VERSION, is_current, read_station
+from toolee_robot.station.station import to_station
 
 
 @dataclass(frozen=True)

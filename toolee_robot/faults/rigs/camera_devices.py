@@ -16,12 +16,12 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.hardware.cameras import CameraStream, orbbec, realsense
-from toolee_robot.hardware.cameras.airo import AiroStream
-from toolee_robot.hardware.cameras.orbbec import OrbbecMode, OrbbecStream
-from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
-from toolee_robot.hardware.cameras.recorded import RecordedStream
-from toolee_robot.hardware.cameras.recording import RecordingWriter
+from toolee_robot.devices.cameras import CameraStream, orbbec, realsense
+from toolee_robot.devices.cameras.airo import AiroStream
+from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream
+from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.recorded import RecordedStream
+from toolee_robot.devices.cameras.recording import RecordingWriter
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices import orbbec_recording
 from toolee_robot.sim_backend.devices.orbbec_recording import write_recording

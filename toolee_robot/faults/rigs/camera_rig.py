@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
-from toolee_robot.config import CameraConfig, CameraDevice
+from toolee_robot.devices.cameras import StreamedCamera, orbbec, realsense
 from toolee_robot.errors import UserError
 from toolee_robot.faults.rigs.camera_devices import (
     COLOR,
@@ -24,10 +24,10 @@ from toolee_robot.faults.rigs.camera_devices import (
     RealSenseDevice,
     RecordedDevice,
 )
-from toolee_robot.hardware.cameras import StreamedCamera, orbbec, realsense
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices import software_airo
+from toolee_robot.station import CameraConfig, CameraDevice
 from toolee_robot.stations.camera import ORBBEC, REALSENSE, RECORDED, open_camera
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 

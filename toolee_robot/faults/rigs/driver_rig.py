@@ -11,7 +11,11 @@ from typing import Literal
 
 import numpy as np
 
+from toolee_robot.control.motion.strike_contact import strike_guard
+from toolee_robot.control.motion.touch_force import forces_at_rest
 from toolee_robot.control.planning.timing import joint_move
+from toolee_robot.devices.ur.config import UrArmConfig
+from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import DeviceError, LatchedError, MotionFaultError
 from toolee_robot.faults.rigs.joints_path import MOVING, Stop, stop_after
 from toolee_robot.faults.rigs.setting import Setting
@@ -19,10 +23,6 @@ from toolee_robot.faults.rigs.strikes import Swing, plan_swing
 from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
-from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
-from toolee_robot.motion.strike_contact import strike_guard
-from toolee_robot.motion.touch_force import forces_at_rest
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits

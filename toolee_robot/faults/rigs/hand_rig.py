@@ -13,12 +13,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
-from toolee_robot.config import HandConfig
 from toolee_robot.faults.rigs.job_rig import ClosedHand
 from toolee_robot.hal import HandState
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.hand import TICK, SimHand
 from toolee_robot.sim_backend.hand_wire import HandEmulator
+from toolee_robot.station import HandConfig
 from toolee_robot.stations.driven_hand import SWITCH_INTERVAL, HandPace
 from toolee_robot.stations.hand import emulated_hand, open_hand
 from toolee_robot.types import HandEfforts, HandMounting

@@ -14,7 +14,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from toolee_robot.config import ArmLimits, StationConfig, TaskConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
 from toolee_robot.control.dynamics.torque_room import bound_stop
 from toolee_robot.faults.rigs.people import People
@@ -27,6 +26,7 @@ from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.station import ArmLimits, StationConfig, TaskConfig
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, Stage

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from toolee_robot.config import ArmLimits
+from toolee_robot.control.motion.path_stop import stop_on_path
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
-from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.ur_controller.faults.client import Trace
+from toolee_robot.station import ArmLimits
 from toolee_robot.types import Trajectory
 
 MOVING = 2e-3  # [rad/s]

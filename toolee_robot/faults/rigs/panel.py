@@ -6,9 +6,9 @@ import threading
 import time
 from collections.abc import Callable
 
-from toolee_robot.config import PersonConfig
+from toolee_robot.devices.person.digital_inputs import CONFIRM
 from toolee_robot.errors import StaleDataError
-from toolee_robot.hardware.operator.digital_inputs import CONFIRM
+from toolee_robot.station import PersonConfig
 from toolee_robot.tasks.common.motions import HOLD_SWITCH
 
 TWO_CONTACTS = PersonConfig(door_closed_input=0, door_open_input=1, hold_to_run_input=2, hold_to_run_released_input=3)

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.config import ArmLimits, ServoConfig, servo_lag
+from toolee_robot.control.motion.path_stop import stop_on_path
+from toolee_robot.devices.ur.servo.tracking import tracking_error
 from toolee_robot.faults.rigs.joints_path import MOVING, braking_time, projected
 from toolee_robot.frames import Array
-from toolee_robot.hardware.ur.servo.tracking import tracking_error
-from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import (
     Profile,
@@ -31,6 +30,7 @@ from toolee_robot.sim_backend.ur_controller.robot.machine import RATE_SLEW
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.motion import Motion
 from toolee_robot.sim_backend.ur_controller.robot.servo.servoj import servoj
+from toolee_robot.station import ArmLimits, ServoConfig, servo_lag
 from toolee_robot.types import ArmModel, Trajectory
 
 GAIN, LOOKAHEAD = 1200.0, 0.03

@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.dynamics.torque_room import bound_stop
 from toolee_robot.control.planning.strike import plan_strike
@@ -16,6 +15,7 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.station import draw_hammer
+from toolee_robot.station import ArmLimits, StationConfig
 from toolee_robot.types import ArmModel, Payload, Trajectory
 
 

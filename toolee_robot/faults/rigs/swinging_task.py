@@ -10,12 +10,12 @@ from __future__ import annotations
 import signal
 import sys
 
+from toolee_robot.devices.ur.config import UrArmConfig
+from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import DeviceError
 from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rigs.strikes import plan_swing
 from toolee_robot.faults.rigs.time_bounds import PATIENT
-from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel
 

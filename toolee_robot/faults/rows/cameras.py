@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
-from toolee_robot.config import SIMULATED, CalibrationConfig, CameraConfig
 from toolee_robot.errors import TooleeError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
@@ -21,6 +20,7 @@ from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.faults.rows.job import job_row
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, JobFault, Scene
 from toolee_robot.faults.rows.start import OURS, calibration_row
+from toolee_robot.station import SIMULATED, CalibrationConfig, CameraConfig
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 
 NO_STRIKE = "no strike, arm stands, grip kept"

@@ -9,6 +9,7 @@ from functools import partial
 
 from toolee_robot.control.modes import Mode
 from toolee_robot.control.supervisor import Supervisor
+from toolee_robot.devices.person.digital_inputs import PERIOD, DigitalInputPerson
 from toolee_robot.errors import DeviceError, PersonNearError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
@@ -18,7 +19,6 @@ from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.faults.rows.arm import AT_REST
 from toolee_robot.faults.rows.released_stops import travel
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
-from toolee_robot.hardware.operator.digital_inputs import PERIOD, DigitalInputPerson
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
 from toolee_robot.tasks.common.motions import HOLD_SWITCH

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot.control.motion.path_stop import stop_on_path
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import DeviceError, LatchedError
 from toolee_robot.faults.measuring import Measurement
@@ -25,7 +26,6 @@ from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, JobFault, Scene
 from toolee_robot.faults.rows.job_faults import JOB_FAULTS
 from toolee_robot.hal import MotionOutcome, RgbdCamera
-from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.devices.arm import RATE
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 from toolee_robot.tasks.hammering.task import HammeringTask

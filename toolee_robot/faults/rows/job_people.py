@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from toolee_robot.config import PersonConfig
+from toolee_robot.devices.person.digital_inputs import DigitalInputPerson
 from toolee_robot.faults.record import Phase
 from toolee_robot.faults.rigs.panel import ALL, DOOR_CLOSED, ONE_CONTACT, SWITCH_HELD, TWO_CONTACTS, Operator, Panel
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, Braking, JobFault, Scene
-from toolee_robot.hardware.operator.digital_inputs import DigitalInputPerson
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import PersonConfig
 from toolee_robot.tasks.common.outcome import Outcome
 
 REST, SWING = Phase.REST, Phase.SWING

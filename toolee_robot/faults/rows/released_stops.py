@@ -17,12 +17,12 @@ from functools import partial
 
 import numpy as np
 
+from toolee_robot.devices.ur.protocols.dashboard import DASHBOARD_PORT
 from toolee_robot.errors import DeviceError, EmergencyStopError, MotionFaultError, ProtectiveStopError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.driver_rig import Rig, StopKind
 from toolee_robot.faults.rows.arm import AT_REST, REST_TIME
-from toolee_robot.hardware.ur.protocols.dashboard import DASHBOARD_PORT
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
 EXPECTED = "the robot's program is ended; nothing moves after release and Play; latched"

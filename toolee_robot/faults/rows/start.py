@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.config import SIMULATED, ArmLimits, CalibrationConfig
+from toolee_robot.devices.ur.config import UrArmConfig
+from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import NotReadyError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
@@ -17,9 +18,8 @@ from toolee_robot.faults.rigs.camera_rig import DriverCamera
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rows.job import ON
-from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.station import SIMULATED, ArmLimits, CalibrationConfig
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.types import ArmModel, Payload
 

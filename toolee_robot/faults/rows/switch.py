@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.dynamics.torque_room import bound_stop
 from toolee_robot.control.modes import Mode, slowed_to
+from toolee_robot.devices.person.digital_inputs import PERIOD
 from toolee_robot.errors import PersonNearError, TooleeError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
@@ -29,8 +29,8 @@ from toolee_robot.faults.rows.inputs import SEEN_TIME, WATCH, set_inputs, swing,
 from toolee_robot.faults.rows.released_stops import travel
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, HandState, MotionReport, MotionWatch, Person, Station
-from toolee_robot.hardware.operator.digital_inputs import PERIOD
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import JointState, Trajectory

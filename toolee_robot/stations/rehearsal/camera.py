@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.config import CameraConfig, CameraDevice, StationConfig
+from toolee_robot.devices.cameras import CameraProfile, CameraStream, Lens, LensModel, RawImages
+from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream, sdk
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.cameras import CameraProfile, CameraStream, Lens, LensModel, RawImages
-from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream, sdk
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, Pictures, SoftwareRealSense
 from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
+from toolee_robot.station import CameraConfig, CameraDevice, StationConfig
 from toolee_robot.stations.camera import REALSENSE
 from toolee_robot.stations.rehearsal.color_and_depth import MILLIMETRE, ColorAndDepth
 from toolee_robot.stations.rehearsal.lens import EmulatedLens, lens_of

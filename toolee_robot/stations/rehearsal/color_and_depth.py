@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from toolee_robot.calibration.record import rows
-from toolee_robot.config import CameraConfig
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock
@@ -17,6 +16,7 @@ from toolee_robot.render.sensors.depth_camera import measure_depth
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.visuals.visual_body import VisualWorld
+from toolee_robot.station import CameraConfig
 from toolee_robot.stations.rehearsal.lens import EmulatedLens
 
 MILLIMETRE = 1e-3

@@ -9,7 +9,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
-from toolee_robot.config import SIMULATED, HandConfig, StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.control.supervisor_checks import UNSURE
 from toolee_robot.errors import (
@@ -31,6 +30,7 @@ from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
+from toolee_robot.station import SIMULATED, HandConfig, StationConfig
 from toolee_robot.stations.driven_hand import SWITCH_INTERVAL
 from toolee_robot.stations.hand import WIRED_HANDS, emulated_hand, wired_hand
 from toolee_robot.stations.lab import LabStation, Purpose

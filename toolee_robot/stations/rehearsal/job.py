@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from toolee_robot.calibration.record import read_record
-from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.cell_errors import NOMINAL, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import draw_handover
+from toolee_robot.station import StationConfig
 from toolee_robot.stations.lab import check_purpose
 from toolee_robot.stations.rehearsal.emulated_lab import Cell
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.config import CameraConfig
-from toolee_robot.hardware.cameras import Lens, StatedLens
+from toolee_robot.devices.cameras import Lens, StatedLens
 from toolee_robot.render.scene import Rendering
+from toolee_robot.station import CameraConfig
 
 MARGIN = 2
 """Pixels that are rendered beyond what the lens sees."""

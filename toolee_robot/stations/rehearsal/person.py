@@ -9,9 +9,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
-from toolee_robot.config import PersonConfig
 from toolee_robot.hal import Clock, Person
 from toolee_robot.sim_backend.remote.station import Caller
+from toolee_robot.station import PersonConfig
 
 HOLD = 0.25
 """Time for which a person holds or releases the switch for a confirmation [s]."""

@@ -15,9 +15,9 @@ from typing import Self
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel
 from toolee_robot.errors import UserError
+from toolee_robot.station import StationConfig
 
 SPEED, ACCELERATION = 0.1, 1.0
 """Caps of every joint that hold unless a person raises them [rad/s], [rad/s^2]."""

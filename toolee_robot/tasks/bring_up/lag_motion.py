@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.config import ArmLimits
 from toolee_robot.control.planning.timing import SAMPLE_PERIOD
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.station import ArmLimits
 from toolee_robot.types import Trajectory
 
 REST = 0.6

@@ -7,19 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from toolee_robot.config import StrikeConfig
 from toolee_robot.control import Supervisor
-from toolee_robot.errors import DeviceError, UserError
-from toolee_robot.frames import Array
-from toolee_robot.hal import Arm, Clock, ContactGuard
-from toolee_robot.motion.touch_force import (
+from toolee_robot.control.motion.touch_force import (
     CONFIRM_SHARE,
     MAX_PHANTOMS,
     TouchSettings,
     forces_at_rest,
     touch_settings,
 )
+from toolee_robot.errors import DeviceError, UserError
+from toolee_robot.frames import Array
+from toolee_robot.hal import Arm, Clock, ContactGuard
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import StrikeConfig
 from toolee_robot.tasks.bring_up.caps import SlowStation
 from toolee_robot.tasks.bring_up.jog import SLOWEST, MotionFrame, plan_line
 from toolee_robot.types import Trajectory

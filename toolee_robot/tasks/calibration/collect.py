@@ -12,12 +12,12 @@ import numpy as np
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.observation import camera_board, find_board
 from toolee_robot.calibration.session import Session, SessionPose
-from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, slowed_to
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.errors import DeviceError, PersonNearError, PlanningError, StaleDataError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, Station
+from toolee_robot.station import StationConfig
 from toolee_robot.types import RgbdFrame
 
 DEPTH_UNIT = 1e-4

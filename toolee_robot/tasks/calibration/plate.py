@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.config import HandConfig, StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
+from toolee_robot.station import HandConfig, StationConfig
 from toolee_robot.types import MOUNT, ToolMount
 
 THICKNESS = 0.02

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.config import CameraConfig, StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel
 from toolee_robot.control.kinematics import smallest_singular_value
 from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array, inverse, transform, transform_points
+from toolee_robot.station import CameraConfig, StationConfig
 from toolee_robot.tasks.calibration.plate import Plate
 
 TILT = (np.deg2rad(20.0), np.deg2rad(40.0))

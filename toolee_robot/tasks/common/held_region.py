@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array, transform_points
+from toolee_robot.station import StationConfig
 from toolee_robot.types import HeldRegion
 
 POSE_ERRORS = 3.0

@@ -7,13 +7,13 @@ from typing import Protocol
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
 from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.held_region import held_region
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate

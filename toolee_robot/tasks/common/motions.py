@@ -8,11 +8,12 @@ from contextlib import contextmanager, nullcontext, suppress
 import numpy as np
 from numpy.typing import ArrayLike
 
-from toolee_robot.config import StationConfig, check_upright
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.collision_shapes import Body
 from toolee_robot.control.contact import ContactVerdict
 from toolee_robot.control.modes import Mode, slowed_to
+from toolee_robot.control.motion.strike_contact import strike_guard
+from toolee_robot.control.motion.touch_force import wrenches_at_rest
 from toolee_robot.control.planning.straight import plan_straight, rise_to_clear
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
@@ -21,8 +22,7 @@ from toolee_robot.control.supervisor_checks import AT_REST
 from toolee_robot.errors import DeviceError, GripDoubtError, MotionFaultError, PersonNearError, PlanningError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
-from toolee_robot.motion.strike_contact import strike_guard
-from toolee_robot.motion.touch_force import wrenches_at_rest
+from toolee_robot.station import StationConfig, check_upright
 from toolee_robot.tasks.common.hand_watch import HandWatch, check_held
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.person_proof import PersonProof

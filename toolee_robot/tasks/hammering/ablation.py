@@ -8,9 +8,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.hammering.learnt_grasp import LearntShift
 from toolee_robot.types import CameraError, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate

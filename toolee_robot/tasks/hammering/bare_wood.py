@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.config import WorkConfig
 from toolee_robot.frames import Array, inverse, transform_points
+from toolee_robot.station import WorkConfig
 
 ASIDE = 0.032
 """Distance from upright nails to the touch point on the wood [m]: a face of up to 25 mm radius clears their heads."""

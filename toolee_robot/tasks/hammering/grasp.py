@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.config import StationConfig, ToolData
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, frame_from_axes, inverse
 from toolee_robot.robots import hand_model
+from toolee_robot.station import StationConfig, ToolData
 from toolee_robot.tools import Tool
 from toolee_robot.types import Payload
 

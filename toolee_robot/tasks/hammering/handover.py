@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.modes import Mode
 from toolee_robot.control.planning.strike import plan_strike
@@ -21,6 +20,7 @@ from toolee_robot.errors import (
     UnreachableError,
 )
 from toolee_robot.hal import Station
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage

@@ -8,12 +8,12 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.contact import ContactVerdict, Meeting
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import inverse, transform
 from toolee_robot.hal import Clock
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.planning.straight import plan_over_nail
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import protrusion
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import ContactGuard
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome

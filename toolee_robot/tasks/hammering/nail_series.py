@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from toolee_robot.config import WorkConfig
 from toolee_robot.control.collision_shapes import nail_bodies
 from toolee_robot.errors import PlanningError
+from toolee_robot.station import WorkConfig
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, NailResult, Outcome, Strike

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision_shapes import Body
 from toolee_robot.perception.nail.appearance import NailPose
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
 from toolee_robot.types import RgbdFrame

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.contact import ContactVerdict
 from toolee_robot.control.dynamics.strike_load import StrikeLoad, strike_load
 from toolee_robot.control.planning.strike import plan_strike
@@ -15,6 +14,7 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse
 from toolee_robot.hal import Clock, MotionReport
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Strike

@@ -18,7 +18,6 @@ from datetime import date
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import (
@@ -33,6 +32,7 @@ from toolee_robot.errors import (
     WeighingError,
 )
 from toolee_robot.hal import Station
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.motions import Motions

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.config import StationConfig
 from toolee_robot.control.planning.views import plan_views
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import merge, slip
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, angle_between, inverse, transform
 from toolee_robot.hal import Station
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.look import Look, Perceiver
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver

@@ -16,21 +16,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
-from toolee_robot.control.planning.straight import plan_straight
-from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.control.slip import protrusion
-from toolee_robot.errors import DeviceError
-from toolee_robot.frames import Array
-from toolee_robot.hal import ZERO_TIME, ContactGuard, MotionReport
-from toolee_robot.motion.onset import SLOPE_RANGE, UNKNOWN, Course, Releases, Rise, onset
-from toolee_robot.motion.touch_force import (
+from toolee_robot.control.motion.onset import SLOPE_RANGE, UNKNOWN, Course, Releases, Rise, onset
+from toolee_robot.control.motion.touch_force import (
     CONFIRM_SHARE,
     MAX_PHANTOMS,
     WINDOW_WAY,
     TouchSettings,
     touch_settings,
 )
+from toolee_robot.control.planning.straight import plan_straight
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.control.slip import protrusion
+from toolee_robot.errors import DeviceError
+from toolee_robot.frames import Array
+from toolee_robot.hal import ZERO_TIME, ContactGuard, MotionReport
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 

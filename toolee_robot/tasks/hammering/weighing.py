@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.dynamics.tool_weight import RestReading, ToolWeight, WeighingPrior, rest_reading, weigh
 from toolee_robot.control.planning.transfer import plan_transfer
@@ -18,6 +17,7 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import GripDoubtError, PlanningError, WeighingError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Clock
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver

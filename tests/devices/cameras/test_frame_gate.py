@@ -1,0 +1,158 @@
+"""Which pairs of images count as new frames, and what is an error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.errors import raises
+from tests.examples import examples
+from toolee_robot.devices.cameras import CameraProfile, Lens, RawImages
+from toolee_robot.devices.cameras.frame_gate import FrameGate, Refusal
+from toolee_robot.errors import DeviceError
+from toolee_robot.types import CameraIntrinsics
+
+PROFILE = CameraProfile("toy", "1", Lens(CameraIntrinsics(60.0, 60.0, 32.0, 24.0, 64, 48)), 30.0, depth_scale=1e-3)
+PERIOD, DELAY = 1 / 30, 0.03
+
+
+def pairs(seed: int = 0, begin: float = 50.0) -> Iterator[RawImages]:
+    rng = np.random.default_rng(seed)
+    n = 0
+    while True:
+        rgb = rng.integers(0, 255, (48, 64, 3)).astype(np.uint8)
+        depth = rng.integers(700, 900, (48, 64)).astype(np.uint16)
+        yield RawImages(rgb, depth, begin + n * PERIOD, begin + n * PERIOD)
+        n += 1
+
+
+@pytest.fixture
+def stream() -> Iterator[RawImages]:
+    return pairs()
+
+
+@pytest.fixture
+def gate(stream: Iterator[RawImages]) -> FrameGate:
+    gate = FrameGate(PROFILE)
+    for _ in range(PROFILE.warm_up):
+        images = next(stream)
+        assert gate.admit(images, images.color_stamp + DELAY) is Refusal.WARMING_UP
+    return gate
+
+
+def test_new_frames_pass_with_their_own_stamps(gate: FrameGate, stream: Iterator[RawImages]) -> None:
+    for late in (0.0, 0.01, 0.15, 0.0):
+        images = next(stream)
+        stamp = gate.admit(images, images.color_stamp + DELAY + late)
+        assert isinstance(stamp, float)
+        assert abs(stamp - (images.color_stamp + DELAY)) < 1e-4, "jitter of the arrival does not count"
+
+
+def change(images: RawImages, **values: object) -> RawImages:
+    fields = {"rgb": images.rgb, "depth": images.depth}
+    stamps = {"color_stamp": images.color_stamp, "depth_stamp": images.depth_stamp}
+    return RawImages(**{**fields, **stamps, **values})  # type: ignore[arg-type]
+
+
+def test_repeated_frozen_unpaired_and_late_pairs_are_passed_over(gate: FrameGate, stream: Iterator[RawImages]) -> None:
+    first = next(stream)
+    assert isinstance(gate.admit(first, first.color_stamp + DELAY), float)
+    assert gate.admit(first, first.color_stamp + DELAY + PERIOD) is Refusal.REPEATED
+    second = change(next(stream), rgb=first.rgb.copy())
+    assert gate.admit(second, second.color_stamp + DELAY) is Refusal.FROZEN
+    third = change(next(stream), depth=second.depth.copy())
+    assert gate.admit(third, third.color_stamp + DELAY) is Refusal.FROZEN
+    fourth = next(stream)
+    fourth = change(fourth, depth_stamp=fourth.depth_stamp - 0.6 * PERIOD)
+    assert gate.admit(fourth, fourth.color_stamp + DELAY) is Refusal.UNPAIRED
+    fifth = next(stream)
+    assert gate.admit(fifth, fifth.color_stamp + DELAY + 0.25) is Refusal.LATE
+    sixth = next(stream)
+    sixth = change(sixth, depth_stamp=sixth.depth_stamp - 0.4 * PERIOD)
+    stamp = gate.admit(sixth, sixth.color_stamp + DELAY + 0.1)
+    assert isinstance(stamp, float)
+    assert abs(stamp - (sixth.depth_stamp + DELAY)) < 1e-3, "that of the older image"
+    assert gate.refused[Refusal.FROZEN] == 2
+    assert gate.refused[Refusal.REPEATED] == gate.refused[Refusal.UNPAIRED] == gate.refused[Refusal.LATE] == 1
+
+
+def test_a_covered_depth_camera_is_not_frozen(gate: FrameGate, stream: Iterator[RawImages]) -> None:
+    for _ in range(2):
+        images = change(next(stream), depth=np.zeros((48, 64), np.uint16))
+        assert isinstance(gate.admit(images, images.color_stamp + DELAY), float)
+
+
+@pytest.mark.parametrize("jump", [-3.0, 0.5, 1e6])
+def test_a_clock_that_jumps_is_an_error(gate: FrameGate, stream: Iterator[RawImages], jump: float) -> None:
+    images = next(stream)
+    arrival = images.color_stamp + DELAY
+    jumped = change(images, color_stamp=images.color_stamp + jump, depth_stamp=images.depth_stamp + jump)
+    with raises(DeviceError, "device.camera_clock"):
+        gate.admit(jumped, arrival)
+
+
+@pytest.mark.parametrize(
+    ("values", "code"),
+    [
+        ({"rgb": np.zeros((24, 64, 3), np.uint8)}, "device.camera_format"),
+        ({"rgb": np.zeros((48, 64), np.uint8)}, "device.camera_format"),
+        ({"rgb": np.zeros((48, 64, 3), np.uint16)}, "device.camera_format"),
+        ({"depth": np.ones((24, 32), np.uint16)}, "device.camera_format"),
+        ({"depth": np.full((48, 64), 800.0)}, "device.camera_format"),
+        ({"depth": np.full((48, 64), 8, np.uint16)}, "device.camera_depth_unit"),
+        ({"depth": np.full((48, 64), 60_000, np.uint16)}, "device.camera_depth_unit"),
+        ({"depth": np.full((48, 64), -800.0, np.float32)}, "device.camera_depth_unit"),
+    ],
+)
+def test_images_that_cannot_be_are_an_error(
+    gate: FrameGate, stream: Iterator[RawImages], values: dict[str, object], code: str
+) -> None:
+    images = change(next(stream), **values)
+    with raises(DeviceError, code):
+        gate.admit(images, images.color_stamp + DELAY)
+
+
+@examples(30)
+@given(st.lists(st.sampled_from(["new", "repeat", "frozen", "late", "lost"]), max_size=40), st.integers(0, 100))
+def test_no_old_picture_passes_whatever_happens(events: list[str], seed: int) -> None:
+    stream, gate = pairs(seed), FrameGate(PROFILE)
+    for _ in range(PROFILE.warm_up):
+        last = next(stream)
+        gate.admit(last, last.color_stamp + DELAY)
+    passed: list[float] = []
+    for event in events:
+        images = last if event == "repeat" else next(stream)
+        if event == "lost":
+            continue
+        if event == "frozen":
+            images = change(images, rgb=last.rgb)
+        verdict = gate.admit(images, images.color_stamp + DELAY + (0.3 if event == "late" else 0.0))
+        assert isinstance(verdict, float) == (event == "new"), (event, verdict)
+        if isinstance(verdict, float):
+            passed.append(verdict)
+        last = images
+    assert passed == sorted(set(passed))
+
+
+@examples(30)
+@given(st.lists(st.floats(0.0, 0.19), min_size=5, max_size=40), st.integers(0, 100))
+def test_stamps_increase_whatever_the_delays(delays: list[float], seed: int) -> None:
+    stream, gate = pairs(seed), FrameGate(PROFILE)
+    arrival = 0.0
+    for _ in range(PROFILE.warm_up):  # all of them late, so that the first frames' stamps are too
+        images = next(stream)
+        arrival = max(arrival, images.color_stamp + DELAY + 0.09)
+        gate.admit(images, arrival)
+    stamps = []
+    for delay in delays:
+        images = next(stream)
+        arrival = max(arrival, images.color_stamp + DELAY + delay)
+        verdict = gate.admit(images, arrival)
+        if isinstance(verdict, float):
+            assert images.color_stamp <= verdict <= arrival
+            stamps.append(verdict)
+    assert stamps == sorted(set(stamps))

@@ -1,0 +1,120 @@
+"""Recordings: what is written is read again, by a camera and by `toolee estimate`'s reader."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.devices.cameras.toy_recording import INTRINSICS, SERIAL, toy_frames, toy_recording
+from tests.errors import raises
+from toolee_robot.devices.cameras import StreamedCamera
+from toolee_robot.devices.cameras.frame_gate import FrameGate
+from toolee_robot.devices.cameras.recorded import RecordedStream
+from toolee_robot.devices.cameras.recording import DEPTH_UNIT, RecordingWriter, open_recording
+from toolee_robot.errors import StaleDataError, UserError
+from toolee_robot.perception.io import bop_images
+from toolee_robot.runtime.clock import HostClock
+
+
+def test_frames_are_read_as_they_were_written(tmp_path: Path) -> None:
+    frames = toy_recording(tmp_path / "r", 3)
+    recording = open_recording(tmp_path / "r")
+    assert recording.intrinsics == INTRINSICS
+    assert (recording.serial, recording.model, recording.fps) == (SERIAL, "toy", 30.0)
+    assert recording.stamps == tuple(frame.stamp for frame in frames)
+    for n, frame in enumerate(frames):
+        rgb, depth = recording.read(n)
+        np.testing.assert_array_equal(rgb, frame.rgb)
+        np.testing.assert_allclose(depth * recording.depth_scale, np.nan_to_num(frame.depth), atol=0.51 * DEPTH_UNIT)
+    images = bop_images(tmp_path / "r")
+    np.testing.assert_allclose(images[1].read().depth, np.nan_to_num(frames[1].depth), atol=0.51 * DEPTH_UNIT)
+    assert images[1].read().intrinsics == INTRINSICS
+
+
+def test_a_recording_that_is_interrupted_is_kept(tmp_path: Path) -> None:
+    def record() -> None:
+        with RecordingWriter(tmp_path / "r", "toy", SERIAL, 30.0, INTRINSICS) as writer:
+            writer.add(toy_frames(1)[0])
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record()
+    assert len(open_recording(tmp_path / "r").stamps) == 1
+
+
+def test_a_folder_is_not_written_over(tmp_path: Path) -> None:
+    with raises(UserError, "user.not_writable"), RecordingWriter(tmp_path, "toy", SERIAL, 30.0, INTRINSICS):
+        pass
+
+
+@pytest.mark.parametrize(
+    "damage", ["no folder", "no json", "no frames", "no stamp", "no image", "other size", "a word"]
+)
+def test_what_is_no_recording_is_refused(tmp_path: Path, damage: str) -> None:
+    folder = tmp_path / "r"
+    toy_recording(folder, 2)
+    cameras = folder / "scene_camera.json"
+    if damage == "no folder":
+        folder = tmp_path / "other"
+    elif damage == "no json":
+        cameras.write_text("{")
+    elif damage == "no frames":
+        cameras.write_text("{}")
+    elif damage == "no stamp":
+        entries = json.loads(cameras.read_text())
+        del entries["1"]["stamp"]
+        cameras.write_text(json.dumps(entries))
+    elif damage == "no image":
+        (folder / "depth" / "000001.png").unlink()
+    elif damage == "a word":
+        camera = json.loads((folder / "recording.json").read_text())
+        (folder / "recording.json").write_text(json.dumps(camera | {"undistorted": "no"}))
+    else:
+        camera = json.loads((folder / "recording.json").read_text())
+        (folder / "recording.json").write_text(json.dumps(camera | {"width": 95}))
+    with raises(UserError, "user.camera_recording"):
+        open_recording(folder).read(1)
+
+
+@pytest.mark.realtime(light=True)
+def test_it_is_played_once_as_fast_as_it_was_recorded(tmp_path: Path) -> None:
+    frames = toy_recording(tmp_path / "r", 20)
+    clock = HostClock()
+    with StreamedCamera(RecordedStream(tmp_path / "r", clock), clock) as camera:
+        begin, seen, stamp = clock.now(), [], 0.0
+        with raises(StaleDataError, "stale_data.camera"):
+            while True:
+                frame = camera.newer(stamp, max_age=0.3)
+                stamp = frame.stamp
+                seen.append(frame)
+        assert len(seen) >= 15, "a few may be lost to load, no more"
+        assert seen[-1].stamp - begin > 0.5
+    np.testing.assert_array_equal(seen[-1].rgb, frames[-1].rgb)
+
+
+@dataclass(frozen=True)
+class _Clock(HostClock):
+    """It stands still but for those who wait for it."""
+
+    time: list[float] = field(default_factory=lambda: [7.0])
+
+    def now(self) -> float:
+        return self.time[0]
+
+    def sleep(self, duration: float) -> None:
+        self.time[0] += max(duration, 0.0)
+
+
+def test_its_stamps_are_the_recorded_ones(tmp_path: Path) -> None:
+    recorded, clock = [frame.stamp for frame in toy_recording(tmp_path / "r", 20)], _Clock()
+    stream = RecordedStream(tmp_path / "r", clock)
+    gate, stamps = FrameGate(stream.open()), []
+    for _ in recorded:
+        images = stream.fetch(1.0)
+        assert images is not None
+        stamps.append(gate.admit(images, clock.now()))
+    np.testing.assert_allclose(np.diff(np.array(stamps, float)), np.diff(recorded), atol=1e-9)

@@ -1,0 +1,154 @@
+"""However the servo process ends, it leaves no program that Play could resume."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.stand_in import patient, stand_in
+from toolee_robot.devices.ur.driver import UnsupervisedUrArm
+from toolee_robot.devices.ur.servo.program_watch import ProgramWatch, WatchedProgram
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.station import ArmLimits
+from toolee_robot.types import ArmModel
+
+pytestmark = pytest.mark.realtime
+
+HOST = "127.0.0.77"
+LIMITS = ArmLimits(model=ArmModel.UR10)
+WATCHDOG = 1.0 / patient(HOST).servo.watchdog
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[ControllerProcess]:
+    with stand_in(ArmModel.UR10, HOST) as process:
+        yield process
+
+
+@pytest.fixture
+def controller(shared: ControllerProcess) -> Iterator[ControllerProcess]:
+    yield shared
+    shared.fault("reset")
+
+
+def plays_in_vain(controller: ControllerProcess) -> None:
+    """After a protective stop."""
+    assert controller.state()["program_state"] == "STOPPED"
+    before = controller.state()["tick"]
+    controller.fault("unlock")
+    assert not controller.fault("play")["resumed"]
+    time.sleep(0.3)
+    assert np.ptp(controller.trace(before).q, axis=0).max() == 0.0
+
+
+def watching() -> list[int]:
+    """Ids of this process's children that watch a program."""
+    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    return [int(pid) for pid in children if b"program_watch" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+def test_an_arm_that_is_closed_without_its_link(controller: ControllerProcess) -> None:
+    with UnsupervisedUrArm(patient(HOST), LIMITS):
+        controller.fault("protective_stop")
+        controller.fault("drop", port="rtde", reset=True)
+    plays_in_vain(controller)
+    assert not watching()
+
+
+@pytest.mark.nightly  # without one of its links in every run
+def test_an_arm_that_is_closed_without_any_link_says_so(controller: ControllerProcess) -> None:
+    with ExitStack() as opened:
+        opened.enter_context(UnsupervisedUrArm(patient(HOST), LIMITS))
+        controller.fault("protective_stop")
+        for port in ("dashboard", "rtde"):
+            controller.fault("refuse", port=port)
+            controller.fault("drop", port=port, reset=True)
+        with pytest.warns(RuntimeWarning, match="stop the program at the pendant"):
+            opened.close()
+    assert controller.state()["program_state"] == "PAUSED"
+    controller.fault("accept")
+    time.sleep(1.0)
+    plays_in_vain(controller)
+
+
+def test_a_servo_process_that_dies_at_rest_unnoticed(controller: ControllerProcess) -> None:
+    with UnsupervisedUrArm(patient(HOST), LIMITS) as arm:
+        os.kill(arm.servo_pid, signal.SIGKILL)
+        controller.fault("protective_stop")
+        time.sleep(2.0 * WATCHDOG + 0.5)  # the task asks nothing meanwhile
+        plays_in_vain(controller)
+
+
+def test_task_and_servo_process_die_at_once(controller: ControllerProcess) -> None:
+    command = [sys.executable, "-m", "tests.devices.ur.swinging_task", HOST, "UR10"]
+    task = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert task.stdout is not None
+        _, servo = task.stdout.readline().split()
+        task.kill()
+        os.kill(int(servo), signal.SIGKILL)
+        controller.fault("protective_stop")
+        time.sleep(2.0 * WATCHDOG + 0.8)
+        plays_in_vain(controller)
+    finally:
+        task.kill()
+        task.wait()
+
+
+def test_servo_process_and_watch_die_at_once(controller: ControllerProcess) -> None:
+    """The task's process is left, which notices when it next uses the arm."""
+    with UnsupervisedUrArm(patient(HOST), LIMITS) as arm:
+        for pid in (*watching(), arm.servo_pid):
+            os.kill(pid, signal.SIGKILL)
+        controller.fault("protective_stop")
+    plays_in_vain(controller)
+
+
+def test_a_program_of_somebody_else_is_left_alone(controller: ControllerProcess) -> None:
+    """The driver's own has ended before; what a person starts afterwards is not the driver's to end."""
+    with UnsupervisedUrArm(patient(HOST), LIMITS) as arm:
+        controller.fault("pause")
+        time.sleep(0.5)
+        assert controller.state()["program_state"] == "STOPPED"
+        upload(controller, "def other():\n  while True:\n    sync()\n  end\nend\n")
+        os.kill(arm.servo_pid, signal.SIGKILL)
+        time.sleep(2.0 * WATCHDOG + 0.8)
+        assert controller.state()["program_state"] == "PLAYING"
+
+
+def test_a_stopped_robot_has_its_program_ended_at_once_and_a_moving_one_by_its_watchdog_first(
+    controller: ControllerProcess,
+) -> None:
+    """A program that plays is the watchdog's to end, for which the watching process waits."""
+    for stopped, delay in ((True, 60.0), (False, 4.0)):
+        upload(controller, "def ours():\n  while True:\n    sync()\n  end\nend\n")
+        watch = ProgramWatch(HOST, delay)
+        WatchedProgram(watch.fd).begun()
+        began = time.monotonic()
+        if stopped:
+            controller.fault("protective_stop")
+        watch.hand_over()
+        if not stopped:
+            time.sleep(0.5 * delay)
+            assert controller.state()["program_state"] == "PLAYING"
+        assert watch.ended(5.0)
+        assert time.monotonic() - began < 30.0
+        plays_in_vain(controller)
+        controller.fault("reset")
+
+
+def upload(controller: ControllerProcess, script: str) -> None:
+    """Start a program as another client does."""
+    with socket.create_connection((controller.host, 30002)) as sock:
+        sock.sendall(script.encode())
+        time.sleep(0.3)

@@ -1,0 +1,213 @@
+"""The person at the station, known by the robot's digital inputs: a guarded door and a hold-to-run switch.
+
+    with open_person(config, arm, clock, print) as person:
+        station = Station(arm, hand, camera, person, clock, ...)
+
+The program reads the inputs to do its part; it protects nobody. The door's safety contact belongs on the robot's
+safeguard input, which stops the robot whatever this program does.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, Self
+
+from toolee_robot.devices.person.contact import Contact
+from toolee_robot.errors import ConfigError, DeviceError
+from toolee_robot.hal import CLEAR_TIME, Arm, Clock
+from toolee_robot.station import PersonConfig, StationConfig
+
+PERIOD = 0.01
+"""Polling period of the inputs [s]."""
+MAX_AGE = 0.1
+"""Age of the newest reading above which the zone counts as occupied and the switch as released [s]."""
+CONFIRM = "To confirm, release the hold-to-run switch, press it, and release it again."
+"""What every question ends with."""
+
+
+class DigitalInputPerson:
+    """A `hal.Person` on a guarded door and a hold-to-run switch; use it in its `with` block.
+
+    The zone is empty only while the door is closed for certain, and the switch held only while it is pressed for
+    certain: an unplugged cable, contacts that disagree, inputs that cannot be read or are too old, and a person device
+    that was closed all read as occupied and not held. A question is confirmed by a press of the switch from release to
+    release within its time, which a stuck or tied switch cannot give. `release` takes it with the door closed only:
+    mount the switch so that who presses it then stands outside and sees the whole zone.
+
+    Args:
+        config: The inputs.
+        read: Returns the robot's digital inputs, bit n for input n; its argument is the largest age [s], and it raises
+            DeviceError for an older reading. Called from a thread.
+        clock: The station's clock, on the host's time.
+        tell: Shows a prompt to the person.
+    """
+
+    def __init__(
+        self, config: PersonConfig, read: Callable[[float], int], clock: Clock, tell: Callable[[str], object]
+    ) -> None:
+        self._door = Contact("door", config.door_closed_input, config.door_open_input, MAX_AGE)
+        self._switch = Contact(
+            "hold-to-run switch", config.hold_to_run_input, config.hold_to_run_released_input, MAX_AGE
+        )
+        self._read, self._clock, self._tell = read, clock, tell
+        self._stamp: float | None = None
+        self._lock = threading.Lock()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="digital inputs", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._over.set()
+        self._thread.join()
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Faults of the contacts' wiring; empty for none."""
+        with self._lock:
+            return tuple(contact.fault for contact in (self._door, self._switch) if contact.fault)
+
+    def request_handover(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
+        return self._confirmed(prompt, timeout)
+
+    def release(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`: close the door, confirm from outside; a door that opens again voids the confirmation."""
+        self._tell(f"{prompt} Leave, close the door. {CONFIRM}")
+        end = self._clock.now() + timeout
+        while self._wait(lambda: not self.zone_occupied(), end):
+            if self._pressed(end, self.zone_occupied) and self._stays_clear(end):
+                return True
+        return False
+
+    def take_tool(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
+        return self._confirmed(prompt, timeout)
+
+    def confirm_swing(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
+        return self._confirmed(prompt, timeout)
+
+    def confirm_inspection(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
+        return self._confirmed(prompt, timeout)
+
+    def hold_switch(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
+        self._tell(prompt)
+        end = self._clock.now() + timeout
+        return self._wait(self._switch_released, end) and self._wait(self.hold_to_run_held, end)
+
+    def door_closed(self) -> bool | None:
+        """Whether the door is closed; None if that is not known for certain."""
+        return self._made(self._door)
+
+    def switch_pressed(self) -> bool | None:
+        """Whether the hold-to-run switch is pressed; None if that is not known for certain."""
+        return self._made(self._switch)
+
+    def zone_occupied(self) -> bool:
+        """Whether the door is open, or not closed for certain."""
+        return self.door_closed() is not True
+
+    def hold_to_run_held(self) -> bool:
+        """Whether the hold-to-run switch is pressed for certain."""
+        return self.switch_pressed() is True
+
+    def readings_certain(self) -> bool:
+        """Whether both contacts have been read and have settled; see `hal.Person`."""
+        with self._lock:
+            return self._fresh() and all(contact.made or contact.broken for contact in (self._door, self._switch))
+
+    def _made(self, contact: Contact) -> bool | None:
+        with self._lock:
+            known = self._fresh() and (contact.made or contact.broken)
+            return contact.made if known else None
+
+    def _switch_released(self) -> bool:
+        return self.switch_pressed() is False
+
+    def _confirmed(self, prompt: str, timeout: float) -> bool:
+        self._tell(f"{prompt} {CONFIRM}")
+        return self._pressed(self._clock.now() + timeout)
+
+    def _pressed(self, end: float, given_up: Callable[[], bool] = lambda: False) -> bool:
+        """Whether the switch was released, pressed and released before `end` [s], and nothing made it void."""
+        return all(
+            self._wait(condition, end, given_up)
+            for condition in (self._switch_released, self.hold_to_run_held, self._switch_released)
+        )
+
+    def _stays_clear(self, end: float) -> bool:
+        """Whether the zone is empty from now on for CLEAR_TIME, before `end` [s]."""
+        due = self._clock.now() + CLEAR_TIME
+        return self._wait(lambda: self._clock.now() >= due, end, self.zone_occupied)
+
+    def _wait(self, condition: Callable[[], bool], end: float, given_up: Callable[[], bool] = lambda: False) -> bool:
+        while self._clock.now() <= end and not given_up():
+            if condition():
+                return True
+            self._clock.sleep(PERIOD)
+        return False
+
+    def _fresh(self) -> bool:
+        return self._stamp is not None and self._clock.now() - self._stamp <= MAX_AGE
+
+    def _run(self) -> None:
+        while not self._over.wait(PERIOD):
+            now = self._clock.now()
+            try:
+                bits = self._read(MAX_AGE)
+            except DeviceError:
+                bits = None
+            with self._lock:
+                if bits is None:
+                    self._stamp = None
+                    self._door.lose()
+                    self._switch.lose()
+                else:
+                    self._stamp = now
+                    self._door.update(bits, now)
+                    self._switch.update(bits, now)
+
+
+def open_person(config: StationConfig, arm: Arm, clock: Clock, tell: Callable[[str], object]) -> DigitalInputPerson:
+    """Make the person of a station from its station file, on the arm's digital inputs.
+
+    Args:
+        config: Configuration of the station.
+        arm: The arm, entered before the person and left after it.
+        clock: The station's clock, on the host's time.
+        tell: Shows a prompt to the person.
+
+    Returns:
+        The person, not yet entered.
+
+    Raises:
+        ConfigError: The station file names no inputs; code `config.no_person`.
+    """
+    return DigitalInputPerson(check_wired(config), lambda age: arm.state(age).digital_inputs, clock, tell)
+
+
+def check_wired(config: StationConfig) -> PersonConfig:
+    """Look up the inputs of a station's person.
+
+    Args:
+        config: Configuration of the station.
+
+    Returns:
+        The inputs.
+
+    Raises:
+        ConfigError: The station file names none; code `config.no_person`.
+    """
+    if config.person is None:
+        raise ConfigError(
+            "the station file has no `person`: enter the inputs of door and hold-to-run switch; without them nobody "
+            "knows where people are, and nothing fast moves",
+            code="config.no_person",
+        )
+    return config.person

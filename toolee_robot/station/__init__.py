@@ -1,0 +1,66 @@
+"""Configuration of a station and of the job as frozen dataclasses, optionally loaded from a YAML station file.
+
+    from toolee_robot.station import StationConfig, load_station, read_station
+    config = StationConfig()                 # the simulated station
+    config = load_station(Path("lab.yaml"))  # another station in simulation: any subset of the fields
+    config = load_lab_station(Path("lab.yaml"))  # a real robot's: nothing that is measured has a default
+
+The records hold everything that is measured once per station: the poses of camera, stand and nail, the limits, and the
+calibration. Lengths are in metres and angles in radians unless a field states otherwise.
+"""
+
+from toolee_robot.station.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
+from toolee_robot.station.camera_device import CameraDevice
+from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
+from toolee_robot.station.intrinsics_record import given_by_intrinsics
+from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig
+from toolee_robot.station.measured import MEASURED, given_by_nails, given_by_pose, load_lab_station, unmeasured
+from toolee_robot.station.mounting import UPRIGHT_WITHIN, check_upright
+from toolee_robot.station.obstacle import Obstacle
+from toolee_robot.station.person import PersonConfig
+from toolee_robot.station.robot import ArmLimits, HandConfig
+from toolee_robot.station.servo import ServoConfig, servo_lag
+from toolee_robot.station.setup import JobSetup, with_setup
+from toolee_robot.station.station import StationConfig, load_station, read_station
+from toolee_robot.station.tool import ToolData
+from toolee_robot.station.version import VERSION, check_current, is_current
+from toolee_robot.station.work import ONLY_NAIL, NailConfig, WorkConfig
+
+__all__ = [
+    "MEASURED",
+    "ONLY_NAIL",
+    "SIMULATED",
+    "SIMULATED_CALIBRATION",
+    "UPRIGHT_WITHIN",
+    "VERSION",
+    "ArmLimits",
+    "CalibrationConfig",
+    "CameraConfig",
+    "CameraDevice",
+    "HandConfig",
+    "JobSetup",
+    "NailConfig",
+    "Obstacle",
+    "PersonConfig",
+    "SceneConfig",
+    "ServoConfig",
+    "StationConfig",
+    "StrikeConfig",
+    "SupervisorConfig",
+    "TaskConfig",
+    "ToolData",
+    "ToolEnvelope",
+    "WorkConfig",
+    "check_current",
+    "check_upright",
+    "given_by_intrinsics",
+    "given_by_nails",
+    "given_by_pose",
+    "is_current",
+    "load_lab_station",
+    "load_station",
+    "read_station",
+    "servo_lag",
+    "unmeasured",
+    "with_setup",
+]

@@ -1,0 +1,118 @@
+"""The robot: the arm's model and joint limits, and the hand on its flange."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from toolee_robot.frames import Array
+from toolee_robot.station.values import STRICT, Positive
+from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandEfforts, HandMounting, HandWeight, ToolMount
+
+GRAVITY = 9.81
+"""Standard acceleration of free fall [m/s^2], as Pinocchio and the simulation have it."""
+
+
+@dataclass(frozen=True)
+class ArmLimits:
+    """The arm's model, its calibration, and the joint limits that the planner may use.
+
+    Velocities are those of the UR10's data sheet: base and shoulder 120 deg/s, the other joints 180 deg/s.
+    Accelerations are not published; 8 rad/s^2 is a common choice. With the default of 15 rad/s^2 for strikes the
+    elbow, which carries most of a strike's load, takes up to 90 % of its 150 Nm while the arm brakes (inverse dynamics
+    of arm, hand and a 0.9 kg hammer), and no strike is planned with more.
+    """
+
+    __pydantic_config__ = STRICT
+    model: ArmModel = ArmModel.UR10
+    """Model of the arm."""
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """How the base is mounted: the direction straight up, against gravity, in `base`; any length. (0, 0, 1) on a table,
+    (0, 0, -1) under a ceiling. The script of a program that the teach pendant saves has it as `set_gravity`, in the
+    pendant's Base."""
+    host: str | None = None
+    """Address of the arm's controller; null for the simulated arm. `toolee hammer --station` connects to it."""
+    calibration: DhCalibration | None = None
+    """Factory calibration of this arm, from its controller's calibration.conf; None for the model's nominal kinematics,
+    which are a millimetre or two off."""
+    velocity: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
+    """Largest velocity of each joint, base to wrist 3 [rad/s]."""
+    acceleration: Positive = 15.0
+    """Largest acceleration of every joint in a strike [rad/s^2]."""
+    jerk: Positive = 500.0
+    """Largest jerk of every joint [rad/s^3]."""
+    stop_acceleration: Positive = 15.0
+    """Largest acceleration of every joint while braking after a contact or a stop [rad/s^2]."""
+    stop_jerk: Positive = 1500.0
+    """Largest jerk of every joint while braking after a contact or a stop [rad/s^3]."""
+    transfer_velocity_scale: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Share of `velocity` used for transfers through free space: 60 deg/s of the large joints, PolyScope's default."""
+    transfer_acceleration: Positive = 3.0
+    """Largest acceleration of every joint in a transfer [rad/s^2]."""
+
+    def __post_init__(self) -> None:
+        if np.linalg.norm(self.up) < 1e-6:
+            raise ValueError("up is no direction: give the one straight up in the base, (0, 0, 1) on a table")
+
+    @property
+    def gravity(self) -> Array:
+        """Acceleration of free fall in `base`, (3,) [m/s^2]."""
+        return -GRAVITY * np.array(self.up) / np.linalg.norm(self.up)
+
+    @property
+    def tilt(self) -> float:
+        """Angle between z of `base` and straight up [rad]; 0 for an upright base, pi under a ceiling."""
+        x, y, z = self.up
+        return float(np.arctan2(np.hypot(x, y), z))
+
+
+@dataclass(frozen=True)
+class HandConfig:
+    """The hand on the flange, or a tool mount without a hand."""
+
+    __pydantic_config__ = STRICT
+    model: str = "shadow_right"
+    """Name of the hand, one of those that `toolee devices list` prints; `mount` for a tool mount without a hand."""
+    yield_torque: Positive | None = None
+    """Torque at which the wrist or the mount gives way in a strike [Nm]; null for the hand's own. A mount needs it."""
+    weighed: HandWeight | None = None
+    """Mass and centre of mass of all that hangs on the flange without a tool; null for those of the hand's model. A
+    mount's are in `mount`."""
+    mount: ToolMount | None = None
+    """The tool mount, for the model `mount` only; every one of its fields must be measured."""
+    mounting: HandMounting | None = None
+    """How the hand sits on the flange, for a hand that every lab screws on in its own way (`inspire_rh56`); every one
+    of its fields must be measured. Null for the others."""
+    port: str | None = None
+    """Where the hand's driver finds it: a serial port, such as `/dev/serial/by-id/...`, `tcp://HOST:PORT` of an Inspire
+    hand with Ethernet, or `ws://HOST:9090` of the rosbridge of `shadow_right`; null for a simulated hand, and for one
+    without a port."""
+    efforts: HandEfforts | None = None
+    """What the hand's efforts mean, for the driver of `shadow_right`, whose maker does not say so; every one of its
+    fields must be measured. Null for the others, and for the simulated hand."""
+    strap_force: Positive | None = None
+    """Force with which a strap presses the handle into the hand [N], for a hand whose fingers do not hold a hammer that
+    strikes; null without a strap. The simulated grip counts it with the fingers' forces."""
+    hand_id: Annotated[int, Field(ge=1, le=254)] | None = None
+    """Number of the hand on its line, of Modbus its unit identifier; null for the one with which its maker delivers it:
+    1 for `inspire_rh56`, 80 for `ability_hand`."""
+
+    def __post_init__(self) -> None:
+        if self.model != MOUNT:
+            if self.mount is not None:
+                raise ValueError(f"mount is for the model {MOUNT!r} only, not for {self.model!r}")
+            return
+        if self.weighed is not None:
+            raise ValueError("weighed is for a hand: of a mount give mount.mass and mount.center_of_mass")
+        if any(given is not None for given in (self.mounting, self.port, self.strap_force, self.efforts)):
+            raise ValueError(f"mounting, port, efforts and strap_force are for hands, not for the model {MOUNT!r}")
+        missing = []
+        if self.yield_torque is None:
+            missing.append("hand.yield_torque")
+        if self.mount is None:
+            missing.extend(f"hand.mount.{field.name}" for field in fields(ToolMount))
+        if missing:
+            raise ValueError(f"a mount has no defaults; measure yours and give {', '.join(missing)}")

@@ -1,0 +1,179 @@
+"""The record of a whole station, and its loader."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from toolee_robot.errors import ConfigError
+from toolee_robot.runtime.yaml_files import read_yaml, to_record
+from toolee_robot.station.calibration import SIMULATED_CALIBRATION, CalibrationConfig
+from toolee_robot.station.calibration_record import check_place, check_record, take_record
+from toolee_robot.station.camera_pose import take_camera_pose
+from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
+from toolee_robot.station.intrinsics_record import take_intrinsics
+from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig
+from toolee_robot.station.person import PersonConfig
+from toolee_robot.station.robot import ArmLimits, HandConfig
+from toolee_robot.station.servo import ServoConfig
+from toolee_robot.station.station_frame import take_frame, to_base
+from toolee_robot.station.tool import ToolData
+from toolee_robot.station.units import check_units
+from toolee_robot.station.values import STRICT
+from toolee_robot.station.version import FIELD, is_current
+from toolee_robot.station.work import WorkConfig
+
+IN_TABLE = 0.02
+"""Depth under the table's top at which no block stands, whatever the errors of both heights [m]."""
+
+
+@dataclass(frozen=True)
+class StationConfig:
+    """Configuration of a whole station; the defaults describe the simulated one."""
+
+    __pydantic_config__ = STRICT
+    calibration: CalibrationConfig | None = SIMULATED_CALIBRATION
+    """Record of the camera's calibration; None for an uncalibrated station, which every job refuses."""
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    """Pose and intrinsics of the fixed camera."""
+    work: WorkConfig = field(default_factory=WorkConfig)
+    """The block, its stand and the nails."""
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    """Obstacles, home posture, handover pose and workspace."""
+    arm: ArmLimits = field(default_factory=ArmLimits)
+    """The arm's model and the limits of the planner."""
+    servo: ServoConfig = field(default_factory=ServoConfig)
+    """Parameters of the arm's servo, its measured lag, and the driver's timeouts."""
+    hand: HandConfig = field(default_factory=HandConfig)
+    """The hand on the flange."""
+    tool: ToolData | None = None
+    """The hammer that a person hands over; null for the simulated station, which hands over one of its own. Of that one
+    it leaves untold what is null here."""
+    tool_envelope: ToolEnvelope = field(default_factory=ToolEnvelope)
+    """What encloses the tool in collision checks."""
+    strike: StrikeConfig = field(default_factory=StrikeConfig)
+    """Parameters of a strike and of the guarded touch."""
+    task: TaskConfig = field(default_factory=TaskConfig)
+    """Decision thresholds of the hammering job."""
+    supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
+    """Bounds that the supervisor enforces on every motion."""
+    person: PersonConfig | None = None
+    """Digital inputs of the guarded door and the hold-to-run switch; null for a station without: a real arm has no
+    person device then, and nothing fast moves. The simulated person needs none."""
+
+    def __post_init__(self) -> None:
+        if self.strike.speed > self.supervisor.unattended_speed:
+            raise ValueError(
+                f"strike.speed {self.strike.speed} is more than supervisor.unattended_speed "
+                f"{self.supervisor.unattended_speed}: every strike would be refused"
+            )
+        below = self.scene.table_height - self.work.stand_height
+        if below > IN_TABLE:
+            raise ValueError(
+                f"work.stand_height {self.work.stand_height} is {below * 1e3:.0f} mm under the table's top, "
+                f"scene.table_height {self.scene.table_height}: both are heights over the base plane"
+            )
+        self._check_spacing()
+
+    def _check_spacing(self) -> None:
+        """Refuse nails so near to each other that the hammer's head meets the next one."""
+        for a, b in combinations(self.work.all_nails, 2):
+            assert a.head_diameter is not None
+            assert b.head_diameter is not None
+            distance = math.dist(a.xy, b.xy)
+            least = self.tool_envelope.head_radius + max(a.head_diameter, b.head_diameter) / 2
+            if distance < least:
+                raise ValueError(
+                    f"the nails {a.name} and {b.name} are {distance * 1e3:.1f} mm apart: {least * 1e3:.1f} mm or more "
+                    "are needed (tool_envelope.head_radius and half a nail's head), or the hammer meets both"
+                )
+
+
+def read_station(path: Path) -> Any:
+    """Read what a station file holds, as it is.
+
+    Args:
+        path: The YAML file.
+
+    Returns:
+        Its mapping, empty for an empty file.
+
+    Raises:
+        ConfigError: The file is missing, or cannot be read.
+    """
+    if not path.exists():
+        raise ConfigError(
+            f"there is no station file {path}: `toolee station new {path}` asks for what it needs",
+            code="config.unreadable",
+        )
+    return read_yaml(path, "station's file") or {}
+
+
+def load_station(path: Path) -> StationConfig:
+    """Load a station file.
+
+    Args:
+        path: YAML file with any subset of the fields of `StationConfig`, and `frame`, the `BaseFrame` of its positions,
+            which a file that gives any must name; omitted fields keep their defaults. It needs no `version`; one that
+            it gives must be this program's.
+
+    Returns:
+        The validated configuration, its positions in `base`.
+
+    Raises:
+        ConfigError: The file cannot be read, or is of an unknown version, or a field is invalid (the message lists
+            every one), or positions are given and no frame is named, or the camera's pose is given twice or cannot be
+            one, or a size is in another unit, or the calibration is of another place.
+    """
+    return to_station(read_station(path), path)
+
+
+def to_station(data: Any, path: Path) -> StationConfig:
+    """Convert what a station file holds.
+
+    Args:
+        data: Its mapping, from `read_station`.
+        path: The file, for the errors.
+
+    Returns:
+        The validated configuration, its positions in `base`.
+
+    Raises:
+        ConfigError: As `load_station`.
+    """
+    what = "station"
+    if not isinstance(data, dict):
+        return to_record(data, path, StationConfig, what)
+    is_current(data, path)  # refuses an unknown one
+    data = {name: value for name, value in data.items() if name != FIELD}
+    frame = take_frame(data)
+    data, record = take_record(_first_nail(data), path)
+    data = take_intrinsics(data, path)
+    data = take_camera_pose(data, frame, path)
+    config = to_record(data, path, StationConfig, what)
+    if (converted := to_base(data, frame)) is not data:
+        config = to_record(converted, path, StationConfig, what)
+    check_units(config, path)
+    if record is None:
+        return config
+    check_record(record, config.camera.intrinsics, config.camera.distortion, config.arm.calibration, path)
+    measured = config.camera.measured_pose is not None
+    if measured or "position" in (data.get("camera") or {}):
+        told_by = "camera.X_base_camera" if measured else "camera.position"
+        check_place(record, config.camera.center, told_by, frame, path)
+    return replace(config, camera=replace(config.camera, pose=record.X_base_camera))
+
+
+def _first_nail(data: dict[str, Any]) -> dict[str, Any]:
+    """Name the place of the first of several nails, which a file with a list of them leaves out."""
+    work = data.get("work")
+    if not isinstance(work, dict) or "nail_xy" in work:
+        return data
+    nails = work.get("nails")
+    first = nails[0] if isinstance(nails, list) and nails else None
+    if not isinstance(first, dict) or "xy" not in first:
+        return data
+    return data | {"work": {"nail_xy": first["xy"], **work}}

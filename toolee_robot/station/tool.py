@@ -1,0 +1,78 @@
+"""The tool that a person hands over, as its data sheet or a ruler and scales tell it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from toolee_robot.frames import Array, frame_from_axes
+from toolee_robot.station.values import STRICT, Positive
+
+
+@dataclass(frozen=True)
+class ToolData:
+    """A hammer, measured. No field has a default: nobody but the lab knows its hammer.
+
+    Its frame `tool`: origin on the handle's axis where the hand holds it, z along the handle towards the head, x to the
+    side that strikes. How the tool really lies in the hand is what the camera finds out. What nobody has measured is
+    null: then the arm weighs the tool in the hand, and the camera looks for a face of which nothing is known
+    (docs/how-to/unknown_hammer.md).
+    """
+
+    __pydantic_config__ = STRICT
+    name: str
+    """What people call it."""
+    grip_radius: Positive | None
+    """Radius of the handle where the hand holds it [m]; of an oval one the mean. Null: unknown."""
+    face: tuple[float, float, float] | None
+    """Middle of the striking face in `tool` [m]. Null, together with `face_normal`: unknown."""
+    face_normal: tuple[float, float, float] | None
+    """Direction in which the face strikes, in `tool`; any length."""
+    mass: Positive | None
+    """Mass of the whole tool [kg]. Null, together with `center_of_mass`: the arm weighs it."""
+    center_of_mass: tuple[float, float, float] | None
+    """Centre of mass of the whole tool in `tool` [m]."""
+
+    def __post_init__(self) -> None:
+        for one, other in (("face", "face_normal"), ("mass", "center_of_mass")):
+            if (getattr(self, one) is None) != (getattr(self, other) is None):
+                raise ValueError(f"{one} and {other} belong together: give both, or null for both")
+        if self.face is None or self.face_normal is None:
+            return
+        normal = np.asarray(self.face_normal)
+        if np.linalg.norm(normal[:2]) < 1e-6:
+            raise ValueError("face_normal is no direction beside the handle: a hammer strikes to the side, such as x")
+        x, y, z = self.face
+        if z <= np.hypot(x, y):
+            raise ValueError(
+                f"face {list(self.face)} is not at the end of the handle, which is the z axis: x to the side that "
+                "strikes, z along the handle towards the head"
+            )
+
+    @property
+    def X_tool_face(self) -> Array | None:
+        """Pose of the striking face, (4, 4): z is its normal, x points towards the handle's butt; None if unknown."""
+        if self.face is None or self.face_normal is None:
+            return None
+        return frame_from_axes(z=np.asarray(self.face_normal), x=np.array([0.0, 0.0, -1.0]), p=self.face)
+
+    @property
+    def weight_in_words(self) -> str:
+        """Its mass, for people."""
+        return "weighed by the arm" if self.mass is None else f"{self.mass:g} kg"
+
+    def unmeasured_as(self, other: ToolData | None) -> ToolData:
+        """Leave out what is not measured of another tool, for a cell that stands in for that tool's.
+
+        Args:
+            other: The other tool; None: everything stays.
+
+        Returns:
+            This tool's data, null where the other's are.
+        """
+        if other is None:
+            return self
+        unknown: dict[str, Any] = {field.name: None for field in fields(self) if getattr(other, field.name) is None}
+        return replace(self, **unknown)
