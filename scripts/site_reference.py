@@ -117,21 +117,21 @@ def _summary(record: type[Any]) -> str:
 
 
 def command_line() -> str:
-    """The help of `toolee` and of each of its commands."""
-    return "\n\n".join(_command(()))
+    """The help of `toolee`, of its groups and of each of their commands."""
+    from toolee_robot.cli.app import command_paths
 
-
-def _command(path: tuple[str, ...]) -> Iterator[str]:
-    text = command_help(path)
-    head, _, tail = text.partition("\n\n options\n")
-    usage, *prose = head.split("\n\n")
-    if path:
-        options = "\n".join(tail.split("\n\n subcommands\n")[0].splitlines()[1:])
-        title = f"{'#' * (1 + len(path))} toolee {' '.join(path)}"
-        yield "\n\n".join([title, *map(_paragraph, prose), f"```text\n{usage}\n\n{options}\n```"])
-    children = re.search(r"\{([a-z,-]+)\}$", " ".join(usage.split()))
-    for child in children[1].split(",") if children else ():
-        yield from _command((*path, child))
+    shown: list[str] = []
+    group = ""
+    for path in command_paths():
+        if path[0] != group and len(path) == 2:
+            shown.append(f"## toolee {path[0]}\n\n```text\n{command_help(path[:1])}\n```")
+        group = path[0]
+        head, _, options = command_help(path).partition("\n\n options\n")
+        usage, *prose = head.split("\n\n")
+        shown.append(f"{'#' * (1 + len(path))} toolee {' '.join(path)}")
+        shown.extend(map(_paragraph, prose))
+        shown.append(f"```text\n{usage}\n\n" + "\n".join(options.splitlines()[1:]) + "\n```")
+    return "\n\n".join(shown)
 
 
 def _paragraph(text: str) -> str:

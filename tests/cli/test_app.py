@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
+import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
 import pytest
 
-from toolee_robot.cli.app import run
+from toolee_robot.cli.app import command_paths, run
 from toolee_robot.cli.hammering.command import Hammer
 
 pytestmark = pytest.mark.sim
@@ -54,8 +58,12 @@ def _frame_args(
 @pytest.mark.parametrize(
     ("args", "expected_text"),
     [
-        ([], "hammer, estimate, annotate, arm, bench"),
-        (["hamer"], "hamer"),
+        ([], "usage: toolee COMMAND"),
+        (["hamer"], "did you mean `toolee hammer`?"),
+        (["arm", "mvoe"], "did you mean `toolee arm move`?"),
+        (["freedrive"], "did you mean `toolee arm freedrive`?"),
+        (["no-such-thing"], "`toolee --help` lists the commands"),
+        (["arm"], "usage: toolee arm COMMAND"),
         (["hammer", "--sed", "3"], "--seed"),
         (["hammer", "--seed", "three"], "--seed"),
         (["hammer", "--seed", "-1"], "--seed -1"),
@@ -132,8 +140,7 @@ def test_json_tells_the_users_fault_on_its_line_too(
     monkeypatch.chdir(files)
     assert run(["hammer", "--config", "lab.yaml", "--seed", "4", "--json"]) == 2
     line = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert (line["success"], line["outcome"], line["seed"]) == (False, "user_error", 4)
-    assert "nail_diametre" in line["reason"]
+    assert "nail_diametre" in line["error"]["message"]
 
 
 @pytest.mark.parametrize("command", ["hammer", "estimate", "bench", "doctor"])
@@ -145,8 +152,52 @@ def test_help_is_quick_and_shows_how(command: str, tmp_path: Path) -> None:
     assert not done.stderr
 
 
-def test_help_does_not_load_the_heavy_libraries(tmp_path: Path) -> None:
-    code = "import sys, toolee_robot.cli.app; print([m for m in ('torch', 'pybullet', 'cv2') if m in sys.modules])"
+def test_options_that_are_refused_are_an_error_for_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        run(["arm", "move", "--jiont", "1", "--json"])
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["error"]["code"] == "user.option"
+    assert "--joint" in captured.err
+
+
+def test_every_command_is_one_line_of_its_groups_help_on_one_screen(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    groups = {path[0] for path in command_paths() if len(path) == 2}
+    for words in ((), *((group,) for group in sorted(groups))):
+        with pytest.raises(SystemExit):
+            run([*words, "--help"])
+        lines = capsys.readouterr().out.splitlines()
+        assert all(len(line) <= 80 for line in lines), words
+        for name in {path[len(words)] for path in command_paths() if path[: len(words)] == words}:
+            assert sum(line.startswith(f"  {name} ") for line in lines) == 1, (words, name)
+
+
+def test_a_line_end_of_a_docstring_breaks_no_help(capsys: pytest.CaptureFixture[str]) -> None:
+    @dataclass(frozen=True)
+    class Broken:
+        """Do it. Exit code 0: done;
+        2: bad input.
+
+        Another paragraph.
+        """
+
+        place: str = ""
+        """Where it is
+        (in metres)."""
+
+    from toolee_robot.cli import app
+
+    with pytest.raises(SystemExit):
+        app._parse_options(cast(type[app.Command], Broken), ("broken",), ["--help"])
+    printed = capsys.readouterr().out
+    assert "done; 2: bad input.\n\nAnother" in printed
+    assert "Where it is (in metres)." in printed
+
+
+def test_help_imports_no_command(tmp_path: Path) -> None:
+    code = "import sys, toolee_robot.cli.app; print([m for m in ('tyro', 'numpy', 'rich') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
     assert done.stdout.strip() == "[]"
 
@@ -169,7 +220,7 @@ def test_missing_weights_are_a_failed_job_that_names_the_file(
     assert run([*_frame_args(), "--json"]) == 1
     captured = capsys.readouterr()
     assert "scene/segmentation" in captured.err.replace("\n", "")
-    assert not captured.out
+    assert "scene/segmentation" in json.loads(captured.out)["error"]["message"]
 
 
 @pytest.mark.parametrize(("module", "is_bug"), [("pybullet.utils", False), ("toolee_robot.nowhere", True)])
@@ -186,6 +237,16 @@ def test_a_package_that_is_not_installed_is_named_and_a_missing_module_of_our_ow
         return
     assert run(["hammer", "--json"]) == 2
     captured = capsys.readouterr()
-    assert json.loads(captured.out)["code"] == "user.missing_package"
+    assert json.loads(captured.out)["error"]["code"] == "user.missing_package"
     assert module in captured.err
     assert "python -m pip install -e ." in captured.err
+
+
+@pytest.mark.parametrize("delay", [0.15, 0.4, 1.0])
+def test_ctrl_c_during_the_imports_is_no_traceback(delay: float, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from toolee_robot.cli import main; main()", "doctor"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (130, "Interrupted.\n")

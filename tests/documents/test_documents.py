@@ -9,11 +9,11 @@ import re
 from pathlib import Path
 
 import pytest
-import tyro
 
 from scripts.site_reference import PAGES, records
 from tests.documents.blocks import DOCUMENTS, ROOT, blocks, commands
 from toolee_robot.cli import app
+from toolee_robot.errors import UserError
 from toolee_robot.station import StationConfig
 from toolee_robot.station.field_docs import field_docs
 
@@ -21,9 +21,11 @@ from toolee_robot.station.field_docs import field_docs
 def exit_code(words: list[str]) -> int | str | None:
     """What the argument parser makes of `toolee WORDS`: 0 also where a command would begin."""
     try:
-        tyro.cli(app.Command, prog="toolee", args=words, config=(tyro.conf.FlagCreatePairsOff,))
+        app.parse(words)
     except SystemExit as end:
         return end.code
+    except UserError:
+        return app.EXIT_USER
     return 0
 
 

@@ -1,5 +1,46 @@
 """The command line, `toolee`; the only layer that knows whether a station is simulated."""
 
-from toolee_robot.cli.app import main
+from __future__ import annotations
 
-__all__ = ["main"]
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+
+EXIT_INTERRUPTED = 130
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run `toolee` and exit with the command's exit code.
+
+    Until the command starts, nothing moves, and Ctrl-C ends the process at once: whatever was being imported.
+
+    Args:
+        args: The arguments; None for those of the process.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _leave)
+    from toolee_robot.cli.app import EXIT_FAILED, run
+
+    try:
+        code = run(args, start=_may_move)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader of the output has closed the pipe (`| head`): prevent an error in the interpreter's final flush.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = EXIT_FAILED
+    finally:
+        _may_move()
+    sys.exit(code)
+
+
+def _leave(_signum: int, _frame: FrameType | None) -> None:
+    os.write(2, b"Interrupted.\n")
+    os._exit(EXIT_INTERRUPTED)
+
+
+def _may_move() -> None:
+    """From here on Ctrl-C is an exception, at which the arm is stopped."""
+    if signal.getsignal(signal.SIGINT) is _leave:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

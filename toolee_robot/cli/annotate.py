@@ -95,3 +95,6 @@ def _row(name: str, end: Any) -> dict[str, Any]:
         "checks": [asdict(c) | {"agrees": c.agrees} for c in end.checks],
         "cells": cells,
     }
+
+
+COMMANDS = {"": Annotate}

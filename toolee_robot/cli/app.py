@@ -1,106 +1,68 @@
-"""Entry point: parses the arguments, runs the command, converts errors to messages and exit codes.
+"""Entry point: finds the command, parses its options, runs it, converts errors to messages and exit codes.
 
 Exit codes: 0 done; 1 the job failed; 2 invalid input (an option, a file); 130 interrupted (the arm was stopped).
+
+`toolee --help` imports no command, and `toolee GROUP ...` only the group's module. Such a module has `COMMANDS`: the
+class of each command by its name, with an empty name for a group that is itself the command. The module's docstring
+is the group's help, the class's docstring the command's.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import sys
-from collections.abc import Sequence
-from types import FrameType
-from typing import Annotated
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
+from types import FrameType, ModuleType
+from typing import Protocol
 
-import tyro
-from rich.console import Console
-from rich.markup import escape
-
-from toolee_robot.cli.annotate import Annotate
-from toolee_robot.cli.arm.command import Arm
-from toolee_robot.cli.bench.bent_nails import BenchBentNails
-from toolee_robot.cli.bench.calibration import BenchCalibration
-from toolee_robot.cli.bench.command import Bench
-from toolee_robot.cli.bench.nail import BenchNail
-from toolee_robot.cli.bench.servo import BenchServo
-from toolee_robot.cli.bench.swing import BenchSwing
-from toolee_robot.cli.calibrate.command import Calibrate
-from toolee_robot.cli.camera.command import Camera
-from toolee_robot.cli.dataset import Dataset
-from toolee_robot.cli.devices import Devices
-from toolee_robot.cli.doctor import Doctor
-from toolee_robot.cli.estimate import Estimate
-from toolee_robot.cli.evaluate import Evaluate
-from toolee_robot.cli.faults import Faults
-from toolee_robot.cli.hammering.command import Hammer
-from toolee_robot.cli.hand.command import Hand
-from toolee_robot.cli.hand_emulator import HandEmulator
-from toolee_robot.cli.replaying.replay import Replay
-from toolee_robot.cli.replaying.runs import Runs
-from toolee_robot.cli.station.command import Station
-from toolee_robot.cli.train.command import Train
-from toolee_robot.cli.trials import Trials
-from toolee_robot.cli.ur_controller import UrController
+from toolee_robot.cli import EXIT_INTERRUPTED
 from toolee_robot.errors import TooleeError, UserError
 
-EXIT_FAILED, EXIT_USER, EXIT_INTERRUPTED = 1, 2, 130
+EXIT_FAILED, EXIT_USER = 1, 2
 
-Command = (
-    Annotated[Hammer, tyro.conf.subcommand("hammer")]
-    | Annotated[Estimate, tyro.conf.subcommand("estimate")]
-    | Annotated[Annotate, tyro.conf.subcommand("annotate")]
-    | Annotated[Arm, tyro.conf.subcommand("arm")]
-    | Annotated[Bench, tyro.conf.subcommand("bench")]
-    | Annotated[BenchCalibration, tyro.conf.subcommand("bench-calibration")]
-    | Annotated[BenchNail, tyro.conf.subcommand("bench-nail")]
-    | Annotated[BenchBentNails, tyro.conf.subcommand("bench-bent-nails")]
-    | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
-    | Annotated[BenchSwing, tyro.conf.subcommand("bench-swing")]
-    | Annotated[Camera, tyro.conf.subcommand("camera")]
-    | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
-    | Annotated[Dataset, tyro.conf.subcommand("dataset")]
-    | Annotated[Devices, tyro.conf.subcommand("devices")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-    | Annotated[Faults, tyro.conf.subcommand("faults")]
-    | Annotated[Hand, tyro.conf.subcommand("hand")]
-    | Annotated[HandEmulator, tyro.conf.subcommand("hand-emulator")]
-    | Annotated[Replay, tyro.conf.subcommand("replay")]
-    | Annotated[Runs, tyro.conf.subcommand("runs")]
-    | Annotated[Station, tyro.conf.subcommand("station")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Trials, tyro.conf.subcommand("trials")]
-    | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
-)
+GROUPS: dict[str, tuple[str, str]] = {
+    "hammer": ("hammering.command", "Take a hammer from a person, look at it, and drive the nail"),
+    "station": ("station.command", "Write, check, show and upgrade the station file of a lab"),
+    "doctor": ("doctor", "Check a station before any motion: robot, devices, computer"),
+    "arm": ("arm.command", "Move a UR arm slowly, for its bring-up"),
+    "hand": ("hand.command", "Read, open or close the hand of a station"),
+    "camera": ("camera.command", "Find, show, record and check an RGB-D camera"),
+    "calibrate": ("calibrate.command", "Measure where camera, tool tip and nail are"),
+    "trials": ("trials", "Run the jobs of a plan, and write their report"),
+    "replay": ("replaying.replay", "Show a recorded run"),
+    "runs": ("replaying.runs", "List recorded runs"),
+    "estimate": ("estimate", "Find tools and their poses in your own RGB-D files"),
+    "annotate": ("annotate", "Click the tools in your own frames, to test on them"),
+    "dataset": ("dataset", "Make a synthetic data set, look at it, check it"),
+    "train": ("train.command", "Train the perception's networks"),
+    "evaluate": ("evaluate", "Measure the perception on a data set"),
+    "devices": ("devices", "List the drivers that a station file may name"),
+    "hand-emulator": ("hand_emulator", "Emulate a hand for its driver"),
+    "ur-controller": ("ur_controller", "Stand in for a UR controller"),
+    "faults": ("faults", "Inject faults into arm, supervisor and task"),
+    "bench": ("bench.command", "Measure latencies here"),
+    "bench-calibration": ("bench.calibration", "Measure the camera's calibration"),
+    "bench-nail": ("bench.nail", "Measure how well the camera locates a nail"),
+    "bench-bent-nails": ("bench.bent_nails", "Measure how well the camera sees bent nails"),
+    "bench-servo": ("bench.servo", "Measure the servo's timing and tracking"),
+    "bench-swing": ("bench.swing", "Measure planned swings"),
+}
+"""Name of a group -> its module in this package, and one line for `toolee --help`."""
 
-AnyCommand = (
-    Hammer
-    | Estimate
-    | Annotate
-    | Arm
-    | Bench
-    | BenchCalibration
-    | BenchNail
-    | BenchBentNails
-    | BenchServo
-    | BenchSwing
-    | Camera
-    | Calibrate
-    | Dataset
-    | Devices
-    | Doctor
-    | Evaluate
-    | Faults
-    | Hand
-    | HandEmulator
-    | Replay
-    | Runs
-    | Station
-    | Train
-    | Trials
-    | UrController
-)
+
+class Command(Protocol):
+    """A command with its options: a dataclass. With a field `json` its errors are told as JSON, too."""
+
+    def run(self) -> int:
+        """Run it and return the exit code."""
+
+
+def run(self) -> int:
+    """Run it and return the exit code."""
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -109,6 +71,8 @@ def main(args: Sequence[str] | None = None) -> None:
     Args:
         args: The arguments; None for those of the process.
     """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _leave)  # nothing moves before `run` starts the command
     _let_threads_sleep()
     try:
         code = run(args)
@@ -120,39 +84,129 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(code)
 
 
-def run(args: Sequence[str] | None = None) -> int:
+def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: None) -> int:
     """Run `toolee` and return the exit code; only the parser itself exits (0 for --help, 2 for a bad option).
 
     Args:
         args: The arguments; None for those of the process.
+        start: Called before the command runs.
     """
-    command: AnyCommand = tyro.cli(
-        Command,
-        prog="toolee",
-        description="A robot that is handed a hammer, looks at it, and drives the nail.",
-        args=args,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
-    console = Console(stderr=True, highlight=False)
+    _let_threads_sleep()
+    words = sys.argv[1:] if args is None else list(args)
+    as_json = "--json" in words
     previous = signal.signal(signal.SIGTERM, _terminate)  # SIGTERM stops the arm as Ctrl-C does
     try:
+        command = parse(words)
+        as_json = getattr(command, "json", False)
+        start()
         return command.run()
+    except SystemExit as stop:
+        if as_json and stop.code == EXIT_USER:
+            _print_error("user.option", "invalid options: standard error says which")
+        raise
     except UserError as error:
-        _complain(console, command, error, "user_error")
+        _complain(error, as_json)
         return EXIT_USER
     except TooleeError as error:
-        _complain(console, command, error, "error")
+        _complain(error, as_json)
         return EXIT_FAILED
     except ModuleNotFoundError as error:
         if not _of_other_package(error):
             raise
-        _complain(console, command, _missing_package(error), "user_error")
+        _complain(_missing_package(error), as_json)
         return EXIT_USER
     except KeyboardInterrupt:
-        console.print("[yellow]Interrupted.[/yellow]")
+        print("Interrupted.", file=sys.stderr)
         return EXIT_INTERRUPTED
     finally:
         signal.signal(signal.SIGTERM, previous)
+
+
+def parse(words: Sequence[str]) -> Command:
+    """Find the command and parse its options.
+
+    Args:
+        words: The arguments after `toolee`.
+
+    Returns:
+        The command.
+
+    Raises:
+        UserError: There is no such command.
+        SystemExit: The help was printed (0), or the command or an option of it is missing or invalid (2).
+    """
+    if not words or words[0] in ("-h", "--help"):
+        summaries = {name: summary for name, (_, summary) in GROUPS.items()}
+        _list((), "A robot that is handed a hammer, looks at it, and drives the nail.", summaries, asked=bool(words))
+    name, *rest = words
+    if name not in GROUPS:
+        raise _unknown(name, GROUPS, ())
+    module = _module(name)
+    commands: Mapping[str, type[Command]] = module.COMMANDS
+    if "" in commands:
+        return _parse_options(commands[""], (name,), rest)
+    if not rest or rest[0] in ("-h", "--help"):
+        summaries = {name: _joined(command.__doc__).split("\n")[0] for name, command in commands.items()}
+        _list((name,), _joined(module.__doc__), summaries, asked=bool(rest))
+    if rest[0] not in commands:
+        raise _unknown(rest[0], commands, (name,))
+    return _parse_options(commands[rest[0]], (name, rest[0]), rest[1:])
+
+
+def command_paths() -> Iterator[tuple[str, ...]]:
+    """The words of each command, in the order of the help."""
+    for group in GROUPS:
+        for name in _module(group).COMMANDS:
+            yield (group, name) if name else (group,)
+
+
+def _module(group: str) -> ModuleType:
+    return import_module(f"toolee_robot.cli.{GROUPS[group][0]}")
+
+
+def _parse_options(command: type[Command], path: tuple[str, ...], words: Sequence[str]) -> Command:
+    import tyro
+
+    # Of a docstring's line ends tyro keeps those before a digit, a dash or a bracket.
+    tyro._strings.remove_single_line_breaks = _joined
+    config = (tyro.conf.FlagCreatePairsOff,)
+    parsed: Command = tyro.cli(command, prog=" ".join(("toolee", *path)), args=words, config=config)
+    return parsed
+
+
+def _joined(text: str | None) -> str:
+    """A docstring with one line for each paragraph."""
+    paragraphs = (text or "").split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs).strip()
+
+
+def _list(path: tuple[str, ...], description: str, summaries: Mapping[str, str], *, asked: bool) -> None:
+    """Print one line for each command of a group and exit."""
+    import textwrap
+
+    stream = sys.stdout if asked else sys.stderr
+    columns = shutil.get_terminal_size().columns
+    call = " ".join(("toolee", *path, "COMMAND"))
+    indent = max(map(len, summaries)) + 4
+    print(f"usage: {call} [OPTIONS]", file=stream)
+    for paragraph in description.split("\n\n"):
+        print(textwrap.fill(paragraph, columns, break_on_hyphens=False), end="\n\n", file=stream)
+    for name, summary in summaries.items():
+        print(f"  {name:{indent - 4}}  {textwrap.shorten(summary, columns - indent, placeholder=' …')}", file=stream)
+    print(f"\n`{call} --help` says more.", file=stream)
+    raise SystemExit(0 if asked else EXIT_USER)
+
+
+def _unknown(name: str, known: Mapping[str, object], path: tuple[str, ...]) -> UserError:
+    """No such command; names those that are spelled alike, or that have the name in another group."""
+    from difflib import get_close_matches
+
+    alike = [(*path, other) for other in get_close_matches(name, known, n=1)]
+    meant = alike or [other for other in command_paths() if other[-1] == name]
+    words = " or ".join(f"`toolee {' '.join(other)}`" for other in meant)
+    call = " ".join(("toolee", *path))
+    hint = f"did you mean {words}?" if meant else f"`{call} --help` lists the commands"
+    return UserError(f"`{call} {name}` is no command: {hint}", code="user.command")
 
 
 def _let_threads_sleep() -> None:
@@ -186,14 +240,15 @@ def _terminate(_signum: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _complain(
-    console: Console,
-    command: AnyCommand,
-    error: TooleeError,
-    outcome: str,
-) -> None:
+def _complain(error: TooleeError, as_json: bool) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+
     # Not wrapped, so that paths can be copied and searched for.
-    console.print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
-    if isinstance(command, Hammer) and command.json:
-        failure = {"success": False, "outcome": outcome, "code": error.code, "reason": str(error), "seed": command.seed}
-        print(json.dumps(failure))
+    Console(stderr=True, highlight=False).print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
+    if as_json:
+        _print_error(error.code, str(error))
+
+
+def _print_error(code: str, message: str) -> None:
+    print(json.dumps({"error": {"code": code, "message": message}}), flush=True)

@@ -1,4 +1,7 @@
-"""`toolee dataset`: generate, inspect and validate data sets."""
+"""Make a synthetic data set, look at it, check it.
+
+Example: toolee dataset generate --config hard --size 1000 --out data/hard
+"""
 
 from __future__ import annotations
 
@@ -272,25 +275,11 @@ class Validate:
         return 1 if faults else 0
 
 
-_Action = (
-    Annotated[Generate, tyro.conf.subcommand("generate")]
-    | Annotated[Inspect, tyro.conf.subcommand("inspect")]
-    | Annotated[Validate, tyro.conf.subcommand("validate")]
-)
-
-
-@dataclass(frozen=True)
-class Dataset:
-    """Make a synthetic data set, look at it, check it.
-
-    Example: toolee dataset generate --config hard --size 1000 --out data/hard
-    """
-
-    action: Annotated[_Action, tyro.conf.arg(name="")]
-    """What to do with the data set."""
-
-    def run(self) -> int:
-        return self.action.run()
+COMMANDS = {
+    "generate": Generate,
+    "inspect": Inspect,
+    "validate": Validate,
+}
 
 
 def _cores() -> int:

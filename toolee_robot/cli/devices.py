@@ -40,3 +40,6 @@ class Devices:
         if self.json:
             print(json_line(found), flush=True)
         return 0
+
+
+COMMANDS = {"": Devices}

@@ -165,3 +165,6 @@ def findings_table(findings: Iterable[Finding]) -> Table:
 
 def _count(n: int, what: str) -> str:
     return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+COMMANDS = {"": Doctor}

@@ -190,3 +190,6 @@ def _table(estimates: list[ToolEstimate], title: str) -> Table:
             "[green]yes[/green]" if e.usable else f"[red]no: {escape(e.reason)}[/red]",
         )
     return table
+
+
+COMMANDS = {"": Estimate}

@@ -1,4 +1,4 @@
-"""`toolee evaluate`: tables, figures and report of the benchmark."""
+"""Measure the perception on a data set."""
 
 from __future__ import annotations
 
@@ -255,21 +255,13 @@ class EvaluatePhotographs:
         return 0
 
 
-@dataclass(frozen=True)
-class Evaluate:
-    """Measure the perception on a data set."""
-
-    what: tyro.conf.OmitSubcommandPrefixes[
-        Annotated[EvaluatePose, tyro.conf.subcommand("pose")]
-        | Annotated[EvaluateSegmentation, tyro.conf.subcommand("segmentation")]
-        | Annotated[EvaluateSamplers, tyro.conf.subcommand("samplers")]
-        | Annotated[EvaluateHeld, tyro.conf.subcommand("held")]
-        | Annotated[EvaluatePhotographs, tyro.conf.subcommand("photographs")]
-    ]
-    """What to evaluate."""
-
-    def run(self) -> int:
-        return self.what.run()
+COMMANDS = {
+    "pose": EvaluatePose,
+    "segmentation": EvaluateSegmentation,
+    "samplers": EvaluateSamplers,
+    "held": EvaluateHeld,
+    "photographs": EvaluatePhotographs,
+}
 
 
 def _evaluated(console: Console, plan: Plan) -> Evaluation:

@@ -112,3 +112,6 @@ def _table(rows: list[FaultRow]) -> Table:
 
 def _ms(seconds: float | None) -> str:
     return "" if seconds is None else f"{seconds * 1e3:.0f} ms"
+
+
+COMMANDS = {"": Faults}

@@ -103,3 +103,6 @@ class HandEmulator:
         finally:
             if self.link.is_symlink() and self.link.readlink() == Path(port):
                 self.link.unlink()
+
+
+COMMANDS = {"": HandEmulator}

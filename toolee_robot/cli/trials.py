@@ -122,3 +122,6 @@ class Trials:
                 code="user.no_terminal",
             )
         lead_trials(plan, out, lambda question: console.input(question, markup=False), tell)
+
+
+COMMANDS = {"": Trials}

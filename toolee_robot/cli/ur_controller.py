@@ -122,3 +122,6 @@ class UrController:
                 f"{1e3 * statistics.busy / max(1, statistics.ticks):.2f} ms of work a tick"
             )
         return 0
+
+
+COMMANDS = {"": UrController}

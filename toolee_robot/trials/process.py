@@ -94,7 +94,7 @@ def _figures(printed: list[str], ended: str) -> dict[str, Any]:
     """The figures that a job printed; one that was refused before it began, or did not come to its end, has none."""
     figures = dict(json.loads(printed[-1])) if printed else {}
     if "stage_seconds" not in figures:
-        raise TooleeError(str(figures.get("reason", ended)), code="trials.crashed")
+        raise TooleeError(str(figures.get("error", {}).get("message", ended)), code="trials.crashed")
     return figures
 
 

@@ -11,15 +11,14 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-import tyro
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.examples import examples
 from tests.perception.folders import assert_same
-from toolee_robot.cli.app import run
-from toolee_robot.cli.dataset import Dataset, Generate
+from toolee_robot.cli.app import parse, run
+from toolee_robot.cli.dataset import Generate
 from toolee_robot.perception.dataset.card import Card
 from toolee_robot.perception.dataset.encoding.checksums import write_sums
 from toolee_robot.perception.dataset.index_files import README, listed
@@ -43,7 +42,7 @@ def asked_again(spec: DatasetSpec, folder: Path) -> DatasetSpec:
     """What the parser of the command line makes of the card's command, with a folder for DIR."""
     told = command(Card(spec, spec.catalogue(folder)).to_markdown())
     arguments = [str(folder) if word == "DIR" else word for word in told]
-    action = tyro.cli(Dataset, args=[*arguments, "--out", "x"], config=(tyro.conf.FlagCreatePairsOff,)).action
+    action = parse(["dataset", *arguments, "--out", "x"])
     assert isinstance(action, Generate)
     return action.spec(action.custom_tools())
 

@@ -94,3 +94,6 @@ def _figures(looks: list[Seen]) -> dict[str, float]:
     median, p95 = np.quantile(off, [0.5, 0.95]).tolist() if off else (np.nan, np.nan)
     unseen = len(looks) - len(said)
     return {"of": len(looks), "alarms": alarms, "ends": ends, "unseen": unseen, "median_mm": median, "p95_mm": p95}
+
+
+COMMANDS = {"": BenchBentNails}

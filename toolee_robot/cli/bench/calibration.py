@@ -72,3 +72,6 @@ class BenchCalibration:
         if self.json:
             print(json_line([asdict(f) | {"met": f.met} for f in figures]), flush=True)
         return int(not all(f.met for f in figures))
+
+
+COMMANDS = {"": BenchCalibration}

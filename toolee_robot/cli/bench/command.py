@@ -156,3 +156,6 @@ def _planning(scene: BenchScene, repeats: int) -> Iterator[Latency]:
         repeats=repeats,
         target_ms=_PLAN_TARGET_MS,
     )
+
+
+COMMANDS = {"": Bench}

@@ -102,3 +102,6 @@ def _errors(sheet: str, seed: int) -> tuple[tuple[float, ...], bool]:
     inside = bool(off @ np.linalg.solve(nail.covariance * 1e6, off) <= chi2.ppf(0.95, 3))
     beside, beside_both = float(np.hypot(off[0], off[1])), float(np.hypot(off_both[0], off_both[1]))
     return (beside, float(abs(off[2])), tilt, beside_both, float(abs(off_both[2]))), inside
+
+
+COMMANDS = {"": BenchNail}

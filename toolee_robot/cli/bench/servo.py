@@ -139,3 +139,6 @@ def _table(servo: ServoFigures, trace: TraceFigures, machine: Stalls, met: dict[
     for name, ok in met.items():
         table.add_row(name, "[green]met[/green]" if ok else "[red]missed[/red]")
     return table
+
+
+COMMANDS = {"": BenchServo}

@@ -111,3 +111,6 @@ class BenchSwing:
 def _spread(values: list[float]) -> str:
     low, middle = np.percentile(values, [5, 50])
     return f"{middle:.2f} [{low:.2f}]"
+
+
+COMMANDS = {"": BenchSwing}

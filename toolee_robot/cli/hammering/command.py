@@ -345,3 +345,6 @@ class Hammer:
                 code="user.not_loopback",
             )
         return self.robot_host, self._factor(model, self.robot_host)
+
+
+COMMANDS = {"": Hammer}

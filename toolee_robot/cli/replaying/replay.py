@@ -101,3 +101,6 @@ class Replay:
             look.show(page.scene)
         console.print(escape(history.metadata.get("title", "")))
         serve(page, console)
+
+
+COMMANDS = {"": Replay}

@@ -58,3 +58,6 @@ def _row(run: Run) -> tuple[str, ...]:
         "" if run.robot_seconds is None else f"{run.robot_seconds:.0f} s",
         f"{run.megabytes:.1f}",
     )
+
+
+COMMANDS = {"": Runs}

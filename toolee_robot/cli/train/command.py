@@ -1,4 +1,7 @@
-"""`toolee train`: trains the detector, the mask refiner and the pose network, and fits the trust model."""
+"""Train the detector, its masks' refiner or the pose network, or fit how far they are to be trusted.
+
+Example: toolee train segmentation --data data/hard/train --out runs/segmentation
+"""
 
 from __future__ import annotations
 
@@ -65,25 +68,11 @@ class Trust:
         return 0
 
 
-_Action = (
-    Annotated[Segmentation, tyro.conf.subcommand("segmentation")]
-    | Annotated[Refinement, tyro.conf.subcommand("refinement")]
-    | Annotated[Clouds, tyro.conf.subcommand("clouds")]
-    | Annotated[Pose, tyro.conf.subcommand("pose")]
-    | Annotated[Ablations, tyro.conf.subcommand("ablations")]
-    | Annotated[Trust, tyro.conf.subcommand("trust")]
-)
-
-
-@dataclass(frozen=True)
-class Train:
-    """Train the detector, its masks' refiner or the pose network, or fit how far they are to be trusted.
-
-    Example: toolee train segmentation --data data/hard/train --out runs/segmentation
-    """
-
-    action: Annotated[_Action, tyro.conf.arg(name="")]
-    """What to train, or to prepare for a training."""
-
-    def run(self) -> int:
-        return self.action.run()
+COMMANDS = {
+    "segmentation": Segmentation,
+    "refinement": Refinement,
+    "clouds": Clouds,
+    "pose": Pose,
+    "ablations": Ablations,
+    "trust": Trust,
+}
