@@ -10,7 +10,6 @@ is the group's help, the class's docstring the command's.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import sys
@@ -61,29 +60,6 @@ class Command(Protocol):
         """Run it and return the exit code."""
 
 
-def run(self) -> int:
-    """Run it and return the exit code."""
-
-
-def main(args: Sequence[str] | None = None) -> None:
-    """Run `toolee` and exit with the command's exit code.
-
-    Args:
-        args: The arguments; None for those of the process.
-    """
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _leave)  # nothing moves before `run` starts the command
-    _let_threads_sleep()
-    try:
-        code = run(args)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader of the output has closed the pipe (`| head`): prevent an error in the interpreter's final flush.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = EXIT_FAILED
-    sys.exit(code)
-
-
 def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: None) -> int:
     """Run `toolee` and return the exit code; only the parser itself exits (0 for --help, 2 for a bad option).
 
@@ -91,7 +67,6 @@ def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: N
         args: The arguments; None for those of the process.
         start: Called before the command runs.
     """
-    _let_threads_sleep()
     words = sys.argv[1:] if args is None else list(args)
     as_json = "--json" in words
     previous = signal.signal(signal.SIGTERM, _terminate)  # SIGTERM stops the arm as Ctrl-C does
@@ -207,18 +182,6 @@ def _unknown(name: str, known: Mapping[str, object], path: tuple[str, ...]) -> U
     call = " ".join(("toolee", *path))
     hint = f"did you mean {words}?" if meant else f"`{call} --help` lists the commands"
     return UserError(f"`{call} {name}` is no command: {hint}", code="user.command")
-
-
-def _let_threads_sleep() -> None:
-    """Let torch's waiting threads spin for some tens of microseconds, then sleep, unless the environment is set.
-
-    Medians for a pose on 2 cores of a virtual machine: 26 ms with this setting, 52 ms with a tenth of the spins, 21 ms
-    with endless spinning; beside a program that keeps one core busy 77, 40 and 225 ms. OpenMP reads the setting once,
-    when torch is first imported, which no module of the command line does before its command runs.
-    """
-    if "OMP_WAIT_POLICY" not in os.environ:
-        os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
-        os.environ.setdefault("GOMP_SPINCOUNT", "10000")
 
 
 def _of_other_package(error: ModuleNotFoundError) -> bool:
