@@ -30,7 +30,7 @@ SERVO = ServoConfig(
 
 
 def patient(host: str) -> UrArmConfig:
-    """For a machine that is busy with other things; `toolee bench-servo` says what the driver can do on an idle one."""
+    """For a machine that is busy with other things; `benchmarks.servo` says what the driver can do on an idle one."""
     return UrArmConfig(host, SERVO)
 
 

@@ -13,7 +13,7 @@ from toolee_robot.frames import Array
 from toolee_robot.perception.nail.appearance import Appearance, Comparison, NailPose, Window
 
 SPREAD = 3.0
-"""Errors as a multiple of what independent pixels would leave: wood has a grain. By `toolee bench-bent-nails`."""
+"""Errors as a multiple of what independent pixels would leave: wood has a grain. By `benchmarks/bent_nails.py`."""
 FAINT = 0.03
 """Least that is left of a mixture of channels, as a share of what is left of a channel."""
 LEAN = np.deg2rad(3.0)

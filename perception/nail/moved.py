@@ -16,7 +16,7 @@ REACH, STEP = 0.009, 0.0015
 STARTS, APART = 3, 0.0022
 """From how many places beside the expected one fits begin, and how far these are from each other at least [m]."""
 SPREAD = 2.0
-"""Errors as a multiple of what the noise of independent pixels would leave. By `toolee bench-bent-nails`."""
+"""Errors as a multiple of what the noise of independent pixels would leave. By `benchmarks/bent_nails.py`."""
 NEAR, PREFERRED = 0.0023, 4.0
 """A head that is found within this distance from where it is expected [m] is believed rather than one farther off that
 explains the image better by less than so much, as a sum of squares in standard deviations."""

@@ -45,7 +45,7 @@ SHOWN = 0.5
 """Least share of a head that has to show before wood to tell its colour."""
 SURE, LEAST = 3.0, 3e-4
 """Within so many standard deviations every displacement that may be has to be longer than this [m]. Chosen on other
-labs than those whose figures `toolee bench-bent-nails` tells."""
+labs than those whose figures `benchmarks/bent_nails.py` gives."""
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
 """Angles at which the rim of a covariance's ellipse is sampled [rad]."""
 BEHIND, EDGE = 0.025, 1

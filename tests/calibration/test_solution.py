@@ -34,7 +34,7 @@ def test_the_error_that_is_asked_for_is_met_and_the_region_has_the_truth(protoco
     figures = measure(protocol, BOARD, CAMERA.intrinsics, X_BASE_CAMERA, runs=30)
     assert figures.error <= LARGEST_ERROR[protocol]
     assert figures.error < min(figures.closed_forms.values()), "the refinement is worth it"
-    assert figures.covered >= 0.8  # 95 % asked; `toolee bench-calibration` measures it on 200 runs
+    assert figures.covered >= 0.8  # 95 % asked; `benchmarks.calibration` measures it on 200 runs
     assert figures.refused == 0
 
 

@@ -82,7 +82,6 @@ def _frame_args(
         ),
         (["hammer", "--errors", "none.yaml"], "none.yaml"),
         (["trials", "none.yaml"], "none.yaml"),
-        (["bench", "--repeats", "0"], "--repeats"),
         (["estimate"], "--rgb"),
         (["estimate", "--rgb", "rgb.png", "--depth", "depth.png"], "--depth-scale, --intrinsics"),
         (_frame_args(rgb="none.png"), "none.png does not exist"),
@@ -143,7 +142,7 @@ def test_json_tells_the_users_fault_on_its_line_too(
     assert "nail_diametre" in line["error"]["message"]
 
 
-@pytest.mark.parametrize("command", ["hammer", "estimate", "bench", "doctor"])
+@pytest.mark.parametrize("command", ["hammer", "estimate", "doctor"])
 def test_help_is_quick_and_shows_how(command: str, tmp_path: Path) -> None:
     done = _toolee(command, "--help", folder=tmp_path)
     assert done.returncode == 0

@@ -252,13 +252,6 @@ def test_list_and_devices(capsys: pytest.CaptureFixture[str]) -> None:
     assert "inspire_rh56" in told["hand"]
 
 
-def test_bench_prints_the_figures(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["camera", "bench", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["registration"]
-    assert [figures["color"] for figures in told] == ["512x424", "640x480"]
-    assert all(0.0 < figures["surface_rms"] < 0.5 for figures in told)
-
-
 @pytest.mark.parametrize(
     "options",
     [

@@ -14,13 +14,13 @@ import pytest
 
 from tests.contract.lab import station_of
 from tests.errors import raises
+from tests.rigs.camera_devices import CameraEvent, OrbbecDevice
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.airo import AiroStream
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.devices.cameras.recorded import RecordedStream
 from toolee_robot.devices.cameras.recording import RecordingWriter
 from toolee_robot.errors import DeviceError, StaleDataError
-from toolee_robot.faults.rigs.camera_devices import CameraEvent, OrbbecDevice
 from toolee_robot.hal import Clock, RgbdCamera
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation

@@ -12,9 +12,9 @@ from threading import Event, Thread
 
 import pytest
 
+from tests.rigs.panel import Operator, Panel
 from tests.stand_in import stand_in
 from toolee_robot.doctor.robot import expected_robot
-from toolee_robot.faults.rigs.panel import Operator, Panel
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel

@@ -10,14 +10,9 @@ from dataclasses import replace
 
 import pytest
 
-from toolee_robot.devices.person.contact import Contact
-from toolee_robot.devices.ur import driver
-from toolee_robot.faults.measuring import Measurement
-from toolee_robot.faults.record import Phase
-from toolee_robot.faults.rigs.driver_rig import Rig, rig
-from toolee_robot.faults.rigs.setting import Setting
-from toolee_robot.faults.rows.arm import slider_at_rest
-from toolee_robot.faults.rows.collisions import (
+from tests.faults.record import Measurement, Phase
+from tests.faults.rows.arm import slider_at_rest
+from tests.faults.rows.collisions import (
     COLLISIONS,
     RESTRICTED,
     UNREACHABLE,
@@ -26,11 +21,15 @@ from toolee_robot.faults.rows.collisions import (
     restricted_row,
     restricted_rows,
 )
-from toolee_robot.faults.rows.following import following_rows
-from toolee_robot.faults.rows.inputs import input_rows
-from toolee_robot.faults.rows.process import process_rows
-from toolee_robot.faults.rows.released_stops import RELEASED_STOPS, ReleasedStop, released_row, released_rows
-from toolee_robot.faults.rows.switch import ONE_CONTACT, STUCK, SWITCH_FAULTS, at_rest, in_slow_motion, switch_rows
+from tests.faults.rows.following import following_rows
+from tests.faults.rows.inputs import input_rows
+from tests.faults.rows.process import process_rows
+from tests.faults.rows.released_stops import RELEASED_STOPS, ReleasedStop, released_row, released_rows
+from tests.faults.rows.switch import ONE_CONTACT, STUCK, SWITCH_FAULTS, at_rest, in_slow_motion, switch_rows
+from tests.rigs.driver_rig import Rig, rig
+from tests.rigs.setting import Setting
+from toolee_robot.devices.person.contact import Contact
+from toolee_robot.devices.ur import driver
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.safety import error_codes

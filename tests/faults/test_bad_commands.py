@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from tests.faults.rows import bad_commands as bad
+from tests.rigs.strikes import Swing, plan_swing
 from toolee_robot.control.supervisor_checks import check_clear, check_limits
 from toolee_robot.errors import CollisionError
-from toolee_robot.faults.rigs.strikes import Swing, plan_swing
-from toolee_robot.faults.rows import bad_commands as bad
 from toolee_robot.frames import Array
 from toolee_robot.types import ArmModel, Trajectory
 

@@ -8,16 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolee_robot.devices.cameras.frame_gate import FrameGate, Refusal
-from toolee_robot.devices.cameras.stream import RawImages
-from toolee_robot.errors import UserError
-from toolee_robot.faults.matrix import MatrixOptions, Part, left_out
-from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.camera_devices import CameraEvent
-from toolee_robot.faults.rigs.camera_rig import CAMERAS, CameraKind, DriverCamera
-from toolee_robot.faults.rigs.job_rig import Bench
-from toolee_robot.faults.rows import cameras
-from toolee_robot.faults.rows.cameras import (
+from tests.faults.record import FaultRow, Phase
+from tests.faults.rows import cameras
+from tests.faults.rows.cameras import (
     CALIBRATIONS,
     FAULTS,
     CameraFault,
@@ -27,6 +20,12 @@ from toolee_robot.faults.rows.cameras import (
     other_camera_row,
     other_lens_row,
 )
+from tests.rigs.camera_devices import CameraEvent
+from tests.rigs.camera_rig import CAMERAS, CameraKind, DriverCamera
+from tests.rigs.job_rig import Bench
+from toolee_robot.devices.cameras.frame_gate import FrameGate, Refusal
+from toolee_robot.devices.cameras.stream import RawImages
+from toolee_robot.errors import UserError
 from toolee_robot.hal import Station
 from toolee_robot.tasks.hammering.task import HammeringTask
 
@@ -135,8 +134,7 @@ def test_a_camera_whose_sdk_is_missing_has_no_rows_and_is_named(bench: Bench, mo
     gone = replace(REALSENSE, sdk=sdk)
     monkeypatch.setattr(cameras, "CAMERAS", (gone, RECORDED))
     assert {row.on.split(",")[0] for row in camera_rows(bench)} == {"recorded frames"}
-    assert left_out(MatrixOptions(part=Part.CAMERA)) == [f"{gone.label}: install it"]
-    assert left_out(MatrixOptions(part=Part.HAND)) == []
+    assert cameras.missing_cameras() == [f"{gone.label}: install it"]
 
 
 # -- the matrix can fail -------------------------------------------------------------------------------------------

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.hand_rig import HANDS, DriverHand, HandKind
-from toolee_robot.faults.rigs.job_rig import Bench
-from toolee_robot.faults.rows.hands import FAULTS, ROWS, HandFault, hand_row
+from tests.faults.record import FaultRow, Phase
+from tests.faults.rows.hands import FAULTS, ROWS, HandFault, hand_row
+from tests.rigs.hand_rig import HANDS, DriverHand, HandKind
+from tests.rigs.job_rig import Bench
 from toolee_robot.tasks.common import hand_watch
 from toolee_robot.tasks.common.motions import Motions
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import pytest
 
+from tests.faults.record import FaultRow, Phase
+from tests.faults.rows.job import job_row
+from tests.faults.rows.job_fault import JobFault
+from tests.faults.rows.job_faults import JOB_FAULTS
+from tests.faults.rows.start import CALIBRATIONS, calibration_row
+from tests.rigs.job_rig import Bench
 from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import MotionFaultError
-from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.job_rig import Bench
-from toolee_robot.faults.rows.job import job_row
-from toolee_robot.faults.rows.job_fault import JobFault
-from toolee_robot.faults.rows.job_faults import JOB_FAULTS
-from toolee_robot.faults.rows.start import CALIBRATIONS, calibration_row
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.hammering.task import HammeringTask

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.rigs.joints_path import RESOLUTION, braking_time
+from tests.rigs.setting import GAIN, LOOKAHEAD, Setting
+from tests.rigs.strikes import plan_swing
 from toolee_robot.control.planning.timing import joint_move
-from toolee_robot.faults.rigs.joints_path import RESOLUTION, braking_time
-from toolee_robot.faults.rigs.setting import GAIN, LOOKAHEAD, Setting
-from toolee_robot.faults.rigs.strikes import plan_swing
 from toolee_robot.sim_backend.ur_controller.profile import CB3
 from toolee_robot.types import ArmModel, Trajectory
 

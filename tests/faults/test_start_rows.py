@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from toolee_robot.faults.rigs.setting import Setting
-from toolee_robot.faults.rows.start import HAND, START_FAULTS, StartFault, start_row
+from tests.faults.rows.start import HAND, START_FAULTS, StartFault, start_row
+from tests.rigs.setting import Setting
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 

@@ -10,8 +10,8 @@ import time
 
 import pytest
 
+from benchmarks.servo import cpu_time
 from tests.runtime.processes import alive
-from toolee_robot.devices.ur.servo_benchmark import cpu_time
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive, is_virtual
 
 pytestmark = pytest.mark.skipif(not is_virtual(), reason="a machine of one's own needs none of it")

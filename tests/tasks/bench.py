@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from toolee_robot.faults.rigs import job_rig
-from toolee_robot.faults.rigs.job_rig import HOME, Bench
+from tests.rigs import job_rig
+from tests.rigs.job_rig import HOME, Bench
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend import SimStation

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from toolee_robot.faults.rigs.job_rig import Bench
+from tests.rigs.job_rig import Bench
 
 
 @pytest.fixture(scope="session")

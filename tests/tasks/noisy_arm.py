@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.bench import Log
 from toolee_robot.control import Mode, RobotModel, plan_over_nail, plan_strike
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import inverse
 from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
 from toolee_robot.station import StationConfig

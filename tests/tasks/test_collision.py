@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from tests.rigs.job_rig import Bench, at_rest, grip_kept
+from tests.rigs.scripted_perception import ScriptedPerception
 from tests.tasks.bench import Log
-from toolee_robot.faults.rigs.job_rig import Bench, at_rest, grip_kept
-from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
 from toolee_robot.hal import ArmStatus
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.physics.bullet import pb

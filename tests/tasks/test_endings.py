@@ -10,12 +10,12 @@ import numpy as np
 import pybullet as pb
 import pytest
 
+from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
+from tests.rigs.people import People
+from tests.rigs.scripted_perception import ScriptedPerception, moved, unsure
 from tests.tasks.bench import Log, is_home, soon
 from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.errors import PerceptionError, StaleDataError, UserError
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
-from toolee_robot.faults.rigs.people import People
-from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception, moved, unsure
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception

@@ -10,9 +10,9 @@ import numpy as np
 import pybullet as pb
 import pytest
 
+from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from tests.tasks.bench import Log
 from toolee_robot.control import Meeting
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from toolee_robot.frames import Array
 from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage

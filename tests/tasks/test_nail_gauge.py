@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.bench import Log
 from tests.tasks.noisy_arm import Rig
 from toolee_robot.control import RobotModel
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.bench import Log
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.nail_stall import FEWEST, MOST, NailStall
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from tests.tasks.bench import Log, is_home
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from toolee_robot.perception.nail.sight import HeadOffset
 from toolee_robot.tasks.common.outcome import Outcome, Strike
 from toolee_robot.tasks.hammering.nail_driving import SOON

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
+from tests.rigs.job_rig import CONFIG, HOME, Bench
 from tests.tasks.bench import Log
 from tests.tasks.noisy_arm import Rig
 from toolee_robot.control import RobotModel, plan_transfer
 from toolee_robot.control.collision_shapes import nail_bodies
 from toolee_robot.errors import CollisionError
-from toolee_robot.faults.rigs.job_rig import CONFIG, HOME, Bench
 from toolee_robot.frames import transform
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.station import NailConfig, StationConfig

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from tests.tasks.bench import Log, is_home
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.tasks.common.outcome import Outcome
 

@@ -8,11 +8,11 @@ import pytest
 from rich.console import Console
 
 from tests.errors import raises
+from tests.rigs.job_rig import Bench, at_rest, grip_kept
 from tests.tasks.bench import Log, soon
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.control import StrikePlan
 from toolee_robot.errors import DeviceError, NotReadyError
-from toolee_robot.faults.rigs.job_rig import Bench, at_rest, grip_kept
 from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 from toolee_robot.tasks.common.recovery import MAX_STOPS, RESUME, TAKE_OUT

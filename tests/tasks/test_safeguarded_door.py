@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
+from tests.rigs.job_rig import Bench, at_rest, grip_kept
+from tests.rigs.people import People
 from tests.tasks.bench import Log
-from toolee_robot.faults.rigs.job_rig import Bench, at_rest, grip_kept
-from toolee_robot.faults.rigs.people import People
 from toolee_robot.hal import ArmStatus
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.task import HammeringTask

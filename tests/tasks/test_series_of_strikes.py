@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.bench import Log
 from toolee_robot.control import RobotModel, StrikePlan
 from toolee_robot.control.contact import Meeting
 from toolee_robot.end_effectors import Category
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception

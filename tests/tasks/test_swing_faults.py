@@ -10,6 +10,11 @@ from functools import partial
 import numpy as np
 import pytest
 
+from tests.faults.record import Phase
+from tests.faults.rows.job_fault import Scene
+from tests.faults.rows.job_faults import JOB_FAULTS
+from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
+from tests.rigs.scripted_perception import ScriptedPerception
 from tests.tasks.bench import Log, soon
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.planning.straight import plan_straight
@@ -26,11 +31,6 @@ from toolee_robot.errors import (
     StaleDataError,
     TrackingError,
 )
-from toolee_robot.faults.record import Phase
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
-from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
-from toolee_robot.faults.rows.job_fault import Scene
-from toolee_robot.faults.rows.job_faults import JOB_FAULTS
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend.devices.arm import HOLD_TIME, RATE

@@ -7,10 +7,10 @@ import pytest
 
 from tests.control.motion.cb3_noise import RATE
 from tests.errors import raises
+from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.noisy_arm import Rig
 from toolee_robot.control.motion.touch_force import MAX_PHANTOMS
 from toolee_robot.errors import DeviceError
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME
 from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors

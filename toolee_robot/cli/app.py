@@ -42,13 +42,6 @@ GROUPS: dict[str, tuple[str, str]] = {
     "devices": ("devices", "List the drivers that a station file may name"),
     "hand-emulator": ("hand_emulator", "Emulate a hand for its driver"),
     "ur-controller": ("ur_controller", "Stand in for a UR controller"),
-    "faults": ("faults", "Inject faults into arm, supervisor and task"),
-    "bench": ("bench.command", "Measure latencies here"),
-    "bench-calibration": ("bench.calibration", "Measure the camera's calibration"),
-    "bench-nail": ("bench.nail", "Measure how well the camera locates a nail"),
-    "bench-bent-nails": ("bench.bent_nails", "Measure how well the camera sees bent nails"),
-    "bench-servo": ("bench.servo", "Measure the servo's timing and tracking"),
-    "bench-swing": ("bench.swing", "Measure planned swings"),
 }
 """Name of a group -> its module in this package, and one line for `toolee --help`."""
 

@@ -1,16 +1,12 @@
-"""Description of the machine, and latency measurements."""
+"""Description of the machine."""
 
 from __future__ import annotations
 
 import os
 import platform
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-
-import numpy as np
 
 _PACKAGES = ("toolee_robot", "numpy", "scipy", "torch", "torchvision", "pin", "coal", "ruckig", "pybullet", "embreex")
 
@@ -69,52 +65,3 @@ def describe_machine() -> Machine:
         arithmetic="bfloat16" if prefers_bfloat16(torch.device("cpu")) else "float32",
         versions=versions,
     )
-
-
-@dataclass(frozen=True)
-class Latency:
-    """Wall-clock times of repeated calls.
-
-    Attributes:
-        name: What was measured.
-        median_ms: Median [ms].
-        p90_ms: 90th percentile [ms].
-        repeats: Number of calls.
-        target_ms: Largest acceptable median [ms]; None without a target.
-    """
-
-    name: str
-    median_ms: float
-    p90_ms: float
-    repeats: int
-    target_ms: float | None = None
-
-    @property
-    def met(self) -> bool | None:
-        """Whether the median is under its target; None without a target."""
-        return None if self.target_ms is None else self.median_ms < self.target_ms
-
-
-def measure(
-    name: str, call: Callable[[], object], *, repeats: int, warm_up: int = 2, target_ms: float | None = None
-) -> Latency:
-    """Measure the latency of a call.
-
-    Args:
-        name: What is measured.
-        call: The call.
-        repeats: Number of measured calls.
-        warm_up: Number of preceding calls that are not measured.
-        target_ms: Largest acceptable median [ms].
-
-    Returns:
-        The latency.
-    """
-    for _ in range(warm_up):
-        call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append((time.perf_counter() - start) * 1e3)
-    return Latency(name, float(np.median(times)), float(np.percentile(times, 90)), repeats, target_ms)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tests.control.motion.cb3_noise import RATE, noise
 from tests.examples import examples
+from tests.rigs.job_rig import CONFIG
 from toolee_robot.control.motion.touch_force import deviation_of_mean, touch_settings
 from toolee_robot.errors import DeviceError
-from toolee_robot.faults.rigs.job_rig import CONFIG
 
 
 @given(sigma=st.floats(0.05, 4.0), correlation=st.floats(0.0, 0.03), seed=st.integers(0, 10_000))

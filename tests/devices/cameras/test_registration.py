@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.registration import COLORS, measure_registration
 from tests.examples import examples
 from toolee_robot.devices.cameras.lens import Lens
 from toolee_robot.devices.cameras.registration import DepthRegistration
-from toolee_robot.devices.cameras.registration_benchmark import COLORS, measure_registration
 from toolee_robot.frames import transform
 from toolee_robot.types import CameraIntrinsics
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
+from tests.rigs.people import People
 from tests.sim_backend.kinematics import line
 from tests.stand_in import HOME, stand_in
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import LimitError, NotReadyError, PersonNearError
-from toolee_robot.faults.rigs.people import People
 from toolee_robot.hal import Arm, MotionOutcome
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import StationConfig

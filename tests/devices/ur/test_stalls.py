@@ -11,10 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from benchmarks.servo import wave
+from benchmarks.servo_trace import compare
 from tests.stand_in import PATIENT, held, patient, stand_in
-from toolee_robot.cli.bench.servo_trace import compare
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
-from toolee_robot.devices.ur.servo_benchmark import wave
 from toolee_robot.hal import MotionOutcome
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import ArmLimits

@@ -1,5 +1,5 @@
 """The camera's view of a nail, on rendered frames of one room, in which it is seen well, by a calibration that is off.
-How often it is right in many rooms: `toolee bench-bent-nails`."""
+How often it is right in many rooms: `benchmarks.bent_nails`."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks.bent_nails import look_at_nails
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.station import NailConfig, StationConfig
-from toolee_robot.stations.bent_nails import look_at_nails
 from toolee_robot.types import RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=15)

@@ -5,7 +5,6 @@ Example: toolee camera list
 
 from __future__ import annotations
 
-from toolee_robot.cli.camera.bench import BenchRegistration
 from toolee_robot.cli.camera.check import CheckCamera
 from toolee_robot.cli.camera.list_cameras import ListCameras
 from toolee_robot.cli.camera.record import Record
@@ -16,5 +15,4 @@ COMMANDS = {
     "show": Show,
     "record": Record,
     "doctor": CheckCamera,
-    "bench": BenchRegistration,
 }

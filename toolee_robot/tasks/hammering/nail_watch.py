@@ -18,7 +18,7 @@ LEANS, SURE = np.deg2rad(10.0), 2.0
 """Lean of a nail as it was set that is not struck [rad], and how surely, in standard deviations of the lean."""
 ASIDE = 0.0023
 """Distance of its head from the axis on which it was set at which a nail may be bent [m]: of heads pushed by 3 mm or
-more few are missed, and few straight nails look so (`toolee bench-bent-nails`): it has to be seen twice."""
+more few are missed, and few straight nails look so (`benchmarks/bent_nails.py`): it has to be seen twice."""
 SAME_SIDE = np.deg2rad(60.0)
 """Angle within which a head is displaced to the same side at two looks [rad]: what was taken for a head at one look is
 elsewhere at the next."""

@@ -1,0 +1,43 @@
+"""Each benchmark runs, on little, and prints the figures that documents quote."""
+
+from __future__ import annotations
+
+import importlib
+import re
+
+import pytest
+
+from benchmarks.swing import KINDS, STRAIGHT_BOUND, SWING_BOUND, compare
+from toolee_robot.station import StationConfig
+from toolee_robot.types import ArmModel
+
+
+def test_a_swing_is_faster_where_the_command_turns_back() -> None:
+    limits = StationConfig()
+    strikes = compare(ArmModel.UR10, 3, 1, limits.arm.acceleration, limits.arm.jerk, limits.supervisor.unattended_speed)
+    assert {s.kind for s in strikes} == set(KINDS)
+    speeds = {(s.kind, s.nail): s.speed for s in strikes if s.speed > 0}
+    both = [n for n in range(3) if (STRAIGHT_BOUND, n) in speeds and (SWING_BOUND, n) in speeds]
+    assert both
+    for nail in both:
+        assert speeds[SWING_BOUND, nail] > 1.5 * speeds[STRAIGHT_BOUND, nail]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("name", "arguments", "says"),
+    [
+        ("swing", ["--draws", "3"], r"swing 10 mm: \d of 3, \d\.\d\d m/s"),
+        ("registration", None, r"640x480: [\d.]+ ms; surfaces 0\.\d\d px RMS"),
+        ("calibration", ["--runs", "10"], r"median \d\.\d\d mm"),
+        ("nail", ["--runs", "5"], r"[45] of 5 located"),
+        ("bent_nails", ["--runs", "2"], r"straight, driven: 0 of 2 taken for bent"),
+        ("latency", ["--repeats", "3"], r"perception about the hand, as in a job: [\d.]+ ms"),
+    ],
+)
+def test_a_script_prints_its_figures(
+    name: str, arguments: list[str] | None, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main = importlib.import_module(f"benchmarks.{name}").main
+    main() if arguments is None else main(arguments)
+    assert re.search(says, capsys.readouterr().out)

@@ -1,0 +1,94 @@
+"""One row of the fault matrix: the fault, its time and the reaction; and its measurement, again after stalls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from toolee_robot.errors import DeviceError, TooleeError
+from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
+
+ATTEMPTS = 3
+"""Largest number of measurements of a row."""
+
+
+class MissedMomentError(DeviceError):
+    """The fault was injected before or after the swing, or the arm did not get to its start."""
+
+
+class Phase(StrEnum):
+    """When the fault is injected."""
+
+    START = "at the start"
+    REST = "at rest"
+    SWING = "in mid-swing"
+    SLOW = "in a slow motion"
+
+
+@dataclass(frozen=True)
+class FaultRow:
+    """Result of one fault; times and distances are None where nothing moved or nothing is timed.
+
+    Attributes:
+        number: Number in the list of docs/concepts/safety.md.
+        fault: The injected fault.
+        phase: When it was injected.
+        on: Arm or station under which it was injected.
+        expected: Required reaction.
+        got: Measured reaction.
+        latched: Whether the next motion was refused until a person's reset.
+        handled: Whether everything was as required.
+        why: What was not, if any.
+        reaction: Time from the fault to the first tick in which the joints leave the uninterrupted motion [s].
+        standstill: Time from the fault to rest [s].
+        allowed: Largest permitted `standstill`: time to detect the fault, braking time at the limits, two cycles [s].
+        speed: Speed of the fastest joint at the fault [rad/s].
+        off_path: Largest deviation of the joints from the path after the fault [rad].
+        again: Number of discarded measurements during which the machine stalled or the moment was missed.
+    """
+
+    number: int
+    fault: str
+    phase: Phase
+    on: str
+    expected: str
+    got: str
+    latched: bool
+    handled: bool
+    why: str = ""
+    reaction: float | None = None
+    standstill: float | None = None
+    allowed: float | None = None
+    speed: float | None = None
+    off_path: float | None = None
+    again: int = 0
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A row that is to be measured: the first fields of a `FaultRow`, and what injects the fault and judges it."""
+
+    number: int
+    fault: str
+    phase: Phase
+    on: str
+    expected: str
+    run: Callable[[], FaultRow]
+
+    def row(self, machine: LatencyMonitor) -> FaultRow:
+        """Measure the row; again where it is not handled, and the machine stalled or the moment was missed."""
+        again = 0
+        while True:
+            machine.begin()
+            try:
+                row, missed = self.run(), False
+            except TooleeError as error:
+                row, missed = self._failed(f"{type(error).__name__}: {error}"), isinstance(error, MissedMomentError)
+            excused = missed or machine.longest > STALL_LIMIT
+            if row.handled or not excused or again == ATTEMPTS - 1:
+                return replace(row, again=again)
+            again += 1
+
+    def _failed(self, why: str) -> FaultRow:
+        return FaultRow(self.number, self.fault, self.phase, self.on, self.expected, "not measured", False, False, why)

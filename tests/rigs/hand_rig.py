@@ -1,0 +1,154 @@
+"""A hand's own driver, on an emulated hand, in the place of the simulated hand's judgement.
+
+The hammer is held in the simulation by the simulated hand; whether it is held, and what is wrong with the hand, is what
+the driver says, which speaks to an emulated hand over its wire.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+from tests.rigs.job_rig import ClosedHand
+from toolee_robot.hal import HandState
+from toolee_robot.sim_backend import SimStation
+from toolee_robot.sim_backend.devices.hand import TICK, SimHand
+from toolee_robot.sim_backend.hand_wire import HandEmulator
+from toolee_robot.station import HandConfig
+from toolee_robot.stations.driven_hand import SWITCH_INTERVAL, HandPace
+from toolee_robot.stations.hand import emulated_hand, open_hand
+from toolee_robot.types import HandEfforts, HandMounting
+
+MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
+"""Any: the arm of these rows carries the simulated hand."""
+EFFORTS = HandEfforts(touch=60.0, grip=300.0, newtons_per_unit=0.03)
+"""Of the emulated Shadow Hand."""
+
+
+@dataclass(frozen=True)
+class Unheard:
+    """How a hand goes on telling its state and takes no command, nor acknowledges one.
+
+    Attributes:
+        event: Event by which it is so.
+        says: What its driver says of it.
+        code: Code of that error.
+        gives: Way by which what it holds gives way so that it is told to close further, in its own unit.
+    """
+
+    event: str
+    says: str
+    code: str
+    gives: float
+
+
+@dataclass(frozen=True)
+class HandKind:
+    """A kind of hand.
+
+    Attributes:
+        config: What a station file says of it.
+        label: Name of the rows' column.
+        handle: Angle at which its fingers meet a handle, in the hand's own unit.
+        slip: Way by which a slipping handle gives way, in that unit.
+        margin: Largest distance of a finger that still holds from where it meets the handle, in that unit.
+        jams: Event by which its middle finger jams.
+        heats: Event by which it gets too hot.
+        unheard: How it takes no command; None for one that answers each command with its state, and so is silent then.
+    """
+
+    config: HandConfig
+    label: str
+    handle: float
+    slip: float
+    margin: float
+    jams: str = "jam middle"
+    heats: str = "heat index 75"
+    unheard: Unheard | None = None
+
+
+_MODBUS = HandConfig("inspire_rh56", mounting=MOUNTING, port="tcp://127.0.0.1:6000")
+"""The port tells its wire only: an emulated hand listens at any that is free."""
+_DEAF = Unheard("deaf", "register", "no_answer.hand_write", 25.0)
+"""25 counts take half of the force."""
+_STOPPED = Unheard("controllers off", "its controllers do not do what it is told", "device.hand_command", 6.0)
+HANDS = (
+    HandKind(HandConfig("inspire_rh56", mounting=MOUNTING), "Inspire RH56", 400.0, 60.0, 110.0, unheard=_DEAF),
+    HandKind(HandConfig("ability_hand", mounting=MOUNTING), "Ability Hand", 55.0, 6.0, 15.0, heats="heat 75"),
+    HandKind(_MODBUS, "Inspire Modbus-TCP", 400.0, 60.0, 110.0, unheard=_DEAF),
+    HandKind(
+        HandConfig("shadow_right", efforts=EFFORTS), "Shadow Hand", 55.0, 6.0, 15.0, "jam MFJ3", "heat FFJ3 75",
+        _STOPPED,
+    ),
+)  # fmt: skip
+"""The hands that have a driver here and an emulator, on each of their wires."""
+
+
+class DriverHand(ClosedHand):
+    """The simulated hand, closed around the hammer, with a driver's judgement; use it in its `with` block.
+
+    Attributes:
+        kind: Which hand.
+        emulator: The emulated hand.
+    """
+
+    def __init__(self, simulation: SimStation, simulated: SimHand, kind: HandKind) -> None:
+        super().__init__(simulated)
+        self.kind, self._simulation = kind, simulation
+        self.emulator: HandEmulator[Any] = emulated_hand(kind.config)
+        clock = simulation.station.clock
+        self._driver = open_hand(replace(kind.config, port=self.emulator.port), clock)
+        self._pace = HandPace(clock)
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        self._stack.callback(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        self._stack.enter_context(self.emulator)
+        self._pace.hand = self._stack.enter_context(self._driver)
+        before_step = self._simulation.world.before_step
+        before_step.append(self._pace)
+        self._stack.callback(before_step.remove, self._pace)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @property
+    def told(self) -> tuple[Any, ...]:
+        """What the emulated hand was told last."""
+        told: tuple[Any, ...] = self.emulator.tell(lambda emulated: emulated.told)
+        return told
+
+    def state(self, max_age: float = 0.1) -> HandState:
+        state, judged = self._hand.state(max_age), self._driver.state(max_age)
+        return replace(
+            state, holding=judged.holding, fault=judged.fault, temperature=judged.temperature,
+            contact_forces=judged.contact_forces,
+        )  # fmt: skip
+
+    def open(self, timeout: float = 8.0) -> None:
+        self.opened += 1
+        self._meanwhile(lambda: self._driver.open(timeout))
+        self.emulator.hold(None)
+        self.closed = False
+
+    def close(self, timeout: float = 8.0) -> None:
+        self.emulator.hold(self.kind.handle)
+        self._meanwhile(lambda: self._driver.close(timeout))
+        self.closed = True
+
+    def stop(self) -> None:
+        self._driver.stop()
+
+    def _meanwhile(self, motion: Callable[[], None]) -> None:
+        """Let the station's time pass while the driver moves its hand."""
+        with ThreadPoolExecutor(1) as pool:
+            moving = pool.submit(motion)
+            while not moving.done():
+                self._simulation.world.advance(TICK)
+            moving.result()

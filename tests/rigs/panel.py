@@ -1,0 +1,93 @@
+"""A door and a hold-to-run switch wired to digital inputs, and somebody who operates them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from toolee_robot.devices.person.digital_inputs import CONFIRM
+from toolee_robot.errors import StaleDataError
+from toolee_robot.station import PersonConfig
+from toolee_robot.tasks.common.motions import HOLD_SWITCH
+
+TWO_CONTACTS = PersonConfig(door_closed_input=0, door_open_input=1, hold_to_run_input=2, hold_to_run_released_input=3)
+"""Door and switch have two antivalent contacts each."""
+ONE_CONTACT = PersonConfig(
+    door_closed_input=0, door_open_input=None, hold_to_run_input=2, hold_to_run_released_input=None
+)
+"""Door and switch have one contact each."""
+DOOR_CLOSED, SWITCH_HELD, ALL = 0b0001, 0b0100, 0b1111
+"""Bits of the inputs."""
+
+
+class Panel:
+    """The wiring.
+
+    Attributes:
+        closed: Whether the door is closed.
+        held: Whether the switch is pressed.
+        high: Bits that are stuck high.
+        low: Bits that are stuck low.
+        dead: Whether no reading arrives.
+    """
+
+    def __init__(self) -> None:
+        self.closed = self.held = self.dead = False
+        self.high = self.low = 0
+
+    def read(self, max_age: float) -> int:
+        """Read the inputs, as `DigitalInputPerson` asks for them."""
+        if self.dead:
+            raise StaleDataError(f"no reading for {max_age} s: look at the link")
+        bits = self.closed << 0 | (not self.closed) << 1 | self.held << 2 | (not self.held) << 3
+        return (bits | self.high) & ~self.low
+
+    def press(self, duration: float = 0.12) -> None:
+        """Press the switch and release it."""
+        time.sleep(0.08)
+        self.held = True
+        time.sleep(duration)
+        self.held = False
+
+    def step_back(self) -> None:
+        """Leave, close the door, and confirm it."""
+        self.closed = True
+        self.press()
+
+    def hold(self) -> None:
+        """Release the switch and hold it from then on."""
+        self.held = False
+        time.sleep(0.1)
+        self.held = True
+
+    def hand_over(self) -> None:
+        """Enter, with the switch out of the hand, and confirm."""
+        self.held = self.closed = False
+        self.press()
+
+
+class Operator:
+    """Somebody who does what the prompts say, a moment later."""
+
+    def __init__(self, panel: Panel) -> None:
+        self._panel = panel
+
+    def tell(self, prompt: str) -> None:
+        """Do what a prompt says."""
+        if prompt == HOLD_SWITCH:
+            act = self._panel.hold
+        elif "close the door" in prompt:
+            act = self._panel.step_back
+        elif prompt.startswith("Put the hammer"):
+            act = self._panel.hand_over
+        elif prompt.endswith(CONFIRM):
+            act = self._panel.press
+        else:
+            return
+        later(act)
+
+
+def later(act: Callable[[], None], delay: float = 0.0) -> None:
+    """Do something while the program waits."""
+    threading.Timer(delay, act).start()

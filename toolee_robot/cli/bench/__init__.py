@@ -1,1 +1,0 @@
-"""`toolee bench`, `toolee bench-servo` and `toolee bench-swing`."""
