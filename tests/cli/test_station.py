@@ -23,7 +23,7 @@ from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, S
 from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
 from toolee_robot.stations import camera
 from toolee_robot.stations.interview import INTRINSICS, put, questions
-from toolee_robot.viewer.station_page import named_frames
+from toolee_robot.viewer.station_view import named_frames
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]

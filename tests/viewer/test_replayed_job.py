@@ -8,17 +8,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from tests.viewer.browser import CHROMIUM, MOST_MESSAGES, MOST_RECEIVED, MOST_SERVED, browser, page_speed
+from tests.viewer.logged import Logged
 from toolee_robot.cli.app import run
 from toolee_robot.recording.reading import read_history
-from toolee_robot.viewer.run_page import RunPage
+from toolee_robot.viewer.run_view import RunView
 
 pytestmark = pytest.mark.nightly
 
@@ -34,14 +32,6 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert json.loads(done.stdout)["success"]
     (folder,) = out.iterdir()
     return folder
-
-
-@pytest.fixture
-def page(job: Path) -> Iterator[RunPage]:
-    history = read_history(job / "recording.mcap")
-    page = RunPage(history, history.station(), 8310)
-    yield page
-    page.close()
 
 
 def test_todays_networks_find_on_the_recorded_frames_what_the_job_found(
@@ -116,34 +106,6 @@ def test_it_opens_in_rerun(job: Path, tmp_path: Path) -> None:
         assert topic in shown
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on this machine")
-def test_the_browser_shows_plays_and_jumps(page: RunPage) -> None:
-    with browser() as seen:
-        print(f"there in {seen.load(page.address, 'Nail: 20.0 mm over the wood'):.1f} s")
-        seen.view.wait_for_timeout(8_000)  # software rendering: the meshes appear
-        before = np.frombuffer(seen.view.screenshot(), np.uint8)
-        seen.view.get_by_role("button", name="next strike").click()
-        seen.view.get_by_text("strike 1:").first.wait_for(timeout=60_000)
-        assert page.stamp in [d.stamp for d in page.decisions if d.name == "strike"]
-        seen.view.wait_for_timeout(3_000)
-        assert len(before) != len(seen.view.screenshot()), "the robot stands elsewhere"
-        drawn, messages = page.drawn, seen.messages
-        seen.view.get_by_role("button", name="Play", exact=True).click()
-        seen.view.wait_for_timeout(5_000)
-        assert page.drawn - drawn > 0.8 * 30 * 5, "drawings in five seconds"
-        assert seen.messages - messages > 0.8 * 30 * 5, "and the browser was sent them"
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on this machine")
-def test_what_a_job_s_page_costs(page: RunPage) -> None:
-    """How long it takes depends on the machine, and is printed; what is sent does not."""
-    cost = page_speed(page, "Nail: 20.0 mm over the wood")
-    print(cost)
-    assert cost.served < MOST_SERVED
-    assert cost.received < MOST_RECEIVED
-    assert cost.messages <= MOST_MESSAGES
-
-
 def test_a_killed_job_is_listed_and_shown_up_to_its_last_second(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -165,8 +127,8 @@ def test_a_killed_job_is_listed_and_shown_up_to_its_last_second(
     history = read_history(Path(listed["folder"]) / "recording.mcap")
     assert not history.complete
     assert len(history.joints) > 500
-    page = RunPage(history, history.station(), 8310)
-    assert "The run was killed" in page.text
-    page.close()
+    logged = Logged(tmp_path / "run.rrd")
+    RunView(logged.stream, history, history.station()).update()
+    assert "The run was killed" in logged.read()["now"][-1][1]["text"][0]
     assert run(["replay", listed["folder"], "--finish", str(tmp_path / "whole.mcap")]) == 0
     assert read_history(tmp_path / "whole.mcap").complete

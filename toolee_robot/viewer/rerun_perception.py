@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +20,6 @@ from toolee_robot.tasks.common.look import Look
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import InHandEstimate
 
-if TYPE_CHECKING:
-    from toolee_robot.viewer.run_scene import RunScene
-
-AGAIN = (190, 60, 200)
-"""Colour of what today's networks find."""
 _AXIS = Category.HAMMER_HEAD.symmetry
 
 
@@ -92,11 +87,6 @@ class LookAgain:
         today = self.reason or "usable"
         sigma = f"{_cell(f['recorded_sigma_mm'])} / {_cell(f['today_sigma_mm'])}"
         return str(self.frames), recorded, today, _cell(f["moved_mm"]), _cell(f["turned_deg"]), sigma
-
-    def show(self, scene: RunScene) -> None:
-        """Draw today's estimate beside the recorded one, fixed to the hand."""
-        if self.today is not None:
-            scene.show_again(self.stamp, self.today.X_hand_ee, self.today.covariance, AGAIN)
 
 
 def look_again(history: RunHistory, config: StationConfig, perception: ToolPerception | None = None) -> list[LookAgain]:

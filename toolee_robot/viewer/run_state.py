@@ -59,9 +59,7 @@ class RunStates:
     def __init__(self, history: RunHistory, config: StationConfig) -> None:
         self._history, self._config = history, config
         self._robot = RobotModel.of_station(config)
-        metadata = history.metadata
-        self._X_hand_ee = np.array(json.loads(metadata.get("X_hand_ee", json.dumps(np.eye(4).tolist()))))
-        self._X_ee_tool = inverse(np.array(json.loads(metadata.get("X_tool_ee", json.dumps(np.eye(4).tolist())))))
+        self._nails = [(name, work.nail_protrusion, work.X_base_nail()[:3, 2]) for name, work in config.work.each()]
 
     def at(self, stamp: float) -> RunState:
         """The state at a time [s]."""
@@ -80,18 +78,24 @@ class RunStates:
                 stage = str(decision.data["outcome"])
                 held = held and stage != "tool_lost"
         in_hand = next((e for e in reversed(h.in_hand.values[: h.in_hand.index(stamp) + 1]) if e.usable), None)
-        X_hand_ee = self._X_hand_ee if in_hand is None or in_hand.X is None else in_hand.X
+        X_hand_ee = self._told("X_hand_ee") if in_hand is None or in_hand.X is None else in_hand.X
         X_base_ee = X_base_hand @ X_hand_ee if held else None
+        X_base_tool = None if X_base_ee is None else X_base_ee @ inverse(self._told("X_tool_ee"))
         protrusion = h.protrusions.at(stamp)
         protrusion = self._config.work.nail_protrusion if protrusion is None else protrusion
         sunk = {}
-        for name, work in self._config.work.each():
+        for name, begin, _ in self._nails:
             height = h.nails[name].at(stamp) if name in h.nails else None
-            sunk[name] = 0.0 if height is None else work.nail_protrusion - height
+            sunk[name] = 0.0 if height is None else begin - height
         return RunState(
-            stamp, links, X_base_hand, None if X_base_ee is None else X_base_ee @ self._X_ee_tool, X_base_ee, in_hand,
+            stamp, links, X_base_hand, X_base_tool, X_base_ee, in_hand,
             sunk, protrusion, h.images.index(stamp), stage,
         )  # fmt: skip
+
+    def _told(self, name: str) -> Array:
+        """A pose from the run's metadata, (4, 4)."""
+        text = self._history.metadata.get(name)
+        return np.eye(4) if text is None else np.array(json.loads(text))
 
     def q_arm(self, stamp: float) -> Array:
         """Joint positions of the arm at a time [s], (6,) [rad], interpolated; at home before the first motion."""
@@ -123,6 +127,6 @@ class RunStates:
         Returns:
             Its pose, (4, 4).
         """
+        into_wood = {name: axis for name, _, axis in self._nails}
         name = nail_of(body)
-        into_wood = self._config.work.only(name).X_base_nail()[:3, 2]
-        return transform(p=into_wood * sunk[name]) @ X
+        return transform(p=into_wood[name] * sunk[name]) @ X

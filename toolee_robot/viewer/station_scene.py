@@ -1,28 +1,33 @@
-"""A station file in three dimensions, in the browser: bodies, and frames with their names."""
+"""What stands in a station, logged to Rerun: arm and hand, work, table, camera and its view."""
 
 from __future__ import annotations
 
-import contextlib
-import io
-from collections.abc import Collection
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.errors import UserError
-from toolee_robot.frames import Array
+from toolee_robot.control import RobotModel
+from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.physics.bodies import OBSTACLE_COLOR
-from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.sim_backend.visuals.scene import BodyId, SceneVisuals, scene_state
+from toolee_robot.sim_backend.visuals.scene import BodyId, SceneState, SceneVisuals
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 from toolee_robot.station import StationConfig
+from toolee_robot.tools import ToolKind, make_tool
+from toolee_robot.types import CameraIntrinsics
 
 CAMERA_BOX, TABLE = (220, 120, 40), (200, 200, 195)
 """Colours of the camera's box and of the table."""
-AXES = 0.12
-"""Length of a frame's axes [m]."""
+AXES_COLORS = ((229, 56, 59), (42, 157, 63), (29, 111, 216))
+"""Colours of the axes x, y and z."""
+BACKGROUND = (235, 237, 240)
+IMAGE_DISTANCE = 0.2
+"""Distance from the camera at which its image hangs [m]."""
+MOVING = frozenset({BodyId.ARM, BodyId.HAND, BodyId.NAIL})
+"""What moves in a job."""
+TIMELINE = "station clock"
+"""Name of the timeline: seconds on the station's clock."""
 
 
 def bodies(config: StationConfig) -> list[VisualBody]:
@@ -32,133 +37,124 @@ def bodies(config: StationConfig) -> list[VisualBody]:
         config: What the station file says.
 
     Returns:
-        The bodies, with a hammer of the simulation beside the person.
+        The bodies.
     """
-    with SimStation.build(config) as simulation:
-        state = scene_state(simulation.world, simulation.person)
-        visuals = SceneVisuals(config, simulation.tool, 0, lambda: state)
-        return list(visuals.visual_bodies())
+    description = RobotModel.of_station(config).description
+    state = SceneState(
+        links=description.link_poses(np.array(config.scene.home), description.hand_open),
+        X_base_tool=np.eye(4),
+        Xs_base_nail={name: work.X_base_nail() for name, work in config.work.each()},
+        person_center=np.array(config.scene.person_center),
+        person_arm=None,
+    )
+    visuals = SceneVisuals(config, make_tool(ToolKind.CLAW_HAMMER, 0), 0, lambda: state)
+    return [body for body in visuals.visual_bodies() if body.body_id is not BodyId.TOOL]
 
 
-class StationPicture:
-    """The picture on a page of a loopback address, until it is closed.
+def log_station(stream: Any, config: StationConfig, shown: Iterable[VisualBody]) -> None:
+    """Log what stands still in a station, and the shapes of what moves.
 
     Args:
+        stream: The `rerun.RecordingStream`.
         config: What the station file says.
-        port: Port of the page; the next free one is taken where it is in use.
-        hidden: Bodies that are not drawn.
-
-    Attributes:
-        server: The `viser.ViserServer`.
-
-    Raises:
-        UserError: viser is not installed.
+        shown: The bodies to show.
     """
+    import rerun as rr
 
-    def __init__(self, config: StationConfig, port: int, hidden: Collection[BodyId] = ()) -> None:
-        try:
-            import viser
-        except ImportError as error:
-            raise UserError(
-                f"the picture needs viser ({error}): run `python -m pip install -e '.[viewer]'`",
-                code="user.missing_package",
-            ) from error
-        with contextlib.redirect_stdout(io.StringIO()):  # a banner of its own
-            self.server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
-        self._meshes: dict[str, Any] = {}
-        self.server.scene.set_up_direction("+z")
-        self._draw_bodies(config, hidden)
-        self._draw_camera(config)
-        self.server.initial_camera.position = (2.1, 1.3, 1.5)
-        self.server.initial_camera.look_at = (0.4, -0.2, 0.4)
-
-    @property
-    def address(self) -> str:
-        """Address of the page."""
-        return f"http://127.0.0.1:{self.server.get_port()}"
-
-    def close(self) -> None:
-        """Stop serving."""
-        self.server.stop()
-
-    def frame(self, name: str, X: Array, label: str, above: float = 0.0) -> None:
-        """Draw a frame.
-
-        Args:
-            name: Its name.
-            X: Its pose in `base`, (4, 4).
-            label: What is written beside it.
-            above: Height of the label over the frame's x axis [m].
-        """
-        position, wxyz = position_wxyz(X)
-        scene, path = self.server.scene, f"/frames/{name}"
-        scene.add_frame(path, position=position, wxyz=wxyz, axes_length=AXES, axes_radius=AXES / 30.0)
-        scene.add_label(f"{path}/name", label, position=(AXES, 0.0, above))  # base_link's and pendant_base's apart
-
-    def move(self, name: str, X: Array) -> None:
-        """Move a body; one that is not drawn is left out.
-
-        Args:
-            name: Its name, such as that of a link.
-            X: Its pose in `base`, (4, 4).
-        """
-        if name in self._meshes:
-            self._meshes[name].position, self._meshes[name].wxyz = position_wxyz(X)
-
-    def place(self, name: str) -> Array:
-        """Where a body is drawn, (3,) in `base` [m]."""
-        return np.array(self._meshes[name].position)
-
-    def show_image(self, rgb: NDArray[np.uint8] | None) -> None:
-        """Show an image, (H, W, 3), in the camera's frustum; None: no image."""
-        self._frustum.image = rgb
-
-    def _draw_bodies(self, config: StationConfig, hidden: Collection[BodyId]) -> None:
-        for body in bodies(config):
-            if body.body_id in hidden:
-                continue
-            position, wxyz = position_wxyz(body.X_base_body)
-            self._meshes[body.name] = self.server.scene.add_mesh_simple(
-                f"/bodies/{body.name}",
-                body.mesh.vertices,
-                body.mesh.faces,
-                color=rgb(body.color),
-                opacity=0.3 if body.body_id == BodyId.PERSON else None,
-                flat_shading=True,
-                position=position,
-                wxyz=wxyz,
-            )
-        x, y = config.scene.table_size
-        dimensions, middle = (x, y, 0.01), (*config.scene.table_center, config.scene.table_height - 0.006)
-        self._meshes["table"] = self.server.scene.add_box(
-            "/bodies/table", color=TABLE, dimensions=dimensions, position=middle
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for body in shown:
+        mesh = body.mesh
+        r, g, b = rgb(body.color)
+        path = body_path(body.name)
+        alpha = 80 if body.body_id is BodyId.PERSON else 255
+        corners = mesh.vertices[mesh.faces].reshape(-1, 3)  # apart, so that edges stay sharp
+        sides = np.cross(corners[1::3] - corners[::3], corners[2::3] - corners[::3])
+        normals = sides / np.maximum(np.linalg.norm(sides, axis=1, keepdims=True), 1e-12)
+        stream.log(
+            path,
+            rr.Mesh3D(
+                vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=(r, g, b, alpha)
+            ),
+            static=True,
         )
+        stream.log(path, pose(body.X_base_body), static=body.body_id not in MOVING)
+    scene, camera = config.scene, config.camera
+    x, y = scene.table_size
+    stream.log(
+        "world/table",
+        rr.Boxes3D(
+            half_sizes=[(x / 2, y / 2, 0.005)], centers=[(*scene.table_center, scene.table_height - 0.006)],
+            colors=[TABLE], fill_mode="solid",
+        ),
+        static=True,
+    )  # fmt: skip
+    stream.log("world/camera", pose(camera.X_base_camera), static=True)
+    half = np.array([scene.camera_size]) / 2
+    stream.log(
+        "world/camera_box",
+        rr.Boxes3D(half_sizes=half, colors=[CAMERA_BOX], fill_mode="solid"),
+        pose(transform(p=camera.X_base_camera[:3, 3])),
+        static=True,
+    )
+    log_lens(stream, camera.intrinsics)
 
-    def _draw_camera(self, config: StationConfig) -> None:
-        position, wxyz = position_wxyz(config.camera.X_base_camera)
-        size, k = config.scene.camera_size, config.camera.intrinsics
-        self.server.scene.add_box("/bodies/camera", color=CAMERA_BOX, dimensions=size, position=position)
-        self._frustum = self.server.scene.add_camera_frustum(
-            "/camera's view",
-            fov=float(2.0 * np.arctan2(k.height / 2.0, k.fy)),
-            aspect=k.width / k.height,
-            scale=0.12,
+
+def log_lens(stream: Any, k: CameraIntrinsics) -> None:
+    """Log the camera's intrinsics, by which its image hangs in the scene."""
+    import rerun as rr
+
+    stream.log(
+        "world/camera/image",
+        rr.Pinhole(
+            image_from_camera=k.matrix, width=k.width, height=k.height, image_plane_distance=IMAGE_DISTANCE,
             color=CAMERA_BOX,
-            thickness=0.004,
-            position=position,
-            wxyz=wxyz,
-        )
+        ),
+        static=True,
+    )  # fmt: skip
 
 
-def position_wxyz(X: Array) -> tuple[Array, Array]:
-    """Position (3,) and quaternion (4,), w first, of a pose (4, 4)."""
-    return X[:3, 3], np.asarray(Rotation.from_matrix(X[:3, :3]).as_quat(scalar_first=True))
+def body_path(name: str) -> str:
+    """Where a body is logged."""
+    return "world/bodies/" + "".join(c if c.isalnum() else "_" for c in name)
+
+
+def pose(X: Array) -> Any:
+    """A pose, (4, 4), as Rerun takes it."""
+    import rerun as rr
+
+    return rr.Transform3D(translation=X[:3, 3], quaternion=Rotation.from_matrix(X[:3, :3]).as_quat())
+
+
+def send_poses(stream: Any, Xs: Mapping[str, Array], stamps: Array) -> None:
+    """Log where things are by time.
+
+    Args:
+        stream: The `rerun.RecordingStream`.
+        Xs: Poses of each thing by its path, (T, 4, 4).
+        stamps: Their times, (T,) [s].
+    """
+    import rerun as rr
+
+    at = [rr.TimeColumn(TIMELINE, duration=stamps)]
+    for path, X in Xs.items():
+        q = Rotation.from_matrix(X[:, :3, :3]).as_quat()
+        rr.send_columns(path, at, rr.Transform3D.columns(translation=X[:, :3, 3], quaternion=q), recording=stream)
 
 
 def rgb(color: tuple[float, float, float]) -> tuple[int, int, int]:
     """Colour of 0 to 1 as bytes."""
     r, g, b = (round(255 * channel) for channel in color)
     return r, g, b
+
+
+def axes(Xs: Array, length: float) -> Any:
+    """The axes of poses, (K, 4, 4), each of a length [m]."""
+    import rerun as rr
+
+    origins = np.repeat(Xs[:, :3, 3], 3, axis=0)
+    ends = length * np.swapaxes(Xs[:, :3, :3], 1, 2).reshape(-1, 3)
+    colors = np.tile(np.array(AXES_COLORS, np.uint8), (len(Xs), 1))
+    return rr.Arrows3D(origins=origins, vectors=ends, colors=colors, radii=length / 30)
 
 
 OBSTACLE = rgb(OBSTACLE_COLOR[:3])

@@ -23,7 +23,6 @@ from toolee_robot.control.dynamics.tool_weight import ToolWeight
 from toolee_robot.end_effectors import Category
 from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.recording.file_names import PICTURE, RECORDING
-from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.recording.tool_file import tool_model
@@ -41,7 +40,7 @@ from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.tools import Tool
 
 if TYPE_CHECKING:
-    from toolee_robot.viewer.run_page import RunPage  # needs the extra `viewer`
+    from toolee_robot.viewer.live_page import LivePage  # needs the extra `viewer`
 
 PAGE_PORT = 8080
 """Port of the page of a running job; the next free one where it is in use."""
@@ -149,13 +148,13 @@ class HammerJob:
         return HammerReport(figures)
 
     @contextmanager
-    def _page(self, console: Console) -> Iterator[RunPage | None]:
+    def _page(self, console: Console) -> Iterator[LivePage | None]:
         if not self.view:
             yield None
             return
-        from toolee_robot.viewer.run_page import RunPage
+        from toolee_robot.viewer.live_page import LivePage
 
-        page = RunPage(RunHistory(complete=False), self.source.config, PAGE_PORT, live=True)
+        page = LivePage(self.source.config, PAGE_PORT)
         console.print(f"[dim]The job is shown at[/dim] [bold]{page.address}[/bold]")
         try:
             yield page
@@ -330,7 +329,7 @@ def _nail_figures(nail: NailResult, verdict: Verdict | None) -> dict[str, Any]:
     }
 
 
-def _prompt(text: str, screen: ConsoleObserver, page: RunPage | None) -> None:
+def _prompt(text: str, screen: ConsoleObserver, page: LivePage | None) -> None:
     screen.prompt(text)
     if page is not None:
         page.prompt(text)

@@ -94,11 +94,16 @@ class Replay:
         return looks
 
     def _show(self, history: RunHistory, config: StationConfig, again: list[LookAgain], console: Console) -> None:
-        from toolee_robot.viewer.run_page import RunPage
+        from toolee_robot.viewer.rerun_page import RerunPage
+        from toolee_robot.viewer.run_view import RunView, blueprint
 
-        page = RunPage(history, config, self.port)
-        for look in again:
-            look.show(page.scene)
+        with console.status("building the page"):
+            page = RerunPage("replay", blueprint(), self.port)
+            view = RunView(page.stream, history, config)
+            view.update()
+            for look in again:
+                if look.today is not None:
+                    view.log_today(look.stamp, look.today.X_hand_ee, look.today.covariance)
         console.print(escape(history.metadata.get("title", "")))
         serve(page, console)
 

@@ -29,11 +29,14 @@ class Show:
     """Port of the page."""
 
     def run(self) -> int:
-        load_station(self.file)  # before viser is imported
+        load_station(self.file)  # before Rerun is imported
         console = Console(highlight=False)
         with console.status("building the picture"):
-            from toolee_robot.viewer.station_page import StationPage
+            from toolee_robot.viewer.rerun_page import RerunPage
+            from toolee_robot.viewer.station_view import StationView
 
-            page = StationPage(self.file, self.port)
+            view = StationView(self.file)
+            page = RerunPage("station", view.blueprint(), self.port)
+            view.log(page.stream)
         serve(page, console)
         return 0

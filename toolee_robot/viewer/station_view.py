@@ -10,18 +10,17 @@ import numpy as np
 
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import HALF_TURN, Array, BaseFrame, frame_from_axes, inverse, transform, transform_points
-from toolee_robot.sim_backend.visuals.scene import PINE_COLOR, STAND_COLOR
 from toolee_robot.station import StationConfig, given_by_nails, given_by_pose, read_station
 from toolee_robot.station.station import to_station
 from toolee_robot.stations.open_fields import open_fields
-from toolee_robot.viewer.station_scene import CAMERA_BOX, OBSTACLE, StationPicture, rgb
+from toolee_robot.viewer.station_scene import BACKGROUND, axes, bodies, log_station
 
-WORKSPACE, VIEW = (60, 120, 200), (250, 190, 90)
-"""Colours of the workspace's edges and of the camera's view."""
-CELL, NAIL_LABELS = 0.5, 0.08
-"""Edge of a square of the table's grid, and height of a nail's label over the one before it [m]."""
+WORKSPACE, VIEW, LABEL = (60, 120, 200), (250, 190, 90), (20, 24, 30)
+"""Colours of the workspace's edges, of the camera's view and of names."""
+CELL, FRAME_AXES = 0.5, 0.12
+"""Edge of a square of the table's grid, and length of a frame's axes [m]."""
 EYE, LOOK_AT = (2.5, 1.7, 1.7), (0.15, 0.1, 0.4)
-"""The first view, in which the panel hides little of the station [m]."""
+"""The first view [m]."""
 _SHOWN = {
     "camera": ("camera.position", "camera.target"),
     "nail": ("work.nail_xy", "work.stand_height", "work.block_size"),
@@ -54,56 +53,62 @@ def named_frames(config: StationConfig) -> dict[str, Array]:
     }
 
 
-class StationPage:
-    """The page of a station file on a loopback address, until it is closed.
+class StationView:
+    """What a station file says, logged to Rerun.
 
     Args:
         path: The file.
-        port: Port of the page; the next free one is taken where it is in use.
-
-    Attributes:
-        picture: The picture.
 
     Raises:
         ConfigError: The file is invalid.
-        UserError: viser is not installed.
     """
 
-    def __init__(self, path: Path, port: int) -> None:
+    def __init__(self, path: Path) -> None:
         self._path, self._data = path, read_station(path)
-        self._config = config = to_station(self._data, path)
-        self._frames = named_frames(config)
-        self.picture = StationPicture(config, port)
-        server = self.picture.server
-        scene = server.scene
-        nails = 0
-        for name, X in self._frames.items():
-            self.picture.frame(name, X, self._named(name), above=nails * NAIL_LABELS)
-            nails += name.startswith("nail")
-        x, y = config.scene.table_size
-        middle = (*config.scene.table_center, config.scene.table_height + 0.001)
-        scene.add_grid("/table's grid", x, y, cell_size=CELL, section_size=CELL, position=middle)
-        self._label("workspace", self._draw_workspace()[5])  # the corner that the panel does not hide
-        self._label("person", np.add(config.scene.person_center, (0.0, 0.0, config.scene.person_size[2] / 2.0 + 0.25)))
-        for obstacle in config.scene.obstacles:
-            top = np.add(obstacle.center, (0.0, 0.0, obstacle.size[2] / 2.0))
-            scene.add_label(f"/names/{obstacle.name}", obstacle.name, position=top, anchor="bottom-center")
-        self._draw_view()
-        server.initial_camera.position, server.initial_camera.look_at = EYE, LOOK_AT
-        gui = server.gui
-        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
-        gui.set_panel_label(path.name)
-        for text in self.texts():
-            gui.add_markdown(text)
+        self._config = to_station(self._data, path)
+        self._frames = named_frames(self._config)
 
-    @property
-    def address(self) -> str:
-        """Address of the page."""
-        return self.picture.address
+    def blueprint(self) -> Any:
+        """Layout of the page, a `rerun.blueprint.Blueprint`: the scene, and the text beside it."""
+        import rerun as rr
+        import rerun.blueprint as rrb
 
-    def close(self) -> None:
-        """Stop serving."""
-        self.picture.close()
+        plane = rr.components.Plane3D((0.0, 0.0, 1.0), self._config.scene.table_height + 0.001)
+        grid = rrb.LineGrid3D(visible=True, spacing=CELL, plane=plane)
+        eye = rrb.EyeControls3D(position=EYE, look_target=LOOK_AT, eye_up=(0, 0, 1))
+        scene = rrb.Spatial3DView(
+            origin="world", name="Station", eye_controls=eye, line_grid=grid, background=BACKGROUND
+        )
+        text = rrb.TextDocumentView(origin="text", name="What the file says")
+        return rrb.Blueprint(
+            rrb.Horizontal(scene, text, column_shares=[2, 1]),
+            rrb.TimePanel(state="hidden"),
+            rrb.BlueprintPanel(state="hidden"),
+            rrb.SelectionPanel(state="hidden"),
+            auto_views=False,
+        )
+
+    def log(self, stream: Any) -> None:
+        """Log the station to a `rerun.RecordingStream`."""
+        import rerun as rr
+
+        config, scene = self._config, self._config.scene
+        log_station(stream, config, bodies(config))
+        Xs = np.array(list(self._frames.values()))
+        stream.log("world/frames", axes(Xs, FRAME_AXES), static=True)
+        labels = {self._named(name): X[:3, 3] + 0.5 * FRAME_AXES * X[:3, 0] for name, X in self._frames.items()}
+        corners = np.array(list(itertools.product(*zip(scene.workspace_lower, scene.workspace_upper, strict=True))))
+        labels[self._named("workspace")] = corners[5]  # a corner that nothing hides
+        labels[self._named("person")] = np.add(scene.person_center, (0.0, 0.0, scene.person_size[2] / 2.0 + 0.25))
+        for obstacle in scene.obstacles:
+            labels[obstacle.name] = np.add(obstacle.center, (0.0, 0.0, obstacle.size[2] / 2.0))
+        points = rr.Points3D(list(labels.values()), labels=list(labels), colors=[LABEL], radii=0.004, show_labels=True)
+        stream.log("world/names", points, static=True)
+        edges = [(a, b) for a, b in itertools.combinations(corners, 2) if np.sum(a != b) == 1]
+        stream.log("world/workspace", rr.LineStrips3D(edges, colors=[WORKSPACE], radii=0.003), static=True)
+        stream.log("world/view", rr.LineStrips3D(self._view(), colors=[VIEW], radii=0.003), static=True)
+        text = rr.TextDocument("\n\n".join(self.texts()), media_type="text/markdown")
+        stream.log("text", text, static=True)
 
     def texts(self) -> list[str]:
         """The panel's parts, in Markdown: places, colours, the camera's calibration, and what is missing."""
@@ -151,20 +156,8 @@ class StationPage:
             return name
         return f"{name} (not all given)" if given else f"{name} (not given)"
 
-    def _label(self, name: str, position: Any) -> None:
-        scene = self.picture.server.scene
-        scene.add_label(f"/names/{name}", self._named(name), position=position, anchor="bottom-center")
-
-    def _draw_workspace(self) -> Array:
-        """Draw its edges; returns its corners, (8, 3)."""
-        scene = self._config.scene
-        corners = np.array(list(itertools.product(*zip(scene.workspace_lower, scene.workspace_upper, strict=True))))
-        edges = np.array([(a, b) for a, b in itertools.combinations(corners, 2) if np.sum(a != b) == 1])
-        self._lines("/workspace", edges, WORKSPACE)
-        return corners
-
-    def _draw_view(self) -> None:
-        """Draw what the camera sees, as far as the point at which it looks; by a whole pose, as the first nail."""
+    def _view(self) -> list[Any]:
+        """Edges of what the camera sees, as far as the point at which it looks; by a whole pose, as the first nail."""
         camera = self._config.camera
         X, k = camera.X_base_camera, camera.intrinsics
         depth = float(np.linalg.norm(np.subtract(camera.target, camera.position)))
@@ -172,34 +165,19 @@ class StationPage:
             depth = float(np.linalg.norm(self._config.work.X_base_nail()[:3, 3] - X[:3, 3]))
         pixels = np.array([(0, 0), (k.width, 0), (k.width, k.height), (0, k.height)])
         ends = list(transform_points(X, depth * k.rays(pixels)))
-        rays = [(X[:3, 3], end) for end in ends]
-        self._lines("/camera's view/edges", np.array([*rays, *zip(ends, [*ends[1:], ends[0]], strict=True)]), VIEW)
-        faces = np.array([(0, i, i % 4 + 1) for i in range(1, 5)])
-        self.picture.server.scene.add_mesh_simple(
-            "/camera's view/cone", np.array([X[:3, 3], *ends]), faces, color=VIEW, opacity=0.15, side="double",
-            cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
-
-    def _lines(self, name: str, points: Array, color: tuple[int, int, int]) -> None:
-        scene = self.picture.server.scene
-        scene.add_line_segments(name, points, color, thickness=2.0, thickness_units="screen")
+        return [*((X[:3, 3], end) for end in ends), [*ends, ends[0]]]
 
 
 def _colours(config: StationConfig) -> str:
     """What has which colour."""
-    named = [
-        (WORKSPACE, "workspace, which the arm does not leave"),
-        (CAMERA_BOX, "camera, with the box that is kept clear around it"),
-        (
-            VIEW,
-            f"what it sees, as far as {'`camera.target`' if config.camera.measured_pose is None else 'the nail is'}",
-        ),
-        (rgb(PINE_COLOR), "wood"),
-        (rgb(STAND_COLOR), "stand, and hand or mount on the flange"),
+    far = "`camera.target`" if config.camera.measured_pose is None else "the nail"
+    lines = [
+        "- blue lines: the workspace, which the arm does not leave",
+        "- orange: the camera, with the box that is kept clear around it",
+        f"- yellow lines: what it sees, as far as {far}",
+        "- dark grey: the stand, and the hand or mount on the flange",
+        "- see-through: the person",
     ]
     if config.scene.obstacles:
-        named.append((OBSTACLE, "obstacles, which are kept clear of"))
-    lines = [f"- `#{r:02x}{g:02x}{b:02x}` {what}" for (r, g, b), what in named]
-    squares = f"Axes: `#ff0000` x, `#00cc00` y, `#0000ff` z. The table's squares are {CELL:g} m wide."
-    person = "See-through: the person, with a hammer of the simulation held out."
-    return "\n".join(["**Colours**", "", *lines, "", f"{squares} {person}"])
+        lines.append("- ochre: obstacles, which are kept clear of")
+    return "\n".join(["**Colours**", "", *lines, "", f"Axes: red x, green y, blue z. The grid is {CELL:g} m wide."])

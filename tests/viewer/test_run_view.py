@@ -1,0 +1,123 @@
+"""What is shown of a run at a time, replayed and live, and in a browser."""
+
+from __future__ import annotations
+
+import io
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.recording import small_run
+from tests.viewer.browser import CHROMIUM, browser
+from tests.viewer.logged import Logged, at
+from toolee_robot.recording.history import RunHistory
+from toolee_robot.recording.reading import read_history
+from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.robots import load_robot
+from toolee_robot.station import StationConfig
+from toolee_robot.viewer.live_page import LivePage
+from toolee_robot.viewer.rerun_page import RerunPage
+from toolee_robot.viewer.run_view import RunView, blueprint
+from toolee_robot.viewer.station_scene import CAMERA_BOX
+
+pytestmark = pytest.mark.sim(seconds=15)
+
+
+def _now(shown: dict[str, Any], stamp: float) -> str:
+    return str(at(shown["now"], stamp, "text")[0])
+
+
+def test_it_shows_the_run_by_time(tmp_path: Path) -> None:
+    history = read_history(small_run.write(tmp_path / "run.mcap"))
+    logged = Logged(tmp_path / "run.rrd")
+    RunView(logged.stream, history, history.station()).update()
+    shown = logged.read()
+    assert "Handover" in _now(shown, 0.0)
+    assert "20.0 mm over the wood" in _now(shown, 0.0)
+    description = load_robot()
+    links = description.link_poses(small_run.REACHED, description.hand_open)
+    elbow = shown["world/bodies/forearm_link"]
+    np.testing.assert_allclose(at(elbow, 2.0, "translation")[0], links["forearm_link"][:3, 3], atol=1e-6)
+    head = shown["world/bodies/nail_head_nail"]
+    sunk = np.subtract(at(head, 4.2, "translation"), at(head, 0.0, "translation"))[0]
+    assert sunk[2] == pytest.approx(-0.0077, abs=1e-6), "the nail goes down with the hammer's strikes"
+    assert [t for t, row in shown["world/tool"] if "blob" in row] == [2.0], "the tool is there once it is held"
+    X_hand_ee = small_run.X_HAND_EE
+    np.testing.assert_allclose(
+        at(shown["world/tool"], 4.2, "translation")[0], (links[description.hand_frame] @ X_hand_ee)[:3, 3], atol=1e-6
+    )
+    said = _now(shown, 4.2)
+    assert "12.3 mm over the wood" in said
+    assert "strike 1: expected, 12.3 mm left, 54 N" in said
+    assert "the nail went in" in said
+    assert _now(shown, 5.0).startswith("# FLUSH\n\n## flush: the head stands 0.2 mm over the wood")
+    assert max(row["scalars"][0] for t, row in shown["force"] if t >= 0.0) == 54.0
+    assert [row["scalars"][0] for t, row in shown["nail"] if t >= 0.0] == pytest.approx([20.0, 12.3])
+    assert len(shown["world/hand/seen/cloud"][0][1]["positions"]) == 50
+    assert len(shown["world/hand/seen/candidates"][0][1]["vectors"]) == 3 * 8
+    for ellipsoid in ("world/hand/seen/estimate", "world/hand/fused"):
+        np.testing.assert_allclose(shown[ellipsoid][0][1]["half_sizes"][0], [0.01] * 3)
+    assert [row["text"][0].split(":")[0] for _, row in shown["decisions"]] == [
+        "stage", "stage", "pose in hand", "stage", "the nail went in", "strike", "ended",
+    ]  # fmt: skip
+
+
+def test_it_follows_a_job_that_runs(tmp_path: Path) -> None:
+    history = RunHistory(complete=False)
+    logged = Logged(tmp_path / "run.rrd")
+    view = RunView(logged.stream, history, StationConfig(), live=True)
+    view.prompt("Lay the hammer into the open hand.")
+    with RunRecorder(tmp_path / "run.mcap", {"X_hand_ee": np.eye(4), "X_tool_ee": np.eye(4)}) as recorder:
+        history.metadata.update(recorder.metadata)
+        recorder.history = history
+        small_run.record(recorder)
+        end = time.monotonic() + 20.0
+        while time.monotonic() < end and (not len(history.decisions) or history.decisions.values[-1].name != "ended"):
+            view.update()
+            time.sleep(0.02)
+    view.update()
+    shown = logged.read()
+    said = [row["text"][0] for _, row in shown["now"]]
+    assert "Connecting" in said[0]
+    assert any("➤ Lay the hammer into the open hand." in text for text in said)
+    assert "➤" not in said[-1], "the job has gone on"
+    assert said[-1].startswith("# FLUSH")
+    assert "12.3 mm over the wood" in said[-1]
+    assert len([1 for t, row in shown["force"] if t >= 0.0]) == 2 * 126, "nothing is left out, nothing comes twice"
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on this machine")
+def test_a_browser_shows_the_page_which_only_this_computer_gets(tmp_path: Path) -> None:
+    history = read_history(small_run.write(tmp_path / "run.mcap"))
+    page = RerunPage("test", blueprint(), 8310)
+    try:
+        RunView(page.stream, history, history.station()).update()
+        with urllib.request.urlopen(page.address) as served:
+            assert b"<html" in served.read(2000)
+        with browser() as view:
+            view.goto(page.address)
+            camera = 0
+            end = time.monotonic() + 90.0
+            while camera < 300 and time.monotonic() < end:
+                view.wait_for_timeout(2_000)
+                pixels = np.asarray(Image.open(io.BytesIO(view.screenshot())).convert("RGB")).astype(int)[:, :900]
+                camera = (abs(pixels - CAMERA_BOX).max(axis=-1) < 40).sum()
+        assert camera > 300, "the camera's box is drawn"
+    finally:
+        page.close()
+
+
+def test_a_live_page_ends_with_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("toolee_robot.viewer.live_page.SEEN_S", 0.0)
+    page = LivePage(StationConfig(), 8310)
+    with urllib.request.urlopen(page.address) as served:
+        assert served.status == 200
+    with RunRecorder(tmp_path / "run.mcap", {"X_hand_ee": np.eye(4), "X_tool_ee": np.eye(4)}) as recorder:
+        page.follow(recorder)
+        small_run.record(recorder)
+    page.close()

@@ -1,0 +1,287 @@
+"""A run, logged to Rerun: one function for a run that is over and one that goes on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.frames import Array
+from toolee_robot.recording.history import RunHistory
+from toolee_robot.recording.series import SeenDecision, Series
+from toolee_robot.sim_backend.visuals.scene import BodyId
+from toolee_robot.station import StationConfig
+from toolee_robot.viewer.run_state import RunStates
+from toolee_robot.viewer.station_scene import (
+    BACKGROUND,
+    TIMELINE,
+    axes,
+    bodies,
+    body_path,
+    log_lens,
+    log_station,
+    pose,
+    send_poses,
+)
+
+PERIOD_S = 1.0 / 30.0
+"""Least time between two poses that are drawn [s]."""
+SIGMAS = 10.0
+"""Size of the ellipsoids in standard deviations: at three they are too small to see."""
+FACE_AXES, CANDIDATE_AXES = 0.05, 0.012
+"""Lengths of drawn axes [m]."""
+CLOUD, SEEN, FUSED, TODAY = (30, 160, 220), (240, 160, 30), (60, 200, 90), (190, 60, 200)
+"""Colours of the cloud and of the ellipsoids."""
+HAND, TOOL, FACE = "world/hand", "world/tool", "world/believed_face"
+WORDS = {
+    "": "Connecting",
+    "handover": "Handover: waiting for the hammer",
+    "grip": "Grip",
+    "view": "Look: bringing the hammer before the camera",
+    "perceive": "Look: finding its face",
+    "plan": "Planning the strike",
+    "touch": "Measuring the nail with a slow touch",
+    "strike": "Striking: keep out of reach",
+    "park": "Parking",
+}
+"""What the panel says of each stage."""
+
+
+def blueprint(*, live: bool = False) -> Any:
+    """Layout of a run's page: the scene; beside it what goes on, the camera's image, curves and decisions.
+
+    Args:
+        live: Whether the page follows a job that runs.
+
+    Returns:
+        The `rerun.blueprint.Blueprint`.
+    """
+    import rerun.blueprint as rrb
+
+    eye = rrb.EyeControls3D(position=(1.25, 0.75, 0.85), look_target=(0.45, -0.25, 0.3), eye_up=(0, 0, 1))
+    scene = rrb.Spatial3DView(origin="world", name="Scene", eye_controls=eye, background=BACKGROUND, line_grid=False)
+    image = rrb.Spatial2DView(origin="world/camera/image", name="Camera")
+    text = rrb.TextDocumentView(origin="now", name="Now")
+    force = rrb.TimeSeriesView(origin="force", name="Force at the flange [N]")
+    nail = rrb.TimeSeriesView(origin="nail", name="Nail over the wood [mm]")
+    decisions = rrb.TextLogView(origin="decisions", name="Decisions")
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(scene, decisions, row_shares=[3, 1]),
+            rrb.Vertical(text, image, force, nail, row_shares=[3, 4, 2, 2]),
+            column_shares=[2, 1],
+        ),
+        rrb.TimePanel(
+            state="collapsed", timeline=TIMELINE, play_state="following" if live else "paused", loop_mode="off"
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+    )
+
+
+class RunView:
+    """Logs a run to Rerun, as far as it has been recorded.
+
+    What a frame showed is drawn fixed to the hand, where it stays comparable while the hand moves on.
+
+    Args:
+        stream: The `rerun.RecordingStream`.
+        history: What was recorded; it may grow.
+        config: The station.
+        live: Whether the run goes on.
+
+    Attributes:
+        states: The states of the run.
+    """
+
+    def __init__(self, stream: Any, history: RunHistory, config: StationConfig, *, live: bool = False) -> None:
+        import rerun as rr
+
+        self.states = RunStates(history, config)
+        self._prompt, self._prompted = "", 0
+        self._rr, self._stream, self._history, self._live = rr, stream, history, live
+        self._logged: dict[str, int] = {}
+        self._drawn, self._held = -np.inf, False
+        shown = [body for body in bodies(config) if body.body_id is not BodyId.PERSON]
+        self._nails = {body.name: body.X_base_body for body in shown if body.body_id is BodyId.NAIL}
+        self._links = {body.name for body in shown if body.body_id in (BodyId.ARM, BodyId.HAND)}
+        log_station(stream, config, shown)
+        for name, color, steps in (("force", (192, 57, 43), "Linear"), ("nail", (36, 113, 163), "StepAfter")):
+            line = rr.SeriesLines(colors=[color], names=[name], interpolation_mode=steps)
+            stream.log(name, line, static=True)
+        stream.log(FACE, rr.TransformAxes3D(FACE_AXES), static=True)
+        self._log_poses([history.start])
+        self._log(history.start, "nail", rr.Scalars(1e3 * self.states.at(history.start).protrusion))
+        self.log_now(history.start)
+
+    def update(self) -> None:
+        """Log what has been recorded since the last call."""
+        h, rr = self._history, self._rr
+        with h.lock:
+            joints, wrenches = self._new("joints", h.joints), self._new("wrenches", h.wrenches)
+            decisions, logs, status = (
+                self._new("decisions", h.decisions),
+                self._new("logs", h.logs),
+                self._new("", h.status),
+            )
+            heights, frames, fused = (
+                self._new("nail", h.protrusions),
+                self._new("images", h.images),
+                self._new("fused", h.in_hand),
+            )
+        self._log_poses(self._thinned(joints) + [t for t, _ in decisions])
+        if wrenches:
+            at = [rr.TimeColumn(TIMELINE, duration=[t for t, _ in wrenches])]
+            forces = np.linalg.norm([w[:3] for _, w in wrenches], axis=1)
+            rr.send_columns("force", at, rr.Scalars.columns(scalars=forces), recording=self._stream)
+        for stamp, height in heights:
+            self._log(stamp, "nail", rr.Scalars(1e3 * height))
+        for stamp, _ in frames:
+            self._log_frame(stamp)
+        for stamp, estimate in fused:
+            if estimate.X is not None and estimate.usable:
+                self._log_ellipsoid(stamp, f"{HAND}/fused", estimate.X, estimate.covariance, FUSED)
+        for stamp, decision in decisions:
+            if worth_telling(decision):
+                text = f"{decision.name.replace('_', ' ')}: {decision.reason}"
+                self._log(stamp, "decisions", rr.TextLog(text, level="INFO"))
+        for stamp, text in logs:
+            self._log(stamp, "decisions", rr.TextLog(text, level="INFO"))
+        for stamp in sorted({t for series in (decisions, logs, status) for t, _ in series}):
+            self.log_now(stamp)
+        if not h.complete and not self._live:
+            self.log_now(h.end)
+
+    def prompt(self, text: str) -> None:
+        """Log what a person is to do now; it stays until the job goes on.
+
+        Args:
+            text: The prompt.
+        """
+        self._prompt, self._prompted = text, len(self._history.decisions)
+        self.log_now(self._history.end)
+
+    def log_now(self, stamp: float) -> None:
+        """Log what goes on at a time [s]: stage, prompt, nail, robot, the last strikes and messages."""
+        h, state = self._history, self.states.at(stamp)
+        ended = next((d for _, d in h.decisions if d.name == "ended" and d.stamp <= stamp), None)
+        title = WORDS.get(state.stage, state.stage.replace("_", " ").capitalize())
+        parts = [f"# {title.upper() if ended else title}"]
+        if ended is not None:
+            parts.append(f"## {ended.reason}")
+        elif self._prompt and len(h.decisions) <= self._prompted:
+            parts.append(f"## ➤ {self._prompt}")
+        parts.append(f"**Nail**: {state.protrusion * 1e3:.1f} mm over the wood, as measured last")
+        seen = h.status.at(stamp)
+        if seen is not None:
+            code = "" if seen.error_code is None else f", {seen.error_code}"
+            parts.append(f"**Robot**: {seen.status.replace('_', ' ')}{code}")
+        if not h.complete and stamp >= h.end and not self._live:
+            parts.append("*The run was killed: the recording ends where it was last written.*")
+        strikes = [d.reason for t, d in h.decisions if d.name == "strike" and t <= stamp]
+        messages = [text for t, text in h.logs if t <= stamp][-2:]
+        parts += [f"- {line}" for line in [*strikes[-3:], *messages]]
+        self._log(stamp, "now", self._rr.TextDocument("\n\n".join(parts), media_type="text/markdown"))
+
+    def log_today(self, stamp: float, X_hand_ee: Array, covariance: Array) -> None:
+        """Log what today's networks find in a look, fixed to the hand, until the next look.
+
+        Args:
+            stamp: Time of the look [s].
+            X_hand_ee: Its pose in the hand, (4, 4).
+            covariance: Its covariance in the hand's axes, (6, 6).
+        """
+        self._log(stamp, f"{HAND}/today", axes(X_hand_ee[None], 0.8 * FACE_AXES))
+        self._log_ellipsoid(stamp, f"{HAND}/today/covariance", X_hand_ee, covariance, TODAY)
+
+    def _new(self, name: str, series: Series[Any]) -> list[tuple[float, Any]]:
+        """What was added to a series since the last call."""
+        begin = self._logged.get(name, 0)
+        self._logged[name] = len(series)
+        return list(zip(series.stamps[begin:], series.values[begin:], strict=True))
+
+    def _thinned(self, samples: list[tuple[float, Any]]) -> list[float]:
+        """Times at which the robot is drawn: at least PERIOD_S apart, and the end."""
+        stamps = []
+        for stamp, _ in samples:
+            if stamp - self._drawn >= PERIOD_S:
+                self._drawn = stamp
+                stamps.append(stamp)
+        return [*stamps, samples[-1][0]] if samples else []
+
+    def _log(self, stamp: float, path: str, what: Any) -> None:
+        self._stream.set_time(TIMELINE, duration=stamp)
+        self._stream.log(path, what)
+
+    def _log_poses(self, stamps: list[float]) -> None:
+        """Log where robot, tool and nails are at some times."""
+        states = [self.states.at(stamp) for stamp in sorted(set(stamps))]
+        if not states:
+            return
+        at = np.array([state.stamp for state in states])
+        Xs = {
+            body_path(name): np.array([state.links[name] for state in states])
+            for name in self._links
+            if name in states[0].links
+        }
+        Xs[HAND] = np.array([state.X_base_hand for state in states])
+        for name, X in self._nails.items():
+            Xs[body_path(name)] = np.array([self.states.X_base_nail_part(name, X, state.sunk) for state in states])
+        send_poses(self._stream, Xs, at)
+        for state in states:
+            if (state.X_base_tool is not None) != self._held:
+                self._held = not self._held
+                self._log(state.stamp, TOOL, self._tool() if self._held else self._rr.Clear(recursive=True))
+        held = [state for state in states if state.X_base_tool is not None]
+        if held:
+            at = np.array([state.stamp for state in held])
+            send_poses(
+                self._stream,
+                {TOOL: np.array([s.X_base_tool for s in held]), FACE: np.array([s.X_base_ee for s in held])},
+                at,
+            )
+
+    def _tool(self) -> Any:
+        data = self._history.attachments.get("tool.glb")
+        return None if data is None else self._rr.Asset3D(contents=data, media_type="model/gltf-binary")
+
+    def _log_frame(self, stamp: float) -> None:
+        """Log an image and what was found in it."""
+        h, rr = self._history, self._rr
+        if h.intrinsics is not None:
+            log_lens(self._stream, h.intrinsics)
+        image = h.images.at(stamp)
+        self._log(stamp, "world/camera/image", rr.EncodedImage(contents=image, media_type="image/png"))
+        X_hand_camera = self.states.X_hand_camera(h.images.index(stamp))
+        if X_hand_camera is None:
+            return
+        self._log(stamp, f"{HAND}/seen", pose(X_hand_camera))
+        cloud, Xs = h.clouds.at(stamp), h.hypotheses.at(stamp)
+        if cloud is not None and Xs is not None:
+            self._log(stamp, f"{HAND}/seen/cloud", rr.Points3D(cloud, colors=[CLOUD], radii=0.0006))
+            self._log(stamp, f"{HAND}/seen/candidates", axes(np.array(Xs), CANDIDATE_AXES))
+        seen = [e for t, e in h.estimates if t == stamp and e.X is not None]
+        if seen:
+            best = max(seen, key=lambda e: (e.usable, e.trust))
+            self._log_ellipsoid(stamp, f"{HAND}/seen/estimate", best.X, best.covariance, SEEN)
+
+    def _log_ellipsoid(
+        self, stamp: float, path: str, X: Array | None, covariance: Array, color: tuple[int, int, int]
+    ) -> None:
+        if X is None or not np.all(np.isfinite(covariance[:3, :3])):
+            return
+        variances, R = np.linalg.eigh(covariance[:3, :3])
+        R[:, 2] *= np.linalg.det(R)
+        radii = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+        ellipsoid = self._rr.Ellipsoids3D(
+            half_sizes=[radii], centers=[X[:3, 3]], quaternions=[Rotation.from_matrix(R).as_quat()],
+            colors=[(*color, 110)], fill_mode="solid",
+        )  # fmt: skip
+        self._log(stamp, path, ellipsoid)
+
+
+def worth_telling(decision: SeenDecision) -> bool:
+    """Whether a decision is listed: all are but ends of stages, and motions that went as planned."""
+    return decision.name not in ("stage_ended", "motion") or decision.data.get("outcome") not in (None, "completed")
