@@ -33,6 +33,8 @@ FACE_AXES, CANDIDATE_AXES = 0.05, 0.012
 """Lengths of drawn axes [m]."""
 CLOUD, SEEN, FUSED, TODAY = (30, 160, 220), (240, 160, 30), (60, 200, 90), (190, 60, 200)
 """Colours of the cloud and of the ellipsoids."""
+FORCE, NAIL = (192, 57, 43), (36, 113, 163)
+"""Colours of the curves."""
 HAND, TOOL, FACE = "world/hand", "world/tool", "world/believed_face"
 WORDS = {
     "": "Connecting",
@@ -108,9 +110,8 @@ class RunView:
         self._nails = {body.name: body.X_base_body for body in shown if body.body_id is BodyId.NAIL}
         self._links = {body.name for body in shown if body.body_id in (BodyId.ARM, BodyId.HAND)}
         log_station(stream, config, shown)
-        for name, color, steps in (("force", (192, 57, 43), "Linear"), ("nail", (36, 113, 163), "StepAfter")):
-            line = rr.SeriesLines(colors=[color], names=[name], interpolation_mode=steps)
-            stream.log(name, line, static=True)
+        stream.log("force", rr.SeriesLines(colors=[FORCE], names=["force"]), static=True)
+        stream.log("nail", rr.SeriesLines(colors=[NAIL], names=["nail"], interpolation_mode="StepAfter"), static=True)
         stream.log(FACE, rr.TransformAxes3D(FACE_AXES), static=True)
         self._log_poses([history.start])
         self._log(history.start, "nail", rr.Scalars(1e3 * self.states.at(history.start).protrusion))
