@@ -28,11 +28,33 @@ for name in sys.argv[1:]:
         sys.exit(f"{name} loads {bad}")
 """
 
+_OF_A_JOB = ("perception", "tasks", "stations", "control", "devices", "cli.hammering")
+
+_IMPORT_JOB = """
+import importlib, pkgutil, sys
+for name in sys.argv[1:]:
+    package = importlib.import_module("toolee_robot." + name)
+    for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+        if module.name != "toolee_robot.perception.offline":
+            importlib.import_module(module.name)
+bad = [m for m in sys.modules if m.startswith("toolee_robot.perception.offline")]
+if bad:
+    sys.exit(f"a job loads {bad}")
+"""
+
 
 def test_importing_every_module_of_the_blind_packages_does_not_load_the_simulation() -> None:
     """In one process, which takes the time of importing what they share once."""
     done = subprocess.run(
         [sys.executable, "-c", _IMPORT_ALL, *_BLIND], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_a_job_loads_nothing_that_trains_or_scores() -> None:
+    """Every module of what a job runs, in a fresh process; what a trial compares with is loaded when it is asked for."""
+    done = subprocess.run(
+        [sys.executable, "-c", _IMPORT_JOB, *_OF_A_JOB], capture_output=True, text=True, timeout=300, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from scripts import calibrate, collect_photographs
-from toolee_robot.perception.evaluation.photographs import read_photographs
+from toolee_robot.perception.offline.evaluation.photographs import read_photographs
 
 
 @pytest.mark.nightly

@@ -15,9 +15,9 @@ from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import is_rigid
 from toolee_robot.perception import ToolPerception
-from toolee_robot.perception.dataset.records import Example
 from toolee_robot.perception.io import bop_images
-from toolee_robot.perception.synthesis.example import Series, make_example, render_example
+from toolee_robot.perception.offline.dataset.records import Example
+from toolee_robot.perception.offline.synthesis.example import Series, make_example, render_example
 
 pytestmark = pytest.mark.sim
 

@@ -12,11 +12,11 @@ import torch
 
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.cli.app import run
-from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
-from toolee_robot.perception.dataset.scene_writer import write_scene
-from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
-from toolee_robot.perception.synthesis.example import examples_of
+from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH, EeTable, Example
+from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.spec import DatasetSpec
+from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.types import CameraIntrinsics
 

@@ -12,17 +12,17 @@ import torch
 from tests.errors import raises
 from toolee_robot.errors import UserError
 from toolee_robot.perception import precision
-from toolee_robot.perception.dataset.scene_reader import load_scenes
-from toolee_robot.perception.dataset.scene_writer import write_scene
-from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.evaluation.examples import collect
-from toolee_robot.perception.evaluation.segmentation import frame_of
+from toolee_robot.perception.offline.dataset.scene_reader import load_scenes
+from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.spec import DatasetSpec
+from toolee_robot.perception.offline.evaluation.examples import collect
+from toolee_robot.perception.offline.evaluation.segmentation import frame_of
+from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.pose import PoseEstimator, weights
 from toolee_robot.perception.pose.network import PoseNet
 from toolee_robot.perception.precision import prefers_bfloat16, single_thread, torch_device
-from toolee_robot.perception.synthesis.example import examples_of
 
 swift = pytest.mark.skipif(
     "AVX512" not in torch.backends.cpu.get_cpu_capability(),

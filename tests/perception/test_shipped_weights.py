@@ -22,13 +22,13 @@ import pytest
 
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception import ToolPerception
-from toolee_robot.perception.dataset.scene_writer import write_scene
-from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.detection.zoom_pass import Crop
-from toolee_robot.perception.evaluation import metrics, pose
-from toolee_robot.perception.evaluation.estimates import Ranked
-from toolee_robot.perception.evaluation.examples import collect
-from toolee_robot.perception.synthesis.example import examples_of
+from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.spec import DatasetSpec
+from toolee_robot.perception.offline.evaluation import metrics, pose
+from toolee_robot.perception.offline.evaluation.estimates import Ranked
+from toolee_robot.perception.offline.evaluation.examples import collect
+from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.types import Detection, RgbdFrame, ToolEstimate
 

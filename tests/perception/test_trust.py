@@ -14,7 +14,7 @@ from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception import weight_files
-from toolee_robot.perception.fit_trust import TrustSamples, fit, fit_trust
+from toolee_robot.perception.offline.fit_trust import TrustSamples, fit, fit_trust
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.trust import Trust, features
 from toolee_robot.types import PoseHypotheses

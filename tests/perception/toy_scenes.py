@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.perception.dataset.records import EeTable, Example
-from toolee_robot.perception.dataset.scene_writer import write_scene
-from toolee_robot.perception.evaluation.segmentation import frame_of
+from toolee_robot.perception.offline.dataset.records import EeTable, Example
+from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.evaluation.segmentation import frame_of
 
 _COLOURS = ((220, 60, 50), (60, 200, 70), (60, 90, 220), (230, 200, 60))
 

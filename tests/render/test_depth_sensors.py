@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolee_robot.perception.synthesis.example import Series, make_example
+from toolee_robot.perception.offline.synthesis.example import Series, make_example
 from toolee_robot.render.scene import Rendering
 from toolee_robot.render.sensors.depth_sensors import random_reading
 from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors

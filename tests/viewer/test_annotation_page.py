@@ -12,14 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.perception.annotation.rendered import RenderedEnd, rendered_ends
+from tests.perception.offline.annotation.rendered import RenderedEnd, rendered_ends
 from tests.viewer.browser import ARGUMENTS, CHROMIUM
 from toolee_robot.cli.app import run
-from toolee_robot.perception.annotation.clicks import ClickedEnd, ClickedFrame, ClicksFile, read_clicks, write_clicks
-from toolee_robot.perception.annotation.frame_set import FrameSet
-from toolee_robot.perception.annotation.poses import AnnotatedEnd
-from toolee_robot.perception.annotation.protocol import Role, Shape
-from toolee_robot.perception.annotation.session import Session
+from toolee_robot.perception.offline.annotation.clicks import (
+    ClickedEnd,
+    ClickedFrame,
+    ClicksFile,
+    read_clicks,
+    write_clicks,
+)
+from toolee_robot.perception.offline.annotation.frame_set import FrameSet
+from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd
+from toolee_robot.perception.offline.annotation.protocol import Role, Shape
+from toolee_robot.perception.offline.annotation.session import Session
 from toolee_robot.viewer.annotation_page import AnnotationPage
 from toolee_robot.viewer.annotation_scene import MARGIN
 

@@ -39,8 +39,8 @@ class Annotate:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.annotation.frame_set import FrameSet
-        from toolee_robot.perception.annotation.session import Session
+        from toolee_robot.perception.offline.annotation.frame_set import FrameSet
+        from toolee_robot.perception.offline.annotation.session import Session
 
         console = Console(stderr=self.json, highlight=False)
         frames = FrameSet(self.folder, self.clicks)
@@ -72,7 +72,7 @@ class Annotate:
 
 def _row(name: str, end: Any) -> dict[str, Any]:
     """One end effector, for the table and for JSON."""
-    from toolee_robot.perception.annotation.poses import AnnotatedEnd
+    from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd
 
     if not isinstance(end, AnnotatedEnd):
         cells = [name, "no pose", "-", "-", "-", "-"]

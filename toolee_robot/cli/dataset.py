@@ -27,8 +27,8 @@ from toolee_robot.runtime.files import write_atomic
 from toolee_robot.sensor_kinds import SensorKind
 
 if TYPE_CHECKING:
-    from toolee_robot.perception.dataset.custom_tools import CustomMesh
-    from toolee_robot.perception.dataset.spec import DatasetSpec
+    from toolee_robot.perception.offline.dataset.custom_tools import CustomMesh
+    from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 
 _Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 
@@ -92,7 +92,7 @@ class Generate:
                 f"--kinds {self.kinds}: the tools of --tools have no kinds, leave one of the two out",
                 code="user.kinds",
             )
-        from toolee_robot.perception.synthesis.custom_tool_reader import read_custom_tools
+        from toolee_robot.perception.offline.synthesis.custom_tool_reader import read_custom_tools
 
         return read_custom_tools(self.tools)
 
@@ -105,7 +105,7 @@ class Generate:
         Raises:
             UserError: An option is out of range, or two of them exclude each other.
         """
-        from toolee_robot.perception.dataset.spec import DatasetSpec
+        from toolee_robot.perception.offline.dataset.spec import DatasetSpec
         from toolee_robot.render.path_tracing.surroundings import surroundings_files
 
         held_out = bool(custom_tools) or self.renderer != "built-in"
@@ -125,7 +125,7 @@ class Generate:
         )
 
     def run(self) -> int:
-        from toolee_robot.perception.synthesis.generate import generate
+        from toolee_robot.perception.offline.synthesis.generate import generate
 
         custom_tools = self.custom_tools()
         spec = self.spec(custom_tools)
@@ -207,10 +207,10 @@ class Inspect:
     def run(self) -> int:
         if self.count < 1 or self.pairs < 1:
             raise UserError("--count and --pairs must be 1 or more", code="user.count")
-        from toolee_robot.perception.dataset import index_files
-        from toolee_robot.perception.dataset.figures import pictures, plots, shape_distances
-        from toolee_robot.perception.dataset.scene_reader import read_json, scene_folders
-        from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
+        from toolee_robot.perception.offline.dataset import index_files
+        from toolee_robot.perception.offline.dataset.figures import pictures, plots, shape_distances
+        from toolee_robot.perception.offline.dataset.scene_reader import read_json, scene_folders
+        from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
 
         spec = DatasetSpec.read(self.folder)
         if not index_files.is_finished(self.folder):
@@ -259,7 +259,7 @@ class Validate:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.dataset.validation.validate import validate
+        from toolee_robot.perception.offline.dataset.validation.validate import validate
 
         if self.workers < 1:
             raise UserError(f"--workers {self.workers}: give 1 or more", code="user.workers")

@@ -29,7 +29,7 @@ from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import write_atomic
 
 if TYPE_CHECKING:
-    from toolee_robot.perception.evaluation.run import Evaluation, Plan
+    from toolee_robot.perception.offline.evaluation.run import Evaluation, Plan
 
 _Dir = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
 _Out = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
@@ -82,8 +82,8 @@ class EvaluatePose:
     """Print the whole report as one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.evaluation.ledger import Ledger, pose_figures
-        from toolee_robot.perception.evaluation.run import Plan
+        from toolee_robot.perception.offline.evaluation.ledger import Ledger, pose_figures
+        from toolee_robot.perception.offline.evaluation.run import Plan
 
         console = Console(stderr=self.json, highlight=False)
         plan = Plan(
@@ -106,7 +106,7 @@ class EvaluatePose:
             weights = plan.weights if self.true_masks_only else {**plan.weights, "detector": self.detector}
             ledger.enter("pose", weights, pose_figures(evaluation.report), self.limit)
         if self.out is not None:
-            from toolee_robot.perception.evaluation.report.pages import page, pictures
+            from toolee_robot.perception.offline.evaluation.report.pages import page, pictures
 
             images = pictures(evaluation)
             _write(console, self.out, evaluation.report, images, page(evaluation, images, _subtitle()))
@@ -138,10 +138,10 @@ class EvaluateSamplers:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.evaluation.estimates import load_estimator
-        from toolee_robot.perception.evaluation.examples import collect
-        from toolee_robot.perception.evaluation.ledger import Ledger
-        from toolee_robot.perception.evaluation.samplers import sampler_table
+        from toolee_robot.perception.offline.evaluation.estimates import load_estimator
+        from toolee_robot.perception.offline.evaluation.examples import collect
+        from toolee_robot.perception.offline.evaluation.ledger import Ledger
+        from toolee_robot.perception.offline.evaluation.samplers import sampler_table
 
         if self.clouds < 1:
             raise UserError(f"--clouds {self.clouds}: give 1 or more", code="user.count")
@@ -155,8 +155,8 @@ class EvaluateSamplers:
             ledger.enter("samplers", {"ours": self.weights}, {r["sampler"]: r["average"] for r in rows}, self.clouds)
         record = {"machine": asdict(describe_machine()), "samplers": rows}
         if self.out is not None:
-            from toolee_robot.perception.evaluation.report.figures import sampler_figure
-            from toolee_robot.perception.evaluation.report.pages import sampler_page
+            from toolee_robot.perception.offline.evaluation.report.figures import sampler_figure
+            from toolee_robot.perception.offline.evaluation.report.pages import sampler_page
 
             images = {"samplers.png": sampler_figure(rows, "Samplers, one cloud at a time: RK45, and numbers of steps")}
             _write(console, self.out, record, images, sampler_page(rows, images, _subtitle()))
@@ -187,8 +187,8 @@ class EvaluateSegmentation:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.evaluation.ledger import Ledger
-        from toolee_robot.perception.evaluation.segmentation import STATISTICS, evaluate
+        from toolee_robot.perception.offline.evaluation.ledger import Ledger
+        from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS, evaluate
 
         console = Console(stderr=self.json, highlight=False)
         ledger = Ledger.of(self.data)
@@ -199,7 +199,7 @@ class EvaluateSegmentation:
         rows = segmentation_rows(found)
         record = {"machine": asdict(describe_machine()), "data": self.data.name, **found}
         if self.out is not None:
-            from toolee_robot.perception.evaluation.report.pages import segmentation_page
+            from toolee_robot.perception.offline.evaluation.report.pages import segmentation_page
 
             _write(console, self.out, record, {}, segmentation_page(found, rows, STATISTICS, _subtitle()))
         console.print(text_table("Segmentation, COCO mask AP [%]", ("class", "n", *STATISTICS), rows))
@@ -231,9 +231,9 @@ class EvaluatePhotographs:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.evaluation.ledger import Ledger
-        from toolee_robot.perception.evaluation.photograph_scores import evaluate
-        from toolee_robot.perception.evaluation.photographs import read_photographs
+        from toolee_robot.perception.offline.evaluation.ledger import Ledger
+        from toolee_robot.perception.offline.evaluation.photograph_scores import evaluate
+        from toolee_robot.perception.offline.evaluation.photographs import read_photographs
         from toolee_robot.perception.pipeline import ToolPerception
 
         console = Console(stderr=self.json, highlight=False)
@@ -265,7 +265,7 @@ COMMANDS = {
 
 
 def _evaluated(console: Console, plan: Plan) -> Evaluation:
-    from toolee_robot.perception.evaluation.run import evaluate_pose
+    from toolee_robot.perception.offline.evaluation.run import evaluate_pose
 
     with progress_bars(console) as report:
         evaluation = evaluate_pose(plan, report)

@@ -19,7 +19,7 @@ from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
-    from toolee_robot.perception.evaluation.held import Seen
+    from toolee_robot.perception.offline.evaluation.held import Seen
 
 _TIMES = ("median_ms", "p90_ms", "median_cpu_ms")
 
@@ -50,8 +50,8 @@ class EvaluateHeld:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.evaluation.held import WHOLE, compare, held_tools, perceive, ways
-        from toolee_robot.perception.evaluation.ledger import Ledger
+        from toolee_robot.perception.offline.evaluation.held import WHOLE, compare, held_tools, perceive, ways
+        from toolee_robot.perception.offline.evaluation.ledger import Ledger
         from toolee_robot.perception.pipeline import ToolPerception
 
         if self.limit is not None and self.limit < 1:

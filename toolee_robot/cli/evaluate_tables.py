@@ -90,7 +90,7 @@ def printed_samplers(samplers: list[dict[str, Any]]) -> Table:
 
 def segmentation_rows(found: dict[str, Any]) -> list[list[str]]:
     """Build the rows of the segmentation table: class, instances, COCO's statistics [%]."""
-    from toolee_robot.perception.evaluation.segmentation import STATISTICS
+    from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS
 
     return [
         [label_of(name), str(row.get("instances", ""))]

@@ -120,7 +120,7 @@ def check_needed(plan: TrialPlan, folder: Path, done: Iterable[Record]) -> None:
 
 def _check_paper_weights(folder: Path, done: Iterable[Record]) -> None:
     # Networks take seconds to import, which no other plan needs here.
-    from toolee_robot.perception.research.tooleenet import PaperEstimator
+    from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
     from toolee_robot.perception.weight_files import weights_hash
 
     PaperEstimator.load_for_job(folder)

@@ -15,10 +15,10 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform_points
-from toolee_robot.perception.annotation.clicks import Click
-from toolee_robot.perception.annotation.frame_set import AnnotatedFrame
-from toolee_robot.perception.annotation.poses import AnnotatedEnd
-from toolee_robot.perception.annotation.protocol import Role
+from toolee_robot.perception.offline.annotation.clicks import Click
+from toolee_robot.perception.offline.annotation.frame_set import AnnotatedFrame
+from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd
+from toolee_robot.perception.offline.annotation.protocol import Role
 from toolee_robot.types import CameraIntrinsics
 
 View = Literal["photograph", "cloud"]

@@ -29,21 +29,21 @@ from tests.perception.detection.toy_refiner import (
 )
 from tests.perception.toy_scenes import ArrayImages, toy_scenes, write_toys
 from toolee_robot.errors import AssetError, TooleeError, UserError
-from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.detection.detector import TOOL, Detector
 from toolee_robot.perception.detection.detector_weights import load_detector
 from toolee_robot.perception.detection.instances import Box, Instances, mask_iou
 from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
 from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig, load_refiner
-from toolee_robot.perception.detection.refiner.train import CHECKPOINT, losses, train
-from toolee_robot.perception.detection.refiner.training_data import (
+from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
+from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
+from toolee_robot.perception.offline.detection.refiner_data import (
     MIN_LEARNT_IOU,
     RefinementData,
 )
-from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
-from toolee_robot.perception.detection.training.trainer import SegmentationTraining
-from toolee_robot.perception.detection.training.trainer import train as train_detector
-from toolee_robot.perception.evaluation.segmentation import frame_of
+from toolee_robot.perception.offline.detection.refiner_trainer import CHECKPOINT, losses, train
+from toolee_robot.perception.offline.detection.trainer import SegmentationTraining
+from toolee_robot.perception.offline.detection.trainer import train as train_detector
+from toolee_robot.perception.offline.evaluation.segmentation import frame_of
 from toolee_robot.perception.weight_files import load_weights, save_weights
 
 pytestmark = pytest.mark.sim(seconds=30)
@@ -64,7 +64,7 @@ def _one_thread() -> Iterator[None]:
 def _more_kept_aside() -> Iterator[None]:
     """Every eighth picture: of so few as there are here, every fiftieth is one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("toolee_robot.perception.detection.refiner.training_data.VALIDATION", 8)
+        patch.setattr("toolee_robot.perception.offline.detection.refiner_data.VALIDATION", 8)
         yield
 
 

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from torch import nn
 
 from tests.perception.toy_scenes import ArrayImages, enlarged, toy_scenes
-from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.detection.config import DetectorConfig
 from toolee_robot.perception.detection.instances import Box, Instances
 from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS
 from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig
-from toolee_robot.perception.detection.refiner.train import RefinementTraining
-from toolee_robot.perception.detection.refiner.training_data import (
+from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
+from toolee_robot.perception.offline.detection.refiner_data import (
     Detections,
 )
+from toolee_robot.perception.offline.detection.refiner_trainer import RefinementTraining
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 CPU = torch.device("cpu")

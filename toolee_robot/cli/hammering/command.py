@@ -197,7 +197,7 @@ class Hammer:
             if self.paper_weights is not None:
                 raise UserError("--paper-weights without --ablation paper: leave it out", code="user.option")
         elif self.paper_weights is None:
-            from toolee_robot.perception.research.paper_training import HOW_TO_TRAIN
+            from toolee_robot.perception.offline.research.paper_training import HOW_TO_TRAIN
 
             raise UserError(
                 "--ablation paper needs --paper-weights DIR, the folder of a training of the paper's estimator, which "

@@ -11,8 +11,6 @@ from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.research import classical
-from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.look import Perceiver
@@ -44,6 +42,8 @@ def job_networks(paper_weights: Path | None = None, device: str = "cpu") -> Tool
     """
     if paper_weights is None:
         return ToolPerception.load(device=device)
+    from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
+
     return ToolPerception(Segmenter.load(device=device), PaperEstimator.load_for_job(paper_weights, device))
 
 
@@ -78,6 +78,8 @@ def job_perceiver(
         assert opened.truth is not None, "the command refuses it"
         return PerfectPerception(opened.truth), opened.config
     pose_of = None
+    if ablation in (Ablation.MASK_CENTROID, Ablation.ICP):
+        from toolee_robot.perception.offline.research import classical
     if ablation is Ablation.MASK_CENTROID:
         pose_of = partial(classical.pose_of, classical.centroid_pose)
     elif ablation is Ablation.ICP:

@@ -47,8 +47,8 @@ class Ablations:
     """Just write the table."""
 
     def run(self) -> int:
-        from toolee_robot.perception.pose.training.config import TrainConfig
-        from toolee_robot.perception.research.ablations import ROWS, run_rows, write_table
+        from toolee_robot.perception.offline.pose.config import TrainConfig
+        from toolee_robot.perception.offline.research.ablations import ROWS, run_rows, write_table
 
         names = list(ROWS) if self.rows is None else [name for name in self.rows.split(",") if name]
         unknown = [name for name in names if name not in ROWS]

@@ -46,7 +46,7 @@ class Trust:
 
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
-        from toolee_robot.perception.fit_trust import fit_trust
+        from toolee_robot.perception.offline.fit_trust import fit_trust
 
         with progress_bars(console) as report_progress:
             report = fit_trust(

@@ -21,7 +21,7 @@ from toolee_robot.cli.train.options import (
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
-    from toolee_robot.perception.training.image_training import ImageTraining
+    from toolee_robot.perception.offline.training.image_training import ImageTraining
 
 Training = TypeVar("Training", bound="ImageTraining")
 
@@ -85,7 +85,7 @@ class Segmentation(_ImageCommand):
     """Share of the weights of --init in the exported ones (default: 0)."""
 
     def run(self) -> int:
-        from toolee_robot.perception.detection.training.trainer import SegmentationTraining, train
+        from toolee_robot.perception.offline.detection.trainer import SegmentationTraining, train
 
         training, resumed = self._begin(SegmentationTraining, CHECKPOINT, backgrounds=self.backgrounds)
         train(training)
@@ -113,7 +113,7 @@ class Refinement(_ImageCommand):
     """The detector's weights (default: those that ship)."""
 
     def run(self) -> int:
-        from toolee_robot.perception.detection.refiner.train import CHECKPOINT, RefinementTraining, train
+        from toolee_robot.perception.offline.detection.refiner_trainer import CHECKPOINT, RefinementTraining, train
 
         training, resumed = self._begin(RefinementTraining, CHECKPOINT, _REFINEMENT_CONFIG, detector=self.detector)
         train(training)

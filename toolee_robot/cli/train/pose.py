@@ -62,8 +62,8 @@ class Clouds:
 
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
-        from toolee_robot.perception.rendered_clouds import rendered_clouds
-        from toolee_robot.perception.research.tooleenet import column_of
+        from toolee_robot.perception.offline.rendered_clouds import rendered_clouds
+        from toolee_robot.perception.offline.research.tooleenet import column_of
 
         column = column_of(self.estimator, self.column)
         if column is not None and self.weights is not None:
@@ -131,11 +131,11 @@ class Pose(TrainingCommand):
     """Validate and calibrate the weights that lie in --out, without training."""
 
     def run(self) -> int:
-        from toolee_robot.perception.pose.synthetic_clouds.batch import PROTOCOLS
-        from toolee_robot.perception.pose.training.config import TrainConfig
-        from toolee_robot.perception.pose.training.recipe import DefaultRecipe
-        from toolee_robot.perception.pose.training.trainer import train
-        from toolee_robot.perception.research.tooleenet import PaperRecipe, column_of
+        from toolee_robot.perception.offline.pose.config import TrainConfig
+        from toolee_robot.perception.offline.pose.recipe import DefaultRecipe
+        from toolee_robot.perception.offline.pose.trainer import train
+        from toolee_robot.perception.offline.research.tooleenet import PaperRecipe, column_of
+        from toolee_robot.perception.offline.synthetic_clouds.batch import PROTOCOLS
 
         column = column_of(self.estimator, self.column)
         config: TrainConfig = TrainConfig(**options_of(self, self.config, {f.name for f in fields(TrainConfig)}))

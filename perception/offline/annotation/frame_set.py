@@ -1,0 +1,187 @@
+"""The folder of a test: recorded frames, the clicks on them, and `frames.json`, which the evaluation reads."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from toolee_robot.errors import UserError
+from toolee_robot.perception.io import BopImage, bop_images
+from toolee_robot.perception.offline.annotation.clicks import (
+    CLICKS,
+    ClickedEnd,
+    ClickedFrame,
+    ClicksFile,
+    read_clicks,
+    write_clicks,
+)
+from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd, annotate_end, clicked_box
+from toolee_robot.perception.offline.annotation.protocol import Role
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.types import RgbdFrame
+
+FRAMES = "frames.json"
+_SOURCE = "derived_from"
+
+
+@dataclass(frozen=True, eq=False)
+class AnnotatedFrame:
+    """A frame whose clicks were fitted.
+
+    Attributes:
+        name: Its name.
+        frame: Colour and depth.
+        clicked: The clicked end effectors.
+        ends: For each of them its pose, or why there is none.
+    """
+
+    name: str
+    frame: RgbdFrame
+    clicked: tuple[ClickedEnd, ...]
+    ends: tuple[AnnotatedEnd | UserError, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every end effector has a pose or at least a clicked box; another frame is left out of the test."""
+        pairs = zip(self.clicked, self.ends, strict=True)
+        return all(isinstance(end, AnnotatedEnd) or len(clicked.of(Role.BOX)) == 2 for clicked, end in pairs)
+
+    @property
+    def annotated(self) -> list[AnnotatedEnd]:
+        """The end effectors with a pose."""
+        return [end for end in self.ends if isinstance(end, AnnotatedEnd)]
+
+
+class FrameSet:
+    """A folder of frames with the clicks on them.
+
+    Args:
+        folder: A recording by `toolee camera record`, or another folder in the BOP layout.
+        clicks: A file of clicks to use instead of the folder's own; it is copied there.
+
+    Attributes:
+        names: The frames' names, in their order.
+        clicks: The clicks.
+
+    Raises:
+        UserError: The folder has no frames, a `frames.json` that was not made here, or clicks on frames that it lacks.
+        ConfigError: The file of clicks is wrong.
+    """
+
+    def __init__(self, folder: Path, clicks: Path | None = None) -> None:
+        self.folder = folder
+        self._images = {f"{image.im_id:06d}": image for image in bop_images(folder)}
+        self.names = list(self._images)
+        self._refuse_foreign()
+        own = folder / CLICKS
+        source = own if clicks is None else clicks
+        new = clicks is None and not own.exists()
+        self.clicks = ClicksFile(folder.resolve().name) if new else read_clicks(source)
+        if self.clicks.half not in ("A", "B"):
+            raise UserError(f"{source}: half {self.clicks.half}: it is A or B", code="user.clicks_file")
+        if clicks is not None and own.exists() and read_clicks(own) != self.clicks:
+            raise UserError(
+                f"{own} holds other clicks than {clicks} and would be overwritten: move it away, or leave out --clicks",
+                code="user.clicks_exist",
+            )
+        unknown = sorted(set(self.clicks.frames) - set(self.names))
+        if unknown:
+            raise UserError(
+                f"{source} has clicks on frame {unknown[0]}, which {folder} lacks: is it another folder's file?",
+                code="user.clicks_file",
+            )
+
+    def read(self, name: str) -> RgbdFrame:
+        """The images of a frame. Raises UserError where they are unusable."""
+        return self._images[name].read()
+
+    def annotate(self, name: str, frame: RgbdFrame | None = None) -> AnnotatedFrame:
+        """Fit the clicks on a frame.
+
+        Args:
+            name: The frame.
+            frame: Its images, where they are read already.
+
+        Returns:
+            The frame with its ends; without any where it has not been looked at.
+
+        Raises:
+            UserError: Its images are unusable.
+        """
+        images = self.read(name) if frame is None else frame
+        ends: list[AnnotatedEnd | UserError] = []
+        every = self.clicks.frames.get(name, ClickedFrame()).ends
+        for clicked in every:
+            try:
+                ends.append(annotate_end(images, clicked, self.clicks.tape_offset_mm))
+            except UserError as error:
+                ends.append(error)
+        return AnnotatedFrame(name, images, every, tuple(ends))
+
+    def change(self, clicks: ClicksFile) -> None:
+        """Take other clicks, and save them. Raises UserError where the folder cannot be written."""
+        write_clicks(self.folder / CLICKS, clicks)
+        self.clicks = clicks
+
+    def write(self) -> list[AnnotatedFrame]:
+        """Fit all clicks and write `frames.json`, the clicks beside it.
+
+        Returns:
+            The frames that were looked at; those with an end without pose and box are not in `frames.json`.
+
+        Raises:
+            UserError: Images are unusable, or the folder cannot be written.
+        """
+        write_clicks(self.folder / CLICKS, self.clicks)
+        looked_at = [name for name in self.names if self._decided(name)]
+        frames = [self.annotate(name) for name in looked_at]
+        entries = [self._entry(f) for f in frames if f.complete]
+        data = json.dumps({_SOURCE: CLICKS, "frames": entries}, indent=1)
+        write_atomic(self.folder / FRAMES, data.encode() + b"\n")
+        return frames
+
+    def _decided(self, name: str) -> bool:
+        clicked = self.clicks.frames.get(name)
+        return clicked is not None and (clicked.no_tool or bool(clicked.ends))
+
+    def _entry(self, annotated: AnnotatedFrame) -> dict[str, Any]:
+        image: BopImage = self._images[annotated.name]
+        k = annotated.frame.intrinsics
+        return {
+            "name": annotated.name,
+            "place": self.clicks.place,
+            "half": self.clicks.half,
+            "rgb": str(image.rgb.relative_to(self.folder)),
+            "depth": str(image.depth.relative_to(self.folder)),
+            "depth_scale": image.scale * 1000.0,
+            "depth_is": "measured",
+            "intrinsics": [k.fx, k.fy, k.cx, k.cy],
+            "ends": [_end(*pair) for pair in zip(annotated.clicked, annotated.ends, strict=True)],
+            "ignore": [],
+        }
+
+    def _refuse_foreign(self) -> None:
+        path = self.folder / FRAMES
+        if not path.exists():
+            return
+        try:
+            ours = _SOURCE in json.loads(path.read_text())
+        except (OSError, ValueError, TypeError):
+            ours = False
+        if not ours:
+            raise UserError(
+                f"{path} was not made by `toolee annotate`, which would overwrite it: move it away first",
+                code="user.frames_exist",
+            )
+
+
+def _end(clicked: ClickedEnd, end: AnnotatedEnd | UserError) -> dict[str, Any]:
+    box = end.box if isinstance(end, AnnotatedEnd) else clicked_box(clicked)
+    assert box is not None
+    fields: dict[str, Any] = {"category": str(clicked.shape.category), "box": [round(v, 1) for v in box]}
+    if isinstance(end, AnnotatedEnd) and end.known:
+        X = end.fit.X_camera_ee.round(7).tolist()
+        fields |= {"X_camera_ee": X, "covariance": [[float(f"{v:.5g}") for v in row] for row in end.fit.covariance]}
+    return fields

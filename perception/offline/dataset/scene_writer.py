@@ -1,0 +1,209 @@
+"""Writing of examples as a scene in the BOP layout. Equal examples give identical bytes.
+
+    train/000000/rgb/000000.jpg            quality 95, full chroma
+    train/000000/depth/000000.png          uint16 [mm], 0 where unknown
+    train/000000/tool/000000.png           id of the tool at each pixel, 0 for none
+    train/000000/mask/000000_000000.png    unoccluded mask of an EE (image, index in scene_gt)
+    train/000000/mask_visib/...            visible mask of the EE
+    train/000000/scene_{camera,gt,gt_info,gt_coco,instances}.json
+    train/000000/clouds.npz                see `clouds`
+    train/000000/SHA256SUMS
+
+Training reads these files directly (`scene_reader`). BOP fields have the meaning and units (mm) of BOP; additional
+fields have names of their own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from toolee_robot.end_effectors import CATEGORIES
+from toolee_robot.perception.offline.dataset.catalogue import GENERATED, Catalogue
+from toolee_robot.perception.offline.dataset.clouds import CloudWriter
+from toolee_robot.perception.offline.dataset.encoding import png, rle
+from toolee_robot.perception.offline.dataset.encoding.checksums import write_sums
+from toolee_robot.perception.offline.dataset.instances import object_of
+from toolee_robot.perception.offline.dataset.records import (
+    HEIGHT,
+    MIN_POINTS,
+    POSES,
+    SCENES,
+    WIDTH,
+    EeTable,
+    Example,
+)
+
+COCO_CATEGORIES = [
+    {"id": k + 1, "name": str(name), "supercategory": "end_effector"} for k, name in enumerate(CATEGORIES)
+]
+COCO_CATEGORIES.append({"id": len(CATEGORIES) + 1, "name": "tool", "supercategory": "tool"})
+
+
+def write_scene(
+    folder: Path,
+    examples: Iterable[Example],
+    write_models: Callable[[Iterable[int]], None] | None = None,
+    catalogue: Catalogue = GENERATED,
+) -> None:
+    """Write examples as one BOP scene, atomically: the folder appears only when it is complete.
+
+    Args:
+        folder: Folder of the scene; its name is the number of the scene.
+        examples: The examples, in order.
+        write_models: Called with the obj_ids of the scene before the folder appears.
+        catalogue: Tools of the examples.
+    """
+    scratch = folder.with_name(f".{folder.name}.{os.getpid()}.part")
+    shutil.rmtree(scratch, ignore_errors=True)
+    writer = _SceneWriter(scratch, catalogue)
+    for example in examples:
+        writer.add(example)
+    writer.close()
+    if write_models is not None:
+        write_models(writer.objects)
+    try:
+        scratch.rename(folder)
+    except OSError:
+        if not folder.exists():
+            raise
+        shutil.rmtree(scratch)  # another process wrote the same scene meanwhile
+
+
+class _SceneWriter:
+    """Incremental writer of a scene; only the labels of its examples stay in memory."""
+
+    def __init__(self, folder: Path, catalogue: Catalogue) -> None:
+        self._folder, self._catalogue = folder, catalogue
+        self._sums: dict[str, str] = {}
+        self._camera: dict[str, Any] = {}
+        self._gt: dict[str, Any] = {}
+        self._info: dict[str, Any] = {}
+        self._annotations: list[dict[str, Any]] = []
+        self._instances: dict[str, dict[str, Any]] = {}
+        self._clouds = CloudWriter()
+        for name in ("rgb", "depth", "tool", "mask", "mask_visib"):
+            (folder / name).mkdir(parents=True)
+
+    def add(self, e: Example) -> None:
+        """Write the next example."""
+        im_id = len(self._camera)
+        key, name = str(im_id), f"{im_id:06d}"
+        self._file(f"rgb/{name}.jpg", _jpeg(e.rgb))
+        self._file(f"depth/{name}.png", png.encode(e.depth_mm))
+        self._file(f"tool/{name}.png", png.encode(e.tool))
+        K = e.intrinsics
+        cam_K = [K.fx, 0.0, K.cx, 0.0, K.fy, K.cy, 0.0, 0.0, 1.0]
+        self._camera[key] = {"cam_K": cam_K, "depth_scale": 1.0, "scene": SCENES[e.scene]}
+        self._gt[key], self._info[key] = [], []
+        targets, measured = e.table.targets, e.depth_mm > 0
+        for gt, row in enumerate(np.flatnonzero(e.table.category)):
+            visible, full = e.ee == row + 1, e.full & np.uint8(1 << row) != 0
+            self._file(f"mask/{name}_{gt:06d}.png", png.encode(full))
+            self._file(f"mask_visib/{name}_{gt:06d}.png", png.encode(visible))
+            number, _ = object_of(int(e.table.obj_id[row]))
+            entry = _gt_entry(e.table, int(row), self._catalogue.name(number))
+            self._gt[key].append(entry)
+            info = _info_entry(visible, full, measured, bool(targets[row]))
+            self._info[key].append(info)
+            instance = {**self._catalogue.about(number), "objects": {}}
+            instance = self._instances.setdefault(entry["instance"], instance)
+            instance["objects"][str(entry["obj_id"])] = str(CATEGORIES[entry["category_id"] - 1])
+            if info["px_count_visib"]:
+                more = {"obj_id": entry["obj_id"], "gt_id": gt}
+                self._annotate(visible, info["bbox_visib"], im_id, entry["category_id"], more)
+                self._clouds.add(im_id, gt, visible, e)
+        for tool_id in range(1, int(e.tool.max()) + 1):
+            mask = e.tool == tool_id
+            if mask.any():
+                self._annotate(mask, bbox(mask), im_id, len(COCO_CATEGORIES), {"tool_id": tool_id})
+
+    @property
+    def objects(self) -> set[int]:
+        """The obj_ids of the examples written so far."""
+        return {entry["obj_id"] for entries in self._gt.values() for entry in entries}
+
+    def close(self) -> None:
+        """Write the files that describe the whole scene, the checksums last."""
+        images = [
+            {"id": i, "file_name": f"rgb/{i:06d}.jpg", "width": WIDTH, "height": HEIGHT}
+            for i in range(len(self._camera))
+        ]
+        coco = {"images": images, "categories": COCO_CATEGORIES, "annotations": self._annotations}
+        self._file("scene_camera.json", json_by_line(self._camera))
+        self._file("scene_gt.json", json_by_line(self._gt))
+        self._file("scene_gt_info.json", json_by_line(self._info))
+        self._file("scene_gt_coco.json", json.dumps(coco, separators=(",", ":")).encode() + b"\n")
+        self._file("scene_instances.json", json_by_line(dict(sorted(self._instances.items()))))
+        self._file("clouds.npz", self._clouds.to_bytes())
+        write_sums(self._folder, self._sums)
+
+    def _file(self, name: str, data: bytes) -> None:
+        (self._folder / name).write_bytes(data)
+        self._sums[name] = hashlib.sha256(data).hexdigest()
+
+    def _annotate(
+        self, mask: NDArray[np.bool_], box: list[int], im_id: int, category: int, more: dict[str, Any]
+    ) -> None:
+        """Add a COCO annotation; masks below `MIN_POINTS` are marked as crowd, which evaluation ignores."""
+        area = int(np.count_nonzero(mask))
+        entry = {"id": len(self._annotations), "image_id": im_id, "category_id": category, "bbox": box}
+        crowd = int(area < MIN_POINTS)
+        self._annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": rle.encode(mask), **more})
+
+
+def _gt_entry(table: EeTable, row: int, instance: str) -> dict[str, Any]:
+    entry: dict[str, Any] = {"obj_id": int(table.obj_id[row])}
+    for suffix, name in POSES.items():
+        X = np.asarray(getattr(table, name)[row], np.float64)
+        if np.all(np.isfinite(X)):
+            # Nine significant digits restore a float32 exactly.
+            entry[f"cam_R_{suffix}"] = [float(f"{v:.9g}") for v in X[:3, :3].reshape(-1).tolist()]
+            entry[f"cam_t_{suffix}"] = [float(f"{1e3 * v:.9g}") for v in X[:3, 3].tolist()]
+    more = {"category_id": int(table.category[row]), "tool_id": int(table.tool[row])}
+    return {**entry, **more, "instance": instance, "left_hand": bool(table.mirrored[row])}
+
+
+def _info_entry(
+    visible: NDArray[np.bool_], full: NDArray[np.bool_], measured: NDArray[np.bool_], target: bool
+) -> dict[str, Any]:
+    seen, all_ = int(np.count_nonzero(visible)), int(np.count_nonzero(full))
+    return {
+        "bbox_obj": bbox(full),
+        "bbox_visib": bbox(visible),
+        "px_count_all": all_,
+        "px_count_valid": int(np.count_nonzero(visible & measured)),
+        "px_count_visib": seen,
+        "visib_fract": round(min(seen / all_, 1.0), 6) if all_ else 0.0,
+        "target": target,
+    }
+
+
+def bbox(mask: NDArray[np.bool_]) -> list[int]:
+    """Bounding box x, y, width, height [px] of a mask (H, W); all -1 for an empty mask, as in BOP."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return [-1, -1, -1, -1]
+    return [int(columns[0]), int(rows[0]), int(columns[-1] - columns[0]) + 1, int(rows[-1] - rows[0]) + 1]
+
+
+def json_by_line(entries: dict[str, Any]) -> bytes:
+    """A JSON object with one entry per line, for readable files and diffs."""
+    lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
+
+
+def _jpeg(rgb: NDArray[np.uint8]) -> bytes:
+    buffer = BytesIO()
+    Image.fromarray(rgb).save(buffer, "JPEG", quality=95, subsampling=0)
+    return buffer.getvalue()

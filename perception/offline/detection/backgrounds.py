@@ -1,0 +1,144 @@
+"""Photographs behind and beside the tools of training images."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from toolee_robot.errors import UserError
+from toolee_robot.perception.offline.detection.patches import Patches, painted
+
+_SIZE = (424, 512)
+"""Height and width to which photographs are cut [px]."""
+_BESIDE = 0.3
+"""Share of images with photographs on single regions, at full strength."""
+_PIECE = 256
+"""Side of a photograph on a region [px]."""
+
+
+class Backgrounds:
+    """Photographs that show no tool, held on the device.
+
+    Args:
+        folder: Folder of JPEG and PNG files, searched through; of any size.
+        device: torch device.
+
+    Raises:
+        UserError: The folder has no readable picture.
+    """
+
+    def __init__(self, folder: Path, device: torch.device) -> None:
+        paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in (".jpg", ".jpeg", ".png"))
+        pictures = [_cut(image) for p in paths if (image := cv2.imread(str(p), cv2.IMREAD_COLOR)) is not None]
+        if not pictures:
+            raise UserError(
+                f"{folder} holds no JPEG or PNG picture: give a folder of photographs without tools",
+                code="user.backgrounds_empty",
+            )
+        self._pictures = torch.from_numpy(np.stack(pictures)).to(device)
+
+    def __len__(self) -> int:
+        return len(self._pictures)
+
+    def behind(self, images: Tensor, tool: Tensor, strength: float) -> Tensor:
+        """Put a photograph behind the tools of a third of the images, some of them half transparent.
+
+        The depth stays that of the rendered scene: the photograph is its print and texture.
+
+        Args:
+            images: (B, 3, H, W) in 0..255.
+            tool: Whether a pixel shows a tool, (B, H, W) bool.
+            strength: Strength; 0: none, 1: full.
+
+        Returns:
+            The images, (B, 3, H, W) in 0..255.
+        """
+        n, device = len(images), images.device
+        chosen = self._pictures[torch.randint(len(self._pictures), (n,), device=device)]
+        # A random part of the picture, from a quarter to all of its width, either way round.
+        size = 0.25 + 0.75 * torch.rand(n, device=device)
+        mirror = torch.where(torch.rand(n, device=device) < 0.5, -1.0, 1.0)
+        place = (torch.rand((n, 2), device=device) * 2 - 1) * (1 - size[:, None])
+        theta = torch.zeros((n, 2, 3), device=device)
+        theta[:, 0, 0], theta[:, 1, 1], theta[:, :, 2] = size * mirror, size, place
+        grid = F.affine_grid(theta, [n, 1, *images.shape[2:]], align_corners=False)
+        photo = F.grid_sample(chosen.permute(0, 3, 1, 2).float(), grid, padding_mode="reflection", align_corners=False)
+        opaque = torch.rand((n, 1, 1, 1), device=device).clamp(min=0.25) * 1.3
+        share = opaque.clamp(max=1.0) * (torch.rand((n, 1, 1, 1), device=device) < 0.35 * strength)
+        # The soft edge keeps a tool's outline from being cut as with scissors.
+        inside = F.avg_pool2d(tool[:, None].float(), 3, 1, 1)
+        share = share * (1 - inside)
+        return images * (1 - share) + photo * share
+
+    def beside(self, images: Tensor, tool: Tensor, strength: float) -> Tensor:
+        """Put one or two photographs on regions beside and behind the tools of a share of the images.
+
+        A region is a quadrilateral or oval of 5 to 45 % of the image's width, half of them close to a tool: their edges
+        and texture lie beside its outline.
+
+        Args:
+            images: (B, 3, H, W) in 0..255.
+            tool: Whether a pixel shows a tool, (B, H, W) bool.
+            strength: Strength; 0: none, 1: full.
+
+        Returns:
+            The images, (B, 3, H, W) in 0..255.
+        """
+        return painted(images, tool, _BESIDE * strength, self._pasted, layers=2)
+
+    def pieces(self, count: int, side: int) -> Tensor:
+        """Cut random squares out of random photographs.
+
+        Args:
+            count: Number of squares.
+            side: Side [px], at most the photographs' height.
+
+        Returns:
+            The squares, (count, 3, side, side) float in 0..255.
+        """
+        device = self._pictures.device
+        which = torch.randint(len(self._pictures), (count,), device=device)
+        _, height, width, _ = self._pictures.shape
+        step = 1 + (torch.rand(count, device=device) * (height // side)).long().clamp(max=height // side - 1)
+        window = (step * (side - 1) + 1)[:, None]
+        room = torch.tensor([height, width], device=device) - window
+        corner = (torch.rand((count, 2), device=device) * (room + 1)).long()
+        ticks = torch.arange(side, device=device)[None] * step[:, None]
+        rows, columns = (corner[:, :1] + ticks)[:, :, None], (corner[:, 1:] + ticks)[:, None, :]
+        return self._pictures[which[:, None, None], rows, columns].permute(0, 3, 1, 2).float()
+
+    def _pasted(self, images: Tensor, tool: Tensor) -> Tensor:
+        n, device = len(images), images.device
+        _, _, height, width = images.shape
+        coarse = tool[:, ::8, ::8]
+        columns = coarse.shape[2]
+        chance, lot = (torch.rand(coarse.shape, device=device) * coarse).flatten(1).max(1)
+        near = torch.stack([lot % columns, torch.div(lot, columns, rounding_mode="floor")], 1) * 8.0
+        near = near + 0.12 * width * torch.randn((n, 2), device=device)
+        anywhere = torch.rand((n, 2), device=device) * torch.tensor([width, height], device=device)
+        # Without a tool, or with one between the grid's pixels, no place is near it.
+        beside = (torch.rand(n, device=device) < 0.5) & (chance > 0)
+        centre = torch.where(beside[:, None], near, anywhere)
+        half = 0.5 * width * (0.05 + 0.4 * torch.rand((n, 2), device=device))
+        angle = torch.rand(n, device=device) * 2 * math.pi
+        patches = Patches.random(centre, half, angle, (height, width))
+        photo = patches.filled(self.pieces(n, _PIECE))
+        opaque = (torch.rand((n, 1, 1, 1), device=device).clamp(min=0.3) * 1.5).clamp(max=1)
+        inside = F.avg_pool2d(tool[:, None].float(), 3, 1, 1)
+        return torch.lerp(images, photo, patches.cover[:, None] * opaque * (1 - inside))
+
+
+def _cut(image: np.ndarray) -> np.ndarray:
+    """The middle of a picture, resized to _SIZE, as RGB."""
+    height, width = image.shape[:2]
+    scale = max(_SIZE[0] / height, _SIZE[1] / width)
+    size = max(_SIZE[1], round(width * scale)), max(_SIZE[0], round(height * scale))
+    image = cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    y, x = (image.shape[0] - _SIZE[0]) // 2, (image.shape[1] - _SIZE[1]) // 2
+    return np.ascontiguousarray(image[y : y + _SIZE[0], x : x + _SIZE[1], ::-1])

@@ -1,0 +1,251 @@
+"""The end effectors of a data set for the evaluation: true poses, and clouds under true or predicted masks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.end_effectors import CATEGORIES
+from toolee_robot.errors import AssetError
+from toolee_robot.perception.cloud import back_project, ee_cloud, without_flying_pixels
+from toolee_robot.perception.detection.instances import mask_iou
+from toolee_robot.perception.offline.dataset.catalogue import Catalogue
+from toolee_robot.perception.offline.dataset.instances import object_of
+from toolee_robot.perception.offline.dataset.records import MIN_POINTS, SCENES, EeTable
+from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, read_json, scene_folders
+from toolee_robot.perception.offline.dataset.spec import catalogue_of
+from toolee_robot.perception.offline.evaluation.records import Case, Examples, Instance
+from toolee_robot.perception.pipeline import EeDetector
+from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
+
+SPLITS = ("test", "train")
+MATCH_IOU = 0.5
+"""Least IoU of a predicted mask with the EE that it is matched to."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """The first images of a scene's folder.
+
+    Attributes:
+        scene: The folder.
+        catalogue: Tools of the data set.
+        count: Number of images.
+    """
+
+    scene: Path
+    catalogue: Catalogue
+    count: int
+
+
+def parts(folder: Path, limit: int | None = None) -> list[Part]:
+    """The parts of a data set, or of one split's folder.
+
+    Args:
+        folder: Folder of the data set or split.
+        limit: Largest number of images per split; None: all.
+
+    Returns:
+        One part per scene.
+
+    Raises:
+        AssetError: There is no data set.
+    """
+    catalogue = catalogue_of(folder)
+    found = []
+    for scenes in _splits(folder):
+        left = limit
+        for scene in scenes:
+            count = len(read_json(scene / "scene_camera.json"))
+            if left is not None:
+                count = min(count, left)
+                left -= count
+            if count:
+                found.append(Part(scene, catalogue, count))
+    return found
+
+
+def read_part(part: Part, detector: EeDetector | None) -> Examples:
+    """Read the examples of a part, numbered from 0.
+
+    Args:
+        part: The part.
+        detector: Gives the predicted masks; None: true masks only.
+
+    Returns:
+        The examples.
+
+    Raises:
+        AssetError: A file is missing or damaged.
+    """
+    cases: dict[str, list[Case]] = {"truth": []}
+    if detector is not None:
+        cases["predicted"] = []
+    found = Examples([], cases, [], part.count)
+    data = load_scenes([part.scene], limit=part.count, threads=2)
+    for i in range(len(data)):
+        frame = RgbdFrame(data.rgb[i], data.depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
+        _add(found, i, frame, data.ee[i], data.tool[i], data.row(i), part.catalogue, SCENES[data.scene[i]], detector)
+        if SCENES[data.scene[i]] == "empty":
+            found.empty.append(frame)
+    return found
+
+
+def of_role(examples: Examples, role: str) -> Examples:
+    """Ask for the held-out tools of one role only; the others are neither found nor missed.
+
+    Args:
+        examples: The examples.
+        role: "validation" or "test".
+
+    Returns:
+        The examples with fewer targets.
+    """
+    kept = [
+        i if i.role in ("train", role) else replace(i, target=False, too_few_points=False) for i in examples.instances
+    ]
+    return replace(examples, instances=kept)
+
+
+def joined(examples: Iterable[Examples]) -> Examples:
+    """Join examples, numbered consecutively."""
+    instances: list[Instance] = []
+    cases: dict[str, list[Case]] = {}
+    empty: list[RgbdFrame] = []
+    images = 0
+    for more in examples:
+        before = len(instances)
+        instances += [replace(i, image=i.image + images) for i in more.instances]
+        for masks, found in more.cases.items():
+            cases.setdefault(masks, []).extend(
+                replace(c, image=c.image + images, instance=None if c.instance is None else c.instance + before)
+                for c in found
+            )
+        empty += more.empty
+        images += more.images
+    return Examples(instances, cases, empty, images)
+
+
+def collect(folder: Path, detector: EeDetector | None = None, limit: int | None = None) -> Examples:
+    """Read a data set or one split's folder.
+
+    One scene is in memory at a time; only clouds and frames without tools are kept.
+
+    Args:
+        folder: Folder of the data set or split.
+        detector: Gives the predicted masks; None: true masks only.
+        limit: Largest number of images per split; None: all.
+
+    Returns:
+        The examples.
+
+    Raises:
+        AssetError: A file is missing or damaged.
+    """
+    return joined(read_part(part, detector) for part in parts(folder, limit))
+
+
+def instances_of(
+    image: int, table: EeTable, intrinsics: CameraIntrinsics, catalogue: Catalogue, scene: str
+) -> Iterator[tuple[int, Instance]]:
+    """The EEs of one image.
+
+    Args:
+        image: Number of the image.
+        table: Its record.
+        intrinsics: Its camera.
+        catalogue: Tools of the data set.
+        scene: Kind of scene.
+
+    Yields:
+        The id in the id maps, and the instance.
+    """
+    for row in np.flatnonzero(table.category):
+        same_tool = np.flatnonzero(table.tool == table.tool[row])
+        X_hand = table.X_camera_hand[row].astype(np.float64)
+        held = bool(np.isfinite(X_hand).all()) and not table.mirrored[row]
+        tool, ee = object_of(int(table.obj_id[row]))
+        yield (
+            int(row) + 1,
+            Instance(
+                image=image,
+                category=CATEGORIES[table.category[row] - 1],
+                catalogue=catalogue,
+                tool=tool,
+                ee=ee,
+                X_camera_ee=table.X_camera_ee[row].astype(np.float64),
+                X_camera_hand=X_hand if held else None,
+                intrinsics=intrinsics,
+                visible=int(table.visible[row]),
+                occlusion=float(table.occlusion[row]),
+                target=bool(table.targets[row]),
+                first_end=bool(row == same_tool[table.category[same_tool] == table.category[row]][0]),
+                scene=scene,
+            ),
+        )
+
+
+def _add(
+    found: Examples,
+    image: int,
+    frame: RgbdFrame,
+    ee: NDArray[np.uint8],
+    tool: NDArray[np.uint8],
+    table: EeTable,
+    catalogue: Catalogue,
+    scene: str,
+    detector: EeDetector | None,
+) -> None:
+    here: dict[int, NDArray[np.bool_]] = {}
+    for ee_id, instance in instances_of(image, table, frame.intrinsics, catalogue, scene):
+        number = len(found.instances)
+        mask = ee == ee_id
+        if np.count_nonzero(frame.depth[mask] > 0) < MIN_POINTS:
+            instance = replace(instance, target=False, too_few_points=instance.target)
+        found.instances.append(instance)
+        here[number] = mask
+        if instance.target:
+            detection = Detection(
+                instance.category, 1.0, mask, (0.0, 0.0, 0.0, 0.0), tool == table.tool[ee_id - 1], 1.0
+            )
+            found.cases["truth"].append(_case(number, image, frame, detection))
+    if detector is None:
+        return
+    taken: set[int] = set()
+    for detection in detector.detect(frame):
+        overlaps = {
+            n: mask_iou(mask, detection.mask)
+            for n, mask in here.items()
+            if found.instances[n].category == detection.category
+        }
+        best = max(overlaps.keys() - taken, key=lambda n: overlaps[n], default=None)
+        if best is not None and overlaps[best] < MATCH_IOU:
+            best = None
+        if best is not None:
+            taken.add(best)
+        found.cases["predicted"].append(_case(best, image, frame, detection, max(overlaps.values(), default=0.0)))
+
+
+def _case(instance: int | None, image: int, frame: RgbdFrame, detection: Detection, overlap: float = 1.0) -> Case:
+    tool_mask = detection.mask if detection.tool_mask is None else detection.tool_mask
+    tool_points = back_project(frame.depth, without_flying_pixels(frame.depth, tool_mask), frame.intrinsics)
+    score, tool_score = detection.score, detection.tool_score
+    cloud = ee_cloud(frame, detection)
+    return Case(instance, image, detection.category, score, cloud, tool_points, tool_score, overlap)
+
+
+def _splits(folder: Path) -> list[list[Path]]:
+    """The scenes of each split of a data set, or of the one split whose folder is given."""
+    splits = [scene_folders(folder / name) for name in SPLITS]
+    if not any(splits):
+        splits = [scene_folders(folder)]
+    if not any(splits):
+        raise AssetError(
+            f"no BOP scene in {folder}: give the folder of a data set made by `toolee dataset generate`",
+            code="asset.no_scene",
+        )
+    return splits

@@ -1,0 +1,301 @@
+"""The tables of `toolee evaluate pose`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.perception.offline.evaluation import metrics
+from toolee_robot.perception.offline.evaluation.estimates import Estimates, Ranked
+from toolee_robot.perception.offline.evaluation.records import Instance
+from toolee_robot.perception.offline.evaluation.shapes import ee_shape
+from toolee_robot.perception.pose.confidence import RIGHT
+
+GROUPS = ("held-out", "seen")
+IOU = 0.1
+"""Least box overlap of a detection with its EE (NOCS)."""
+KEPT = 0.85
+"""Share of the most confident estimates for which errors are reported."""
+
+
+def tables(estimates: Estimates) -> dict[str, Any]:
+    """All tables of one estimator with one kind of masks, for held-out and for seen instances."""
+    result: dict[str, Any] = {}
+    for group, chosen in (("held-out", estimates.held_out), ("seen", ~estimates.held_out)):
+        part = estimates.rows(chosen)
+        if len(part):
+            result[group] = {
+                "accuracy": by_category(part, lambda e: metrics.shares(e.angle, e.position)),
+                "paper_rule": by_category(part, lambda e: metrics.shares(e.paper_angle, e.position)),
+                "errors": by_category(part, _errors),
+                "bop": by_category(part, _bop),
+                "symmetry": _symmetry(part),
+                "confidence": confidence(part),
+                "kept": {c.value: _kept(part.rows(part.category == i)) for i, c in enumerate(CATEGORIES)},
+            }
+    return result
+
+
+class Results(Protocol):
+    """One row per instance."""
+
+    @property
+    def category(self) -> NDArray[np.int64]:
+        """Index of the category, (N,)."""
+
+    def __len__(self) -> int: ...
+
+    def rows(self, chosen: NDArray[np.bool_]) -> Self:
+        """The rows of a mask (N,) bool."""
+
+
+R = TypeVar("R", bound=Results)
+
+
+def by_category(results: R, row: Callable[[R], dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """A table by category.
+
+    Args:
+        results: All results, such as `Estimates`.
+        row: Makes the row of a category of its results.
+
+    Returns:
+        The row of each category that occurs, and as "average" the mean over the categories.
+    """
+    table = {}
+    for i, category in enumerate(CATEGORIES):
+        part = results.rows(results.category == i)
+        if len(part):
+            table[category.value] = {"instances": len(part), **row(part)}
+    rows = list(table.values())
+    average: dict[str, Any] = {"instances": len(results)}
+    for key in (k for k in rows[0] if k != "instances") if rows else ():
+        known = [r[key] for r in rows if r[key] is not None and np.isfinite(r[key])]
+        average[key] = float(np.mean(known)) if known else None
+    return {**table, "average": average}
+
+
+def _errors(e: Estimates) -> dict[str, Any]:
+    made = e.rows(e.made)
+    position, angle = metrics.quantiles(1e3 * made.position), metrics.quantiles(np.rad2deg(made.angle))
+    spin = e.rows(np.isfinite(e.spin))
+    return {
+        "estimated": float(e.made.mean()),
+        "median_mm": position["median"],
+        "p95_mm": position["p95"],
+        "median_deg": angle["median"],
+        "p95_deg": angle["p95"],
+        "spin_median_deg": metrics.quantiles(np.rad2deg(spin.spin))["median"],
+        "spin_with_hand_median_deg": metrics.quantiles(np.rad2deg(spin.spin_fixed))["median"],
+    }
+
+
+def _bop(e: Estimates) -> dict[str, float]:
+    AR_mssd, AR_mspd = metrics.average_recall(e.mssd_share, 1.0), metrics.average_recall(e.mspd, 100.0)
+    return {"AR_MSSD": AR_mssd, "AR_MSPD": AR_mspd, "AR": (AR_mssd + AR_mspd) / 2}
+
+
+def _symmetry(e: Estimates) -> dict[str, Any]:
+    """Accuracy of the predicted symmetry.
+
+    The share of views whose predicted S is the class's constant; of those that may show the spin, such as a hammer
+    head's, the share whose spin is rightly called observable.
+    """
+    cued = [i for i, category in enumerate(CATEGORIES) if category.spec.spin_cues]
+    hammers = e.rows(e.made & np.isin(e.category, cued))
+    right = (hammers.spin_observable > 0.5) == hammers.spin_told
+    each = [
+        float(right[hammers.spin_told == observable].mean())
+        for observable in (True, False)
+        if (hammers.spin_told == observable).any()
+    ]
+    return {
+        "class_symmetry_accuracy": float(e.class_ambiguity_right[e.made].mean()) if e.made.any() else None,
+        "spin_observability_accuracy": float(right.mean()) if len(right) else None,
+        "spin_observability_balanced": float(np.mean(each)) if each else None,
+        "views_that_tell_the_spin": float(hammers.spin_told.mean()) if len(hammers) else None,
+    }
+
+
+def confidence(e: Estimates) -> dict[str, Any] | None:
+    """Calibration and usefulness of the confidence over the estimates that were made.
+
+    Returns:
+        The figures; None for an estimator without a confidence.
+    """
+    made = e.rows(e.made)
+    if len(made) < 2 or np.ptp(made.confidence) == 0:
+        return None
+    success = metrics.within(made.angle, made.position, *metrics.THRESHOLDS["10deg2cm"])
+    strict = metrics.within(made.angle, made.position, *metrics.THRESHOLDS["5deg1cm"])
+    curves = {}
+    for name, good in (("10deg2cm", success), ("5deg1cm", strict)):
+        coverage, risk = metrics.risk_coverage(made.confidence, good)
+        pick = np.unique(np.linspace(0, len(risk) - 1, min(len(risk), 100)).round().astype(int))
+        curves[name] = {"coverage": coverage[pick].tolist(), "risk": risk[pick].tolist()}
+    return {
+        "expected_calibration_error": metrics.calibration_error(made.confidence, success),
+        "reliability": metrics.reliability(made.confidence, success),
+        "usable_share": float(made.usable.mean()),
+        "usable_right_10deg2cm": float(success[made.usable].mean()) if made.usable.any() else None,
+        "usable_right_5deg1cm": float(strict[made.usable].mean()) if made.usable.any() else None,
+        "refusing_worst_10_percent": {
+            "10deg2cm": metrics.refusing(made.confidence, success),
+            "5deg1cm": metrics.refusing(made.confidence, strict),
+        },
+        "risk_coverage": curves,
+    }
+
+
+def _kept(e: Estimates) -> dict[str, Any]:
+    """Errors of the usable estimates, and of the most confident 85 %.
+
+    Of the EE's origin [mm] and of its z axis [deg] (a hammer's face: centre and normal).
+    """
+    order = np.argsort(-e.confidence, kind="stable")
+    best = np.zeros(len(e), dtype=bool)
+    best[order[: int(np.ceil(KEPT * len(e)))]] = True
+    result: dict[str, Any] = {}
+    for name, chosen in (("usable", e.usable), ("best_85_percent", best)):
+        part = e.rows(chosen & e.made)
+        position, axis = metrics.quantiles(1e3 * part.position), metrics.quantiles(np.rad2deg(part.axis))
+        result[name] = {
+            "share": len(part) / len(e) if len(e) else None,
+            "centre_median_mm": position["median"],
+            "centre_p95_mm": position["p95"],
+            "normal_median_deg": axis["median"],
+            "normal_p95_deg": axis["p95"],
+        }
+    return result
+
+
+def ranked_ap(instances: list[Instance], ranked: list[Ranked]) -> dict[str, dict[str, float | None]]:
+    """Average precision of each category over poses ranked by score, for each threshold, at box IoU over 0.1 (NOCS).
+
+    Args:
+        instances: The instances.
+        ranked: The poses.
+
+    Returns:
+        Category to threshold to AP, and the mean as "average".
+    """
+    by_image = _by_image(instances)
+    table: dict[str, dict[str, float | None]] = {}
+    for category in CATEGORIES:
+        targets = sum(i.target and i.category is category for i in instances)
+        if targets == 0:
+            continue
+        own = sorted((r for r in ranked if r.category is category), key=lambda r: -r.score)
+        overlaps = [_overlaps(r, by_image.get((r.image, category), [])) for r in own]
+        row: dict[str, float | None] = {}
+        for name, limits in metrics.THRESHOLDS.items():
+            correct, counted = _matched(own, overlaps, limits)
+            score = np.array([r.score for r in own])[counted]
+            row[name] = metrics.average_precision(score, correct[counted], targets)
+        table[category.value] = row
+    if table:
+        table["average"] = {k: float(np.mean([r[k] for r in table.values()])) for k in metrics.THRESHOLDS}
+    return table
+
+
+def usable_poses(instances: list[Instance], ranked: list[Ranked], images: int) -> dict[str, float | None]:
+    """Results of acting on every usable pose, false alarms included.
+
+    Args:
+        instances: The instances.
+        ranked: The poses.
+        images: Number of images.
+
+    Returns:
+        Number of poses; share within 10 deg 2 cm of an EE of their category; wrong ones per image; share of the EEs
+        asked for that get a right one.
+    """
+    correct, counts = right_poses(instances, [r for r in ranked if r.usable])
+    right, counted = int(correct.sum()), int(counts.sum())
+    targets = sum(i.target for i in instances)
+    return {
+        "poses": counted,
+        "right_10deg2cm": right / counted if counted else None,
+        "wrong_per_image": (counted - right) / images if images else None,
+        "found_10deg2cm": right / targets if targets else None,
+    }
+
+
+def right_poses(instances: list[Instance], ranked: list[Ranked]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """The criterion by which poses under a detector's masks are reported and trust in them is fitted.
+
+    Args:
+        instances: What there is in the images.
+        ranked: Poses of any images and categories, in any order.
+
+    Returns:
+        For each pose whether it is within `confidence.RIGHT` of an end effector of its category that no pose of a
+        higher score has taken, and whether it counts at all: one of an end effector that is not asked for does not.
+    """
+    by_image = _by_image(instances)
+    order = sorted(range(len(ranked)), key=lambda k: -ranked[k].score)
+    best_first = [ranked[k] for k in order]
+    overlaps = [_overlaps(r, by_image.get((r.image, r.category), [])) for r in best_first]
+    correct, counted = _matched(best_first, overlaps, RIGHT)
+    place = np.argsort(order)
+    return correct[place], counted[place]
+
+
+_Overlap = list[tuple[float, Instance]]
+
+
+def _by_image(instances: list[Instance]) -> dict[tuple[int, Category], list[Instance]]:
+    found: dict[tuple[int, Category], list[Instance]] = {}
+    for instance in instances:
+        found.setdefault((instance.image, instance.category), []).append(instance)
+    return found
+
+
+def _overlaps(detection: Ranked, instances: list[Instance]) -> _Overlap:
+    """Instances that a detection may belong to, the best overlap first."""
+    found = []
+    for instance in instances:
+        distance = float(np.linalg.norm(detection.X_camera_ee[:3, 3] - instance.X_camera_ee[:3, 3]))
+        shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
+        if distance > 2 * shape.diameter:
+            continue
+        group = instance.category.symmetry
+        iou = metrics.box_iou(detection.X_camera_ee, instance.X_camera_ee, shape.low, shape.high, group)
+        if iou > IOU:
+            found.append((iou, instance))
+    return sorted(found, key=lambda pair: -pair[0])
+
+
+def _matched(
+    ranked: list[Ranked], overlaps: list[_Overlap], limits: tuple[float, float]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which detections, best score first, are right, and which count (those of hardly visible EEs do not)."""
+    correct, counted = np.zeros(len(ranked), dtype=bool), np.ones(len(ranked), dtype=bool)
+    taken: set[int] = set()
+    for k, (detection, candidates) in enumerate(zip(ranked, overlaps, strict=True)):
+        for _, instance in candidates:
+            if id(instance) in taken:
+                continue
+            if not instance.target:
+                counted[k] = False
+                break
+            X, X_true = detection.X_camera_ee, instance.X_camera_ee
+            angle = instance.category.symmetry.rotation_error(X[:3, :3], X_true[:3, :3])
+            distance = np.linalg.norm(X[:3, 3] - X_true[:3, 3])
+            if bool(metrics.within(np.asarray(angle), np.asarray(distance), *limits)):
+                correct[k] = True
+                taken.add(id(instance))
+                break
+    return correct, counted
+
+
+def latency(estimates: Estimates) -> dict[str, float | None]:
+    """Wall-clock time of an estimate (encoder, sampling, pooling), without the first five calls."""
+    ms = estimates.ms[estimates.made][5:]
+    if len(ms) == 0:
+        return {"median_ms": None, "p90_ms": None}
+    return {"median_ms": float(np.median(ms)), "p90_ms": float(np.percentile(ms, 90))}

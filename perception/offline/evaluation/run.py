@@ -1,0 +1,250 @@
+"""Pose evaluation of several estimators on the same clouds, in one process or several."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+
+from toolee_robot.perception import Segmenter
+from toolee_robot.perception.offline.dataset.catalogue import Catalogue
+from toolee_robot.perception.offline.dataset.spec import generated_catalogue_of
+from toolee_robot.perception.offline.evaluation import exact_shape, pose, views
+from toolee_robot.perception.offline.evaluation.breakdown import held_out_breakdown
+from toolee_robot.perception.offline.evaluation.estimates import (
+    Answer,
+    Estimates,
+    Question,
+    Ranked,
+    answer,
+    load_estimator,
+    questions,
+    summary,
+)
+from toolee_robot.perception.offline.evaluation.examples import Part, joined, of_role, parts, read_part
+from toolee_robot.perception.offline.evaluation.records import Case, Examples, Instance
+from toolee_robot.perception.offline.evaluation.samplers import sampler_table
+from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
+from toolee_robot.perception.pipeline import EeDetector, ToolPerception
+from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
+from toolee_robot.perception.trust import Trust
+from toolee_robot.runtime.process_map import ProcessMap
+from toolee_robot.types import RgbdFrame
+
+T = TypeVar("T")
+Progress = Callable[[str, int, int], None]
+"""Called with the name of the stage, the finished number and the total."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to evaluate.
+
+    Attributes:
+        folder: Folder of the data set or split.
+        weights: Label to folder of a training; None: the shipped weights. The first label is also used for fused views,
+            frames without a tool and samplers.
+        detector: Folder of the detector's weights; None: the shipped ones.
+        role: Use of the held-out tools that are asked for, "validation" or "test"; None: all of them.
+        true_masks_only: No detector: without predicted masks, fused views and frames without a tool.
+        limit: Largest number of images per split.
+        hammers: Number of held hammers that are seen from five views.
+        empty_frames: Number of frames without a tool.
+        sampler_clouds: Number of clouds for the table of samplers.
+        seed: Seed of the rendered frames.
+        device: torch device of the networks.
+        workers: Number of processes.
+        exact_shape: Whether to fit each tool's exact shape to its cloud, too.
+    """
+
+    folder: Path
+    weights: dict[str, Path | None]
+    detector: Path | None = None
+    true_masks_only: bool = False
+    role: str | None = None
+    limit: int | None = None
+    hammers: int = 0
+    empty_frames: int = 0
+    sampler_clouds: int = 0
+    seed: int = 1_000_003
+    device: str = "cpu"
+    workers: int = 1
+    exact_shape: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Networks:
+    """The networks that each process loads.
+
+    Attributes:
+        estimators: By label.
+        trust: Trust models by label.
+        detector: None where only true masks are evaluated.
+    """
+
+    estimators: dict[str, CloudEstimator]
+    trust: dict[str, Trust]
+    detector: EeDetector | None
+
+    @staticmethod
+    def load(plan: Plan) -> Networks:
+        """The networks of a plan. Raises AssetError when weights are missing."""
+        estimators = {label: load_estimator(folder, plan.device) for label, folder in plan.weights.items()}
+        trust = {label: Trust.load(folder, plan.detector) for label, folder in plan.weights.items()}
+        return Networks(estimators, trust, None if plan.true_masks_only else Segmenter.load(plan.detector, plan.device))
+
+    @property
+    def perception(self) -> ToolPerception:
+        """The pipeline of the detector with the first estimator."""
+        assert self.detector is not None
+        label, estimator = next(iter(self.estimators.items()))
+        return ToolPerception(self.detector, estimator, self.trust[label])
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Result of an evaluation.
+
+    Attributes:
+        report: Contents of report.json.
+        estimates: Label to kind of masks to estimates, for the pictures.
+    """
+
+    report: dict[str, Any]
+    estimates: dict[str, dict[str, Estimates]]
+
+
+def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
+    """Evaluate. Apart from times, the report is the same for any number of workers.
+
+    Args:
+        plan: What to evaluate.
+        progress: Called with the name of the stage, the finished number and the total.
+
+    Returns:
+        The report, and the estimates.
+
+    Raises:
+        AssetError: Data or weights are missing.
+    """
+    networks = Networks.load(plan)
+    load = partial(Networks.load, plan) if plan.workers > 1 else lambda: networks
+    with ProcessMap(load, plan.workers) as processes:
+        todo = parts(plan.folder, plan.limit)
+        examples = joined(_counted(processes.map(_read, todo), partial(progress, "reading"), len(todo)))
+        if plan.role is not None:
+            examples = of_role(examples, plan.role)
+        report: dict[str, Any] = {"data": _data(plan.folder, examples), "estimators": {}}
+        estimates: dict[str, dict[str, Estimates]] = {}
+        rankings: dict[tuple[str, str], list[Ranked]] = {}
+        for label, estimator in networks.estimators.items():
+            estimates[label] = {}
+            for masks in examples.cases:
+                asked = questions(examples, masks, estimator.of_tool)
+                answers = _counted(
+                    processes.map(partial(_answer, label), asked),
+                    partial(progress, f"{label}, {masks} masks"),
+                    len(asked),
+                )
+                estimates[label][masks], rankings[label, masks] = summary(examples, estimator.of_tool, answers)
+        ranked_ap = processes.map(partial(_ranked_ap, examples.instances), rankings.values())
+        ranked = dict(zip(rankings, _counted(ranked_ap, partial(progress, "ranking"), len(rankings)), strict=True))
+        for label, estimator in networks.estimators.items():
+            record: dict[str, Any] = {"method": describe(estimator)}
+            for masks, rows in estimates[label].items():
+                record[masks] = {
+                    "groups": pose.tables(rows),
+                    "breakdown": held_out_breakdown(examples.instances, rows, estimator.of_tool),
+                    "ranked_ap": ranked[label, masks],
+                    "usable": pose.usable_poses(examples.instances, rankings[label, masks], examples.images),
+                    "latency": {
+                        **pose.latency(rows),
+                        "device": plan.device,
+                        "torch_threads": torch.get_num_threads() if plan.workers == 1 else 1,
+                        "workers": plan.workers,
+                    },
+                }
+            report["estimators"][label] = record
+        if plan.exact_shape:
+            best = examples.of("truth")
+            targets = [(i, best.get(k)) for k, i in enumerate(examples.instances) if i.target]
+            errors = _counted(processes.map(_fit, targets), partial(progress, "exact shapes"), len(targets))
+            report["exact_shape"] = exact_shape.tables(exact_shape.Fits.of([i for i, _ in targets], list(errors)))
+        if plan.sampler_clouds:
+            first = next(iter(networks.estimators.values()))
+            report["samplers"] = sampler_table(first, examples, plan.sampler_clouds, partial(progress, "samplers"))
+        catalogue = generated_catalogue_of(plan.folder)
+        if plan.hammers and not plan.true_masks_only:
+            with closing(processes.map(partial(_fuse, plan.seed, catalogue), itertools.count())) as tried:
+                found = itertools.islice((f for f in tried if f is not None), plan.hammers)
+                report["fused"] = views.fused(list(_counted(found, partial(progress, "five views"), plan.hammers)))
+        if plan.empty_frames and not plan.true_masks_only:
+            frames: Iterable[RgbdFrame | int] = itertools.chain(examples.empty, itertools.count())
+            looked = processes.map(partial(_claims, plan.seed, catalogue), itertools.islice(frames, plan.empty_frames))
+            report["no_tool"] = views.no_tool(list(_counted(looked, partial(progress, "no tool"), plan.empty_frames)))
+    return Evaluation(report, estimates)
+
+
+def _read(networks: Networks, part: Part) -> Examples:
+    return read_part(part, networks.detector)
+
+
+def _answer(label: str, networks: Networks, question: Question) -> Answer:
+    return answer(networks.estimators[label], networks.trust[label], question)
+
+
+def _fit(_networks: Networks, asked: tuple[Instance, Case | None]) -> tuple[float, float]:
+    return exact_shape.errors_of(*asked)
+
+
+def _ranked_ap(
+    instances: list[Instance],
+    networks: Networks,  # noqa: ARG001 - as the others
+    ranked: list[Ranked],
+) -> dict[str, dict[str, float | None]]:
+    return pose.ranked_ap(instances, ranked)
+
+
+def _fuse(seed: int, catalogue: Catalogue, networks: Networks, index: int) -> views.Fused | None:
+    hammer = views.held_hammer(seed, index, catalogue)
+    return None if hammer is None else views.fuse(networks.perception, hammer)
+
+
+def _claims(seed: int, catalogue: Catalogue, networks: Networks, frame: RgbdFrame | int) -> tuple[bool, bool]:
+    """`views.claims` of a frame of the data set, or of a rendered one of this number."""
+    if isinstance(frame, int):
+        frame = views.empty_frame(seed, frame, catalogue)
+    return views.claims(networks.perception, frame)
+
+
+def _counted(items: Iterator[T], progress: Callable[[int, int], None], total: int) -> Iterator[T]:
+    progress(0, total)
+    for k, item in enumerate(items):
+        progress(k + 1, total)
+        yield item
+
+
+def describe(estimator: CloudEstimator) -> dict[str, Any]:
+    """Name and settings of an estimator."""
+    name = f"paper, {estimator.column.name}" if isinstance(estimator, PaperEstimator) else "ours"
+    return {"name": name, "candidates": estimator.candidates, "sampler": str(estimator.sampler)}
+
+
+def _data(folder: Path, examples: Examples) -> dict[str, Any]:
+    targets = [i for i in examples.instances if i.target]
+    tools = {i.tool for i in targets if i.held_out}
+    return {
+        "folder": folder.name,
+        "images": examples.images,
+        "targets": len(targets),
+        "left_out_under_50_points": sum(i.too_few_points for i in examples.instances),
+        "targets_held_out": sum(i.held_out for i in targets),
+        "held_out_tools": len(tools),
+        "frames_without_a_tool": len(examples.empty),
+    }

@@ -1,0 +1,276 @@
+"""Training of the pose network on synthetic clouds: `toolee train pose`."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Generic
+
+import torch
+from torch import Tensor, nn
+
+from toolee_robot.errors import AssetError, UserError
+from toolee_robot.perception.offline.pose import validation
+from toolee_robot.perception.offline.pose.batchnorm import freeze_batchnorm
+from toolee_robot.perception.offline.pose.config import TrainConfig
+from toolee_robot.perception.offline.pose.recipe import DefaultRecipe, Net, TrainingRecipe
+from toolee_robot.perception.offline.pose.replay_buffer import ReplayBuffer
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch
+from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds
+from toolee_robot.perception.offline.synthetic_clouds.source import CloudSource, Mixture
+from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
+    Float32,
+    SurfaceSamples,
+    sample_hands,
+    sample_tools,
+)
+from toolee_robot.perception.offline.training.distributed import Distributed, init_distributed
+from toolee_robot.perception.offline.training.loop import TrainingRun
+from toolee_robot.perception.pose.weights import Calibration
+
+
+class Trainer(TrainingRun, Generic[Net]):
+    """The training of one network within one budget, on one device or, as one of several processes, on several.
+
+    `run` may be called again in a new process: it resumes. The first rank validates, logs and writes.
+
+    Args:
+        out: Folder for checkpoint, weights and log.
+        config: Options of the training.
+        samples: Surface samples of training and of held-out tools.
+        hands: Surface samples of hands.
+        recipe: The network with its clouds and its loss.
+        distributed: This process among those that train together.
+        rendered: Stored clouds to mix in.
+    """
+
+    log_seconds = 15.0
+    averages_buffers = False
+
+    def __init__(
+        self,
+        out: Path,
+        config: TrainConfig,
+        samples: tuple[SurfaceSamples, SurfaceSamples],
+        hands: Float32,
+        recipe: TrainingRecipe[Net],
+        distributed: Distributed,
+        rendered: RenderedClouds | None = None,
+    ) -> None:
+        torch.manual_seed(config.seed)
+        self.config, self.recipe, self.name = config, recipe, recipe.name
+        self.net = recipe.network(samples[0]).to(distributed.device)
+        super().__init__(config, out, distributed, self.net, self.net)
+        self._init: dict[str, Tensor] = {}
+        self._generator: CloudSource = recipe.clouds(samples[0], hands, distributed.device, self._seed(1))
+        self._rendered = 0 if rendered is None else len(rendered)
+        if rendered is not None:
+            kept = recipe.rendered(rendered, distributed.device, self._seed(3))
+            self._generator = Mixture(self._generator, kept, config.rendered_share)
+        self._test_samples = samples[1]
+        self._clouds_held_out = recipe.clouds(samples[1], hands, distributed.device, 10_000 + config.seed)
+        self._held_out: CloudBatch | None = None
+        self._g = torch.Generator(distributed.device).manual_seed(self._seed(2))
+
+    def run(self) -> dict[str, Any]:
+        """Train until the budget is used up, then validate, calibrate and write the weights.
+
+        Returns:
+            The report; empty for ranks other than the first.
+        """
+        self.loop()
+        return {} if self._held_out is None else self.finish(self._held_out)
+
+    def make_optimizer(self) -> torch.optim.Optimizer:
+        """AdamW with the same decay for all parameters."""
+        c, fused = self.config, self.distributed.device.type == "cuda"
+        parameters = self.net.parameters()
+        return torch.optim.AdamW(parameters, c.lr, weight_decay=c.weight_decay, betas=(0.9, 0.99), fused=fused)
+
+    def schedule(self, progress: float) -> float:
+        """Cosine decay to a thousandth; see `TrainingRun`."""
+        return max(0.5 * (1 + math.cos(math.pi * min(progress, 1.0))), 1e-3)
+
+    def prepare(self) -> nn.Module:
+        """Generate the first clouds, and compile the network on a GPU."""
+        c = self.config
+        network = self._compiled() if c.compile and self.distributed.device.type == "cuda" else self.net
+        self._reservoir = ReplayBuffer(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
+        self._first_clouds, self._first_step = self._reservoir.made, self.step
+        self._held_out = self.judged() if self.distributed.first else None
+        return network
+
+    def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """The recipe's loss on a batch; new clouds are generated so that each is shown `reuse` times."""
+        c = self.config
+        shown = (self.step - self._first_step) * c.batch
+        while self._reservoir.made - self._first_clouds < shown / c.reuse:
+            self._reservoir.add(self._generator.generate(c.chunk))
+        freeze_batchnorm(self.net, self.progress >= c.freeze_batchnorm)
+        batch = self.recipe.prepare(self._reservoir.draw(c.batch, self._g), self._g)
+        loss, parts = self.recipe.loss(self.module, batch, self._g)
+        return {"loss": loss}, parts
+
+    def grow(self) -> dict[str, float]:
+        """Nothing to add: `losses` generates the clouds. Returns their number for the log."""
+        return {"clouds": self._reservoir.made}
+
+    def reseed(self) -> None:
+        """Seed clouds and batches anew after a resumption."""
+        self._generator.reseed(self._seed(1))
+        self._g.manual_seed(self._seed(2))
+
+    def start_from(self, weights: Path) -> None:
+        """Start from the network in a folder.
+
+        Args:
+            weights: The folder.
+
+        Raises:
+            AssetError: The network has another architecture, or cannot be read.
+        """
+        state = self.recipe.load(weights).state_dict()
+        try:
+            self.net.load_state_dict(state)
+        except RuntimeError as error:
+            raise AssetError(
+                f"{weights} holds a network of another architecture: {error}", code="asset.architecture"
+            ) from error
+        self._take_average(state)
+        self._init = {name: value.clone() for name, value in self.average.items()}  # the average changes in place
+        self.record({"event": "begun from other weights"})
+
+    def calibrate(self) -> dict[str, Any]:
+        """Validate and calibrate the weights in `out`, on any machine, after a training that ran out of time.
+
+        Returns:
+            The report.
+        """
+        self._take_average(self.recipe.load(self.out).state_dict())
+        self._init = {}  # already mixed into the weights
+        described = json.loads((self.out / f"{self.name}.json").read_text())["report"]
+        self.step, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
+        return self.finish(self.judged(), described["train"])
+
+    def finish(self, held_out: CloudBatch, trained: dict[str, Any] | None = None) -> dict[str, Any]:
+        """Validate and calibrate on held-out clouds, and write the weights.
+
+        Args:
+            held_out: The clouds.
+            trained: Configuration of the training, where it is not this one's.
+
+        Returns:
+            The report.
+        """
+        report, calibration = self.recipe.report(
+            self.export(), held_out, self._test_samples, str(self.distributed.device)
+        )
+        self.record({"event": "finished", **{k: v for k, v in report.items() if k != "clouds"}})
+        report |= self._described(calibrated=True) | ({"train": trained} if trained else {})
+        self.recipe.save(self.out, self.export(), calibration, report)
+        return report
+
+    def judged(self) -> CloudBatch:
+        """The next held-out clouds, with the EE's pose as truth."""
+        clouds = self._clouds_held_out.collect(self.config.validation, self.config.chunk)
+        return self.recipe.with_ee_truth(clouds, self._test_samples)
+
+    def export(self) -> Net:
+        """The averaged network, mixed with its share of the initial weights.
+
+        It is rounded to half precision, as it will be stored.
+        """
+        net = copy.deepcopy(self.net).requires_grad_(False)
+        net.load_state_dict(self.average)
+        for name, value in net.state_dict().items():
+            if value.is_floating_point():
+                value.lerp_(self._init.get(name, value), self.config.init_share)
+                value.copy_(value.half().float())
+        return net.eval()
+
+    def write(self) -> None:
+        """Write the weights without calibration; validated while there is more to train."""
+        self.recipe.save(self.out, self.export(), Calibration(), self._described(calibrated=False))
+        if self._held_out is not None and self.progress < 1:
+            few = self._held_out.select(torch.arange(min(512, len(self._held_out)), device=self.distributed.device))
+            estimator = self.recipe.estimator(self.export(), Calibration(), str(self.distributed.device))
+            self.record({"event": "validation", **validation.metrics(validation.evaluate(estimator, few, 20))})
+
+    def _described(self, calibrated: bool) -> dict[str, Any]:
+        """Description of the training, stored beside the weights."""
+        train = {**asdict(self.config), "rendered_clouds": self._rendered}
+        minutes = round(self.elapsed / 60, 2)
+        return {"calibrated": calibrated, "steps": self.step, "minutes": minutes, "train": train}
+
+    def _take_average(self, state: dict[str, Tensor]) -> None:
+        self.average = {name: value.to(self.distributed.device, copy=True) for name, value in state.items()}
+
+    def _compiled(self) -> nn.Module:
+        """The network compiled, or unchanged where the compiler fails."""
+        compiled: nn.Module = torch.compile(self.net)  # type: ignore[assignment]
+        batch = self._generator.collect(self.config.batch, self.config.chunk)
+        try:
+            for frozen in (True, False):  # each is compiled separately
+                freeze_batchnorm(self.net, frozen)
+                self.recipe.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
+        except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
+            self.record({"event": "not compiled", "error": f"{type(error).__name__}: {error}"[:300]})
+            torch._dynamo.reset()
+            compiled = self.net
+        self.net.zero_grad(set_to_none=True)
+        return compiled
+
+    def _seed(self, which: int) -> int:
+        """Seed that differs between ranks, and after a resumption."""
+        return self.config.seed + which + 1_000_003 * self.distributed.rank + self.step
+
+
+def train(
+    out: Path,
+    config: TrainConfig,
+    recipe: TrainingRecipe[Any] | None = None,
+    calibrate_only: bool = False,
+    init: Path | None = None,
+    rendered: Sequence[Path] = (),
+) -> dict[str, Any]:
+    """Train a pose network: surface samples, training, validation, calibration.
+
+    Args:
+        out: Folder for checkpoint, weights and log.
+        config: Options of the training.
+        recipe: The network with its clouds and its loss; None: `DefaultRecipe`.
+        calibrate_only: Whether to only validate and calibrate the weights in `out`.
+        init: Folder of weights of the same architecture to start from; their process may differ.
+        rendered: Files of `RenderedClouds` to mix in.
+
+    Returns:
+        The report; empty for ranks other than the first.
+
+    Raises:
+        AssetError: Weights or clouds are missing or do not fit.
+        UserError: Options contradict each other.
+        TooleeError: The loss is not finite.
+    """
+    recipe = recipe or DefaultRecipe()
+    if config.init_share and init is None and not calibrate_only:
+        raise UserError("init_share: say whose share that is, with --init FOLDER", code="user.init_share")
+    kept = None
+    if rendered:
+        kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered])
+        kept.check_kind(recipe.of_tool)  # before the long sampling
+    begun = time.monotonic()
+    samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
+    hands = sample_hands()
+    print(
+        f"{[len(b.category) for b in samples]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s"
+    )
+    with init_distributed(config.device) as distributed:
+        trainer = Trainer(out, config, samples, hands, recipe, distributed, kept)
+        if init is not None:
+            trainer.start_from(init)
+        return trainer.calibrate() if calibrate_only else trainer.run()

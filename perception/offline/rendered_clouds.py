@@ -1,0 +1,181 @@
+"""Training clouds of a pose network from a data set's images, under true masks and under a detector's.
+
+    clouds = rendered_clouds(Path("data/hard/train"), workers=2)  # or: toolee train clouds data/hard/train --out FILE
+
+Use images on which the detector was not trained, because on its training images its masks are better than on new ones.
+The paper trains its estimator under true masks alone, of end effectors or, for one column of its Table I, of whole
+tools.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from toolee_robot.end_effectors import CATEGORIES
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array, inverse
+from toolee_robot.perception.cloud import EeCloud
+from toolee_robot.perception.detection.segmenter import Segmenter
+from toolee_robot.perception.offline.dataset.reserved import refuse_test_set
+from toolee_robot.perception.offline.evaluation.examples import Part, parts, read_part
+from toolee_robot.perception.offline.evaluation.records import Case, Instance
+from toolee_robot.perception.offline.evaluation.shapes import spin_points
+from toolee_robot.perception.offline.research.tooleenet import Column
+from toolee_robot.perception.offline.synthetic_clouds.rendered import (
+    MAX_COMPLETED,
+    MAX_POINTS,
+    MAX_REST,
+    RenderedClouds,
+)
+from toolee_robot.perception.pipeline import EeDetector
+from toolee_robot.perception.pose.canonical import MIN_POINTS
+from toolee_robot.runtime.process_map import ProcessMap
+
+NOTHING_THERE = 0.1
+"""A mask that overlaps every EE of its category by less (IoU) is a negative; between this and a match it is dropped."""
+
+
+def rendered_clouds(
+    data: Path,
+    weights: Path | None = None,
+    device: str = "cpu",
+    workers: int = 1,
+    limit: int | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+    column: Column | None = None,
+    minutes: float | None = None,
+) -> RenderedClouds:
+    """Make the clouds of a data set, or of one split.
+
+    Args:
+        data: Folder of the data set or split.
+        weights: Folder of the detector's weights; None: the shipped ones.
+        device: torch device that runs the detector; "cuda": each process takes one of the GPUs there are.
+        workers: Number of processes.
+        limit: Largest number of images per split.
+        progress: Called with the number of finished scenes and their total.
+        column: Column of the paper's Table I whose estimator is trained: true masks only, no detector.
+        minutes: Wall-clock after which no further clouds are awaited; None: no limit.
+
+    Returns:
+        The clouds with their truth, of the scene folders that were done in that time, at least one.
+
+    Raises:
+        AssetError: Data or weights are missing.
+        UserError: The data are a test set, or no image shows an end effector well enough.
+    """
+    refuse_test_set(data)
+    todo = parts(data, limit)
+    found = []
+    end = math.inf if minutes is None else time.monotonic() + 60 * minutes
+    begin = partial(_detector, weights, device) if column is None else _no_detector
+    read = clouds_of_part if column is None or not column.of_tool else tool_clouds_of_part
+    with ProcessMap(begin, workers) as processes:
+        for done, part in enumerate(processes.map(read, todo)):
+            found.append(part)
+            progress(done + 1, len(todo))
+            if time.monotonic() >= end:
+                break
+    clouds = RenderedClouds.cat(found)
+    if not clouds.positive.any():
+        raise UserError(
+            f"no image of {data} shows an end effector well enough: take more images", code="user.too_few_images"
+        )
+    return clouds
+
+
+def clouds_of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
+    """Extract the clouds of a part of a data set, under true masks and, with a detector, under predicted ones.
+
+    Args:
+        detector: The detector; None: true masks alone.
+        part: The part.
+
+    Returns:
+        The clouds, camera frame [m].
+    """
+    examples = read_part(part, detector)
+    rng = _rng(part)
+    rows = []
+    for case in (*examples.cases["truth"], *examples.cases.get("predicted", ())):
+        instance = None if case.instance is None else examples.instances[case.instance]
+        asked = case.overlap < NOTHING_THERE if instance is None else instance.target
+        if asked and case.cloud.usable:
+            tells = 0
+            if instance is not None and instance.category.spec.spin_cues:
+                tells = spin_points(instance, case)
+            rows.append(_cloud(case, instance, rng, tells))
+    return RenderedClouds.cat(rows)
+
+
+def tool_clouds_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
+    """Extract the clouds of whole tools of a part, under true masks, once per category of their ends.
+
+    Args:
+        _detector: Not used; as in `clouds_of_part`.
+        part: The part.
+
+    Returns:
+        The clouds, camera frame [m].
+    """
+    examples = read_part(part, None)
+    rng = _rng(part)
+    nothing = np.empty((0, 3))
+    rows = []
+    for number, case in examples.of("truth").items():
+        instance = examples.instances[number]
+        # Only the first of alike ends: the tool's pose does not show which of them is meant.
+        if instance.first_end and len(case.tool_points) >= MIN_POINTS:
+            row = _cloud(replace(case, cloud=EeCloud(case.tool_points, nothing, nothing)), instance, rng)
+            ee = instance.catalogue.tool(instance.tool).ees[instance.ee]
+            X_camera_tool = (instance.X_camera_ee @ inverse(ee.X_tool_ee)).astype(np.float32)
+            rows.append(replace(row, X_camera_target=X_camera_tool[None], of_tool=np.array([True])))
+    return RenderedClouds.cat(rows)
+
+
+def _detector(weights: Path | None, device: str) -> Segmenter:
+    """Worker state: the detector, on one of the GPUs where "cuda" leaves the choice."""
+    count = torch.cuda.device_count()
+    return Segmenter.load(weights, f"cuda:{os.getpid() % count}" if device == "cuda" and count else device)
+
+
+def _no_detector() -> None:
+    """Worker state of a process map that needs no detector."""
+
+
+def _rng(part: Part) -> np.random.Generator:
+    return np.random.default_rng([*part.scene.name.encode()])
+
+
+def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator, tells_spin: int = 0) -> RenderedClouds:
+    cloud = case.cloud
+    kinds = (cloud.points, MAX_POINTS), (cloud.completed, MAX_COMPLETED), (cloud.rest, MAX_REST)
+    points, completed, rest = (_thinned(x, most, rng).astype(np.float32) for x, most in kinds)
+    hand = None if instance is None else instance.X_camera_hand
+    return RenderedClouds(
+        points,
+        completed,
+        rest,
+        counts=np.array([[len(points), len(completed), len(rest)]]),
+        X_camera_target=np.array([np.eye(4) if instance is None else instance.X_camera_ee], np.float32),
+        of_tool=np.array([False]),
+        p_camera_hand=np.array([np.full(3, np.nan) if hand is None else hand[:3, 3]], np.float32),
+        category=np.array([CATEGORIES.index(case.category)]),
+        positive=np.array([instance is not None]),
+        visible=np.array([len(cloud.points)]),
+        tells_spin=np.array([tells_spin]),
+        occlusion=np.array([0.0 if instance is None else instance.occlusion], np.float32),
+    )
+
+
+def _thinned(points: Array, most: int, rng: np.random.Generator) -> Array:
+    return points if len(points) <= most else points[rng.choice(len(points), most, replace=False)]

@@ -1,0 +1,213 @@
+"""The training loop of every network: budget, averaged weights, log and checkpoints."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from toolee_robot.errors import TooleeError
+from toolee_robot.perception.offline.training.distributed import Distributed
+from toolee_robot.perception.offline.training.options import TrainingOptions
+from toolee_robot.perception.offline.training.tensorboard_log import Scalars
+from toolee_robot.runtime.files import written_whole
+
+
+class TrainingRun(ABC):
+    """The state of a training: network, average, optimiser, clock, log. It resumes from a checkpoint in its folder.
+
+    Args:
+        options: Options of the training.
+        out: Folder for checkpoint, weights and log.
+        distributed: This process among those that train together.
+        network: The network that is trained.
+        module: The network, or a module that holds it and computes its losses.
+
+    Attributes:
+        name: Name of the weights.
+        checkpoint: File name of the checkpoint in the output folder.
+        log_name: File name of the log there, one JSON object per line.
+        tag: Prefix of the curves.
+        log_seconds: Least time between entries of the log [s].
+        averages_buffers: Whether running statistics are averaged as the weights are; otherwise the newest are taken.
+    """
+
+    name: str
+    checkpoint: str = "checkpoint.pt"
+    log_name: str = "log.jsonl"
+    tag: str = "train"
+    log_seconds: float = 0.0
+    averages_buffers: bool = True
+
+    def __init__(
+        self, options: TrainingOptions, out: Path, distributed: Distributed, network: nn.Module, module: nn.Module
+    ) -> None:
+        self.distributed, self.network, self.module, self.out = distributed, network, module, out
+        self._options = options
+        self.average = {k: v.detach().clone() for k, v in network.state_dict().items()}
+        weights = {k for k, _ in network.named_parameters()}
+        self._lerped = [
+            k for k, v in self.average.items() if v.is_floating_point() and (self.averages_buffers or k in weights)
+        ]
+        self.optimizer = self.make_optimizer()
+        self.step, self.elapsed = 0, 0.0
+        self.log: list[dict[str, Any]] = []
+        self.scalars = Scalars(out)
+        self.checkpoint_path = out / self.checkpoint
+        self.resumed = self.checkpoint_path.is_file()
+        out.mkdir(parents=True, exist_ok=True)
+
+    @abstractmethod
+    def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """The losses of the next batch, which are summed, and further values for the log."""
+
+    @abstractmethod
+    def write(self) -> None:
+        """Write the averaged weights with their description into the output folder."""
+
+    def make_optimizer(self) -> torch.optim.Optimizer:
+        """AdamW, without decay for one-dimensional parameters."""
+        parameters = list(self.network.parameters())
+        decayed = {"params": [p for p in parameters if p.ndim > 1], "weight_decay": self._options.weight_decay}
+        plain = {"params": [p for p in parameters if p.ndim <= 1], "weight_decay": 0.0}
+        return torch.optim.AdamW([decayed, plain], lr=self._options.lr)
+
+    def schedule(self, progress: float) -> float:
+        """Factor on the learning rate after the warm-up, at a share of the budget: cosine decay to 1 %."""
+        return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+
+    def reseed(self) -> None:
+        """Seed anew after a resumption, so that examples differ from those of the first process."""
+        torch.manual_seed(self._options.seed + 1000 * self.distributed.rank + 1_000_003 * self.step)
+
+    def prepare(self) -> nn.Module:
+        """Prepare the first step; returns the module that the ranks share."""
+        return self.module
+
+    def grow(self) -> dict[str, float]:
+        """Add new examples; returns values for the log."""
+        return {}
+
+    @property
+    def progress(self) -> float:
+        """Share of the budget that is used, 1 at its end."""
+        return self._options.progress(self.elapsed / 60, self.step)
+
+    def loop(self) -> None:
+        """Train until the budget or the session is used up. Raises TooleeError when the loss is not finite."""
+        options, distributed = self._options, self.distributed
+        if self.resumed:
+            self._restore()
+        self.module = distributed.wrap_ddp(self.prepare())
+        parameters = sum(p.numel() for p in self.network.parameters())
+        begun = "resumed" if self.resumed else "start"
+        self.record({"event": begun, "device": distributed.device_name, "parameters": parameters})
+        self.module.train()
+        session = math.inf if options.session_minutes is None else 60 * options.session_minutes
+        end = self.elapsed + session
+        began = time.monotonic() - self.elapsed
+        last_checkpoint, last_log, last_step = self.elapsed, self.elapsed, self.step
+        while self.progress < 1.0 and self.elapsed < end:
+            rate = options.lr * min(1.0, (self.step + 1) / options.warmup_steps) * self.schedule(self.progress)
+            for group in self.optimizer.param_groups:
+                group["lr"] = rate
+            values, norm = self._optimise()
+            self.step += 1
+            if self.step % options.log_every and self.step != options.max_steps:
+                continue
+            # The ranks must end with the same step.
+            self.elapsed = distributed.broadcast(time.monotonic() - began)
+            entry = {name: float(value) for name, value in values.items()} | {"gradient_norm": float(norm)}
+            self._stop_unless_finite(entry)
+            more = self.grow()
+            if self.elapsed - last_log >= self.log_seconds:
+                seconds = max(self.elapsed - last_log, 1e-9)
+                per_second = (self.step - last_step) * options.batch * distributed.world / seconds
+                self.record({**entry, "lr": rate, "examples_per_second": per_second, **more})
+                last_log, last_step = self.elapsed, self.step
+            if self.elapsed - last_checkpoint > 60 * options.checkpoint_minutes:
+                last_checkpoint = self.elapsed
+                self._checkpoint()
+        self._checkpoint()
+
+    def record(self, values: dict[str, Any]) -> None:
+        """Write an entry to the terminal, the log and the curves.
+
+        Args:
+            values: The entry; one without an "event" is also kept in memory.
+        """
+        if not self.distributed.first:
+            return
+        entry = {"step": self.step, "minutes": round(self.elapsed / 60, 4), **_rounded(values)}
+        line = json.dumps(entry)
+        print(f"{self.name}: {line}", flush=True)
+        with (self.out / self.log_name).open("a") as file:
+            file.write(line + "\n")
+        self.scalars.add(self.step, values, self.tag)
+        if "event" not in values:
+            self.log.append(entry)
+
+    def averaged(self) -> dict[str, Tensor]:
+        """The averaged weights as they are exported."""
+        return {k: v for k, v in self.average.items() if not k.endswith("num_batches_tracked")}
+
+    def _optimise(self) -> tuple[dict[str, Tensor], Tensor]:
+        losses, more = self.losses()
+        total = sum(losses.values(), torch.zeros((), device=self.distributed.device))
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(total)
+        norm = nn.utils.clip_grad_norm_(self.network.parameters(), self._options.clip_norm)
+        self.optimizer.step()
+        self._update_average()
+        return {"loss": total.detach(), **{k: v.detach() for k, v in (losses | more).items()}}, norm
+
+    @torch.no_grad()
+    def _update_average(self) -> None:
+        decay = min(self._options.ema, (1 + self.step) / (10 + self.step))
+        state = self.network.state_dict()
+        torch._foreach_lerp_([self.average[k] for k in self._lerped], [state[k] for k in self._lerped], 1 - decay)
+        for name in self.average.keys() - set(self._lerped):
+            self.average[name].copy_(state[name])
+
+    def _stop_unless_finite(self, values: dict[str, float]) -> None:
+        bad = [name for name, value in values.items() if not math.isfinite(value)]
+        if bad:
+            raise TooleeError(
+                f"the training of {self.name} stopped at step {self.step}: {', '.join(bad)} not finite. The last good "
+                f"state is {self.checkpoint_path}; lower lr or clip_norm, and the same command goes on from there",
+                code="toolee.training_diverged",
+            )
+
+    def _checkpoint(self) -> None:
+        if not self.distributed.first:
+            return
+        state = {
+            "model": self.network.state_dict(),
+            "average": self.average,
+            "optimizer": self.optimizer.state_dict(),
+            "step": self.step,
+            "elapsed": self.elapsed,
+            "log": self.log,
+        }
+        with written_whole(self.checkpoint_path) as scratch:
+            torch.save(state, scratch)
+        self.write()
+
+    def _restore(self) -> None:
+        state = torch.load(self.checkpoint_path, map_location=self.distributed.device, weights_only=True)
+        self.network.load_state_dict(state["model"])
+        self.average = state["average"]
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
+        self.reseed()
+
+
+def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+    """Values rounded to five significant digits for the log."""
+    return {k: float(f"{v:.5g}") if isinstance(v, float) else v for k, v in values.items()}

@@ -1,0 +1,356 @@
+"""A data set as a folder: the same bytes however it is made, readable by others, and every fault found."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.errors import raises
+from tests.perception.folders import assert_same
+from toolee_robot.errors import AssetError, UserError
+from toolee_robot.perception.cloud import check_depth_unit
+from toolee_robot.perception.io import bop_images
+from toolee_robot.perception.offline.dataset.catalogue import GENERATED, number_of
+from toolee_robot.perception.offline.dataset.clouds import read_clouds
+from toolee_robot.perception.offline.dataset.encoding import rle
+from toolee_robot.perception.offline.dataset.encoding.checksums import SUMS, write_sums
+from toolee_robot.perception.offline.dataset.figures.shape_distances import distances
+from toolee_robot.perception.offline.dataset.index_files import listed
+from toolee_robot.perception.offline.dataset.instances import read_ply
+from toolee_robot.perception.offline.dataset.scene_reader import load, read_json
+from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
+from toolee_robot.perception.offline.dataset.validation.validate import validate
+from toolee_robot.perception.offline.synthesis.bodies import tool_meshes
+from toolee_robot.perception.offline.synthesis.generate import generate
+from toolee_robot.perception.offline.synthesis.tool_cache import TOOL_CACHE, ToolCache
+from toolee_robot.runtime.files import sha256
+
+pytestmark = pytest.mark.sim
+
+SPEC = DatasetSpec("hard", size=6, seed=11, test_share=0.3, scene_size=2)
+KILLED = """
+import sys
+from pathlib import Path
+from toolee_robot.perception.offline.synthesis.generate import generate
+from toolee_robot.perception.offline.synthesis.tool_cache import TOOL_CACHE, ToolCache
+from toolee_robot.perception.offline.dataset.spec import DatasetSpec
+if __name__ == "__main__":
+    generate(DatasetSpec("hard", 6, 11, 0.3, 2), Path(sys.argv[1]), 1, lambda done, total: print(done, flush=True))
+"""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Made by one worker."""
+    root = tmp_path_factory.mktemp("whole")
+    assert generate(SPEC, root, workers=1)
+    return root
+
+
+@pytest.fixture
+def copy(whole: Path, tmp_path: Path) -> Path:
+    root = tmp_path / "copy"
+    shutil.copytree(whole, root)
+    return root
+
+
+def test_three_workers_give_the_bytes_of_one_and_so_does_a_run_killed_in_the_middle(
+    whole: Path, tmp_path: Path
+) -> None:
+    killed, script = tmp_path / "killed", tmp_path / "killed.py"
+    script.write_text(KILLED)
+    with subprocess.Popen([sys.executable, script, killed], stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None
+        for line in run.stdout:
+            if int(line) > 0:
+                time.sleep(0.3)  # into the next scene
+                os.kill(run.pid, signal.SIGKILL)
+                break
+    assert 0 < sum(1 for p in killed.glob("*/[0-9]*/" + SUMS)) < len(SPEC.jobs())
+    assert generate(SPEC, killed, workers=3)
+    assert_same(whole, killed)
+    assert not generate(SPEC, killed), "what is finished is left alone"
+
+
+def test_a_broken_scene_stops_a_resumed_run_and_nothing_half_written_stays(copy: Path) -> None:
+    (copy / SUMS).unlink()
+    shutil.rmtree(copy / "coco")
+    (copy / "train/000001/scene_gt.json").write_text("{")
+    with pytest.raises(AssetError, match=r"train/000001/scene_gt\.json"):
+        generate(SPEC, copy)
+    assert not list((copy / "coco").iterdir())
+    assert not (copy / SUMS).exists()
+
+
+def test_another_data_set_or_a_full_folder_is_not_touched(copy: Path, tmp_path: Path) -> None:
+    with raises(UserError, code="user.other_data_set"):
+        generate(DatasetSpec("hard", 7, 11), copy)
+    (copy / DESCRIPTION).write_text(json.dumps({k: v for k, v in SPEC.to_json().items() if k != "kinds"}))
+    with pytest.raises(UserError, match="--kinds 13 to go on"):
+        generate(SPEC, copy)
+    (tmp_path / "thesis.txt").write_text("mine")
+    with raises(UserError, code="user.folder_not_empty"):
+        generate(SPEC, tmp_path)
+    assert (tmp_path / "thesis.txt").read_text() == "mine"
+
+
+def test_other_programs_can_read_it(whole: Path) -> None:
+    """BOP's files agree with the models; COCO's with pycocotools; clouds with the depth."""
+    from pycocotools import mask as coco_mask
+    from pycocotools.coco import COCO
+
+    info = read_json(whole / "models/models_info.json")
+    for split in ("train", "test"):
+        coco = COCO(whole / f"coco/instances_{split}.json")
+        assert len(coco.imgs) == SPEC.counts[split]
+        for image in coco.imgs.values():
+            assert (whole / image["file_name"]).is_file()
+            maps = Image.open((whole / image["file_name"].replace("/rgb/", "/tool/")).with_suffix(".png"))
+            for annotation in coco.imgToAnns[image["id"]]:
+                mask = coco.annToMask(annotation)
+                assert mask.sum() == annotation["area"]
+                assert coco_mask.toBbox(annotation["segmentation"]).tolist() == annotation["bbox"]
+                if annotation["category_id"] == 5:
+                    assert np.array_equal(mask > 0, np.asarray(maps) == annotation["tool_id"])
+        for scene in sorted((whole / split).iterdir()):
+            frames = {image.im_id: image.read() for image in bop_images(scene)}
+            clouds = read_clouds(scene)
+            for m in range(len(clouds)):
+                check_depth_unit(frames[int(clouds.image[m])].depth)
+                entry = read_json(scene / "scene_gt.json")[str(clouds.image[m])][clouds.gt[m]]
+                assert info[str(entry["obj_id"])]["split"] == split
+                if clouds.count[m] > 100:
+                    R, t = np.reshape(entry["cam_R_m2c"], (3, 3)), np.array(entry["cam_t_m2c"])
+                    vertices, _ = read_ply(whole / f"models/obj_{entry['obj_id']:06d}.ply")
+                    local = (1000.0 * clouds[m] - t) @ R
+                    nearest = np.linalg.norm(local[:, None] - vertices[None, ::3], axis=-1).min(axis=1)
+                    # Of a long screwdriver's thin shaft most pixels may show what is behind it.
+                    share = 0.25 if entry["instance"].startswith("long_") else 0.5
+                    assert np.quantile(nearest, share) < 10.0, "the model lies where its points are seen [mm]"
+    symmetric = {e["category"]: {k for k in e if k.startswith("symm")} for e in info.values()}
+    expected = {"hammer_head": {"symmetries_continuous"}, "wrench_head": {"symmetries_discrete"}, "hammer_grip": set()}
+    assert all(symmetric[c] == s for c, s in expected.items() if c in symmetric)
+    assert len(load(whole / "train")) == SPEC.counts["train"]
+
+
+def test_run_lengths_are_cocos() -> None:
+    from pycocotools import mask as coco_mask
+
+    rng = np.random.default_rng(0)
+    for share in (0.0, 0.02, 0.5, 0.98, 1.0):
+        mask = rng.random((37, 53)) < share
+        own = rle.encode(mask)
+        assert own["counts"] == coco_mask.encode(np.asfortranarray(mask.astype(np.uint8)))["counts"].decode()
+        assert np.array_equal(rle.decode(own), mask)
+
+
+def test_the_card_names_what_is_held_out(whole: Path) -> None:
+    card = read_json(whole / "card.json")
+    for category in ("hammer_head", "hammer_grip", "screwdriver_head", "wrench_head"):
+        train, test = (set(card["catalogue"][split][category]) for split in ("train", "test"))
+        assert not train & test
+        assert len(train) + len(test) >= 60
+        assert len(test) == pytest.approx(0.2 * (len(train) + len(test)))
+        shown = card["splits"]["test"]["categories"][category]["instances"]
+        assert set(shown) <= test
+        assert all(name in (whole / "README.md").read_text() for name in shown)
+
+
+def test_a_sound_data_set_has_no_faults(whole: Path) -> None:
+    assert validate(whole) == []
+
+
+def first_mask(root: Path, least: int = 150) -> tuple[Path, str, int]:
+    """A scene, an image of it and the place of an EE that shows at least so many pixels."""
+    for scene in sorted((root / "train").iterdir()):
+        for image, entries in read_json(scene / "scene_gt_info.json").items():
+            for k, entry in enumerate(entries):
+                if entry["px_count_visib"] >= least and entry["px_count_valid"] >= least and entry["target"]:
+                    return scene, image, k
+    raise AssertionError("nothing to spoil")
+
+
+def two_masks(root: Path) -> Iterator[Path]:
+    for scene in sorted((root / "train").iterdir()):
+        for image, entries in read_json(scene / "scene_gt_info.json").items():
+            seen = [k for k, e in enumerate(entries) if e["px_count_visib"]]
+            if len(seen) > 1:
+                yield from (scene / f"mask_visib/{int(image):06d}_{k:06d}.png" for k in seen[:2])
+                return
+    raise AssertionError("nothing to swap")
+
+
+def change_json(path: Path, change: Callable[[Any], None]) -> None:
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def signed(root: Path) -> None:
+    """Checksums as if whoever changed the scenes had made them: only contradictions can tell now."""
+    for scene in [*(root / "train").iterdir(), *(root / "test").iterdir()]:
+        there = [p for p in scene.rglob("*") if p.is_file() and p.name != SUMS]
+        write_sums(scene, {p.relative_to(scene).as_posix(): sha256(p) for p in there})
+    write_sums(root, {name: sha256(root / name) for name in listed(root)})
+
+
+def truncate(root: Path) -> str:
+    path = next(iter(sorted((root / "train/000000/rgb").iterdir())))
+    path.write_bytes(path.read_bytes()[:-500])
+    return path.relative_to(root).as_posix()
+
+
+def flip_a_bit(root: Path) -> str:
+    path = next(iter(sorted((root / "train/000001/depth").iterdir())))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(bytes(data))
+    return path.relative_to(root).as_posix()
+
+
+def flip_a_bit_of_a_model(root: Path) -> str:
+    path = next(iter(sorted((root / "models").glob("*.ply"))))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(bytes(data))
+    return path.relative_to(root).as_posix()
+
+
+def remove_a_mask(root: Path) -> str:
+    path = next(two_masks(root))
+    path.unlink()
+    return path.relative_to(root).as_posix()
+
+
+def remove_a_scene(root: Path) -> str:
+    shutil.rmtree(root / "train/000001")
+    return "train/000001"
+
+
+def add_a_file(root: Path) -> str:
+    (root / "train/000000/rgb/000099.jpg").write_bytes(b"who made this")
+    return "train/000000/rgb/000099.jpg"
+
+
+@pytest.mark.parametrize(
+    "spoil", [truncate, flip_a_bit, flip_a_bit_of_a_model, remove_a_mask, remove_a_scene, add_a_file]
+)
+def test_a_damaged_file_is_named(copy: Path, spoil: Callable[[Path], str]) -> None:
+    name = spoil(copy)
+    assert name in {fault.file for fault in validate(copy)}
+
+
+def swap_masks(root: Path) -> str:
+    a, b = two_masks(root)
+    data = a.read_bytes()
+    a.write_bytes(b.read_bytes())
+    b.write_bytes(data)
+    return a.relative_to(root).as_posix()
+
+
+def lose_an_entry(root: Path) -> str:
+    scene, image, _ = first_mask(root)
+    change_json(scene / "scene_gt.json", lambda gt: gt[image].pop())
+    return (scene / "scene_gt_info.json").relative_to(root).as_posix()
+
+
+def rename_the_category(root: Path) -> str:
+    scene, image, k = first_mask(root)
+    change_json(
+        scene / "scene_gt.json", lambda gt: gt[image][k].update(category_id=gt[image][k]["category_id"] % 4 + 1)
+    )
+    return (scene / "scene_gt.json").relative_to(root).as_posix()
+
+
+def take_a_held_out_tool(root: Path) -> str:
+    scene, image, k = first_mask(root)
+    other = next(e for e in read_json(root / "test/000000/scene_gt.json").values() if e)[0]
+
+    def change(gt: Any) -> None:
+        gt[image][k] |= {key: other[key] for key in ("obj_id", "instance", "category_id")}
+
+    change_json(scene / "scene_gt.json", change)
+    return (scene / "scene_gt.json").relative_to(root).as_posix()
+
+
+def move_the_pose_off_the_mask(root: Path) -> str:
+    scene, image, k = first_mask(root)
+
+    def change(gt: Any) -> None:
+        for name in ("cam_t_m2c", "cam_t_t2c"):
+            gt[image][k][name][0] += 40.0
+
+    change_json(scene / "scene_gt.json", change)
+    return (scene / "scene_gt.json").relative_to(root).as_posix()
+
+
+def drop_a_coco_annotation(root: Path) -> str:
+    scene, _, _ = first_mask(root)
+    change_json(scene / "scene_gt_coco.json", lambda coco: coco["annotations"].pop(0))
+    return (scene / "scene_gt_coco.json").relative_to(root).as_posix()
+
+
+def shift_a_cloud(root: Path) -> str:
+    scene, _, _ = first_mask(root)
+    with np.load(scene / "clouds.npz") as file:
+        arrays = dict(file)
+    arrays["points"] = arrays["points"] + np.float32(0.01)
+    np.savez(scene / "clouds.npz", **arrays)
+    return (scene / "clouds.npz").relative_to(root).as_posix()
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        swap_masks,
+        lose_an_entry,
+        rename_the_category,
+        take_a_held_out_tool,
+        move_the_pose_off_the_mask,
+        drop_a_coco_annotation,
+        shift_a_cloud,
+    ],
+)
+def test_a_mislabelled_file_is_named_though_its_checksums_are_right(copy: Path, spoil: Callable[[Path], str]) -> None:
+    name = spoil(copy)
+    signed(copy)
+    assert name in {fault.file for fault in validate(copy)}
+
+
+def test_shape_distances() -> None:
+    """Ten points in a row, moved on by three: seven coincide with others, three are 1, 2 and 3 away."""
+    row = np.column_stack([np.arange(10.0), np.zeros(10), np.zeros(10)])
+    assert distances(row, row) == (0.0, 0.0, 0.0)
+    assert distances(row, row + np.array([3.0, 0.0, 0.0])) == pytest.approx((0.6, 3.0, 3.0))
+
+
+def test_a_tool_from_the_tool_cache_is_the_one_that_was_drawn(tmp_path: Path) -> None:
+    number = GENERATED.numbers("train")[7]
+    drawn, first, second = GENERATED.tool(number), ToolCache(GENERATED, tmp_path), ToolCache(GENERATED, tmp_path)
+    for tool in (first.tool(number), second.tool(number)):
+        assert number_of(tool) == number
+        assert tool.name == drawn.name
+        assert [(p.label, p.material) for p in tool.parts] == [(p.label, p.material) for p in drawn.parts]
+        assert [ee.category for ee in tool.ees] == [ee.category for ee in drawn.ees]
+        pairs: list[tuple[Any, Any]] = [(tool.mesh.vertices, drawn.mesh.vertices), (tool.mesh.faces, drawn.mesh.faces)]
+        pairs += [(tool.face_parts, drawn.face_parts), (tool.handle.radii_x, drawn.handle.radii_x)]
+        pairs += [(new.X_tool_ee, old.X_tool_ee) for new, old in zip(tool.ees, drawn.ees, strict=True)]
+        for mesh, other in zip(tool_meshes(tool), tool_meshes(drawn), strict=True):
+            pairs += [(mesh.vertices, other.vertices), (mesh.faces, other.faces)]
+            pairs.append((mesh.corner_normals, other.corner_normals))
+        for new, old in pairs:
+            np.testing.assert_array_equal(new, old)
+    assert first.tool(number) is first.tool(number)
+    assert len(list((tmp_path / TOOL_CACHE).iterdir())) == 1

@@ -1,0 +1,389 @@
+"""The evaluation on a data set of a few rendered frames: clouds and truth belong together, tables, report, command."""
+
+from __future__ import annotations
+
+import base64
+import copy
+import itertools
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from tests.errors import raises
+from toolee_robot.cli.app import run
+from toolee_robot.errors import AssetError
+from toolee_robot.frames import transform
+from toolee_robot.perception.detection.segmenter import Segmenter
+from toolee_robot.perception.offline.dataset.catalogue import GENERATED, generated_tools
+from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet, load
+from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
+from toolee_robot.perception.offline.evaluation import metrics, pose, views
+from toolee_robot.perception.offline.evaluation.breakdown import held_out_breakdown
+from toolee_robot.perception.offline.evaluation.estimates import Ranked, answer, load_estimator, questions, summary
+from toolee_robot.perception.offline.evaluation.examples import collect, of_role
+from toolee_robot.perception.offline.evaluation.records import Examples
+from toolee_robot.perception.offline.evaluation.report.pages import page, pictures
+from toolee_robot.perception.offline.evaluation.run import Evaluation, Plan, evaluate_pose
+from toolee_robot.perception.offline.evaluation.samplers import sampler_table
+from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS, CocoTask, coco_task, statistics
+from toolee_robot.perception.offline.evaluation.shapes import ee_shape
+from toolee_robot.perception.offline.synthesis.example import examples_of
+from toolee_robot.perception.pipeline import ToolPerception
+from toolee_robot.perception.pose import PoseEstimator
+from toolee_robot.perception.trust import Trust
+from toolee_robot.runtime.html_page import Page
+
+pytestmark = pytest.mark.sim(seconds=40)
+
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data")
+    (root / "test").mkdir()
+    write_scene(root / "test" / "000000", examples_of(DatasetSpec("hard", 8, 5, 0.5), "test", 0, FRAMES))
+    return root
+
+
+@pytest.fixture(scope="module")
+def images(folder: Path) -> SegmentationSet:
+    return load(folder / "test")
+
+
+@pytest.fixture(scope="module")
+def task(images: SegmentationSet) -> CocoTask:
+    """What the shipped detector finds in the frames, and what is there."""
+    pytest.importorskip("faster_coco_eval")
+    return coco_task(Segmenter.load(), images, targets=images.table.targets)
+
+
+@pytest.fixture(scope="module")
+def examples(folder: Path) -> Examples:
+    return collect(folder, Segmenter.load())
+
+
+def test_clouds_lie_on_the_ends_that_they_are_said_to_show(examples: Examples) -> None:
+    assert examples.images == FRAMES
+    assert any(i.target for i in examples.instances)
+    for case in examples.cases["truth"]:
+        assert case.instance is not None
+        instance = examples.instances[case.instance]
+        assert instance.target
+        assert instance.held_out
+        if case.cloud.usable:
+            X = instance.X_camera_ee
+            local = (case.cloud.points - X[:3, 3]) @ X[:3, :3]
+            assert np.median(np.linalg.norm(local, axis=1)) < instance.category.spec.radius + 0.01
+            shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
+            assert 0.02 < shape.diameter < 2.1 * instance.category.spec.radius
+    for case in examples.cases["predicted"]:
+        if case.instance is not None:
+            assert examples.instances[case.instance].category is case.category
+    matched = [c.instance for c in examples.cases["predicted"] if c.instance is not None]
+    assert len(matched) == len(set(matched))
+
+
+def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:
+    with raises(AssetError, code="asset.no_scene"):
+        collect(tmp_path)
+    with raises(AssetError, code="asset.missing"):
+        load_estimator(tmp_path)
+
+
+def test_perfect_detections_rank_perfectly_and_confident_mistakes_cost(examples: Examples) -> None:
+    perfect = [
+        Ranked(i.image, i.category, 0.9 - 0.01 * k, i.X_camera_ee, True)
+        for k, i in enumerate(examples.instances)
+        if i.target
+    ]
+    table = pose.ranked_ap(examples.instances, perfect)
+    assert table["average"]["2deg2mm"] == pytest.approx(1.0)
+    shifted = [replace(r, score=1.0, X_camera_ee=r.X_camera_ee @ transform(p=(0.0, 0.0, 0.006))) for r in perfect]
+    mistaken = pose.ranked_ap(examples.instances, [*perfect, *shifted])
+    assert (mistaken["average"]["2deg2mm"] or 0) == pytest.approx(0.5, abs=0.2)
+    assert mistaken["average"]["5deg1cm"] == pytest.approx(1.0)
+    missed = pose.ranked_ap(examples.instances, perfect[:-1])
+    assert (missed["average"]["2deg2mm"] or 0) < 1.0
+
+
+def test_results_of_acting_on_usable_poses(examples: Examples) -> None:
+    right = [Ranked(i.image, i.category, 0.9, i.X_camera_ee, True) for i in examples.instances if i.target]
+    far = [replace(r, X_camera_ee=r.X_camera_ee @ transform(p=(0.0, 0.0, 0.5))) for r in right]
+    unsure = [replace(r, usable=False) for r in far]
+    found = pose.usable_poses(examples.instances, [*right, *far, *unsure], examples.images)
+    assert found["poses"] == 2 * len(right)
+    assert found["right_10deg2cm"] == pytest.approx(0.5)
+    assert found["wrong_per_image"] == pytest.approx(len(right) / examples.images)
+    assert found["found_10deg2cm"] == pytest.approx(1.0)
+    nothing = pose.usable_poses(examples.instances, unsure, examples.images)
+    assert (nothing["poses"], nothing["right_10deg2cm"], nothing["found_10deg2cm"]) == (0, None, 0.0)
+
+
+def test_an_end_effector_is_taken_once_and_what_is_not_asked_for_does_not_count(examples: Examples) -> None:
+    right = [Ranked(i.image, i.category, 0.9, i.X_camera_ee, True) for i in examples.instances if i.target]
+    again = [replace(r, score=0.5) for r in right]
+    correct, counted = pose.right_poses(examples.instances, [*again, *right])
+    assert correct.tolist() == [False] * len(again) + [True] * len(right)
+    assert counted.all()
+    unasked = [replace(i, target=False) for i in examples.instances]
+    correct, counted = pose.right_poses(unasked, right)
+    assert not correct.any()
+    assert not counted.any()
+
+
+def test_tables_and_the_report(examples: Examples) -> None:
+    estimator = PoseEstimator.load()
+    fused = {**dict.fromkeys(metrics.THRESHOLDS, 1.0), "median_mm": 1.0}
+    report: dict[str, object] = {
+        "data": {
+            "folder": "<data>",
+            "images": 4,
+            "targets": 3,
+            "targets_held_out": 3,
+            "held_out_tools": 2,
+            "left_out_under_50_points": 0,
+        },
+        "samplers": sampler_table(estimator, examples, 2, lambda *_: None),
+        "fused": {"hammers": 1, "usable_share": 1.0, "one_frame": fused, "five_frames": fused},
+        "no_tool": {"frames": 2, "with_a_detection": 1, "with_a_usable_pose": 0, "share_without": 1.0},
+    }
+    record: dict[str, object] = {"method": {"name": "ours", "candidates": 32, "sampler": "Euler(steps=5)"}}
+    kinds = {}
+    for masks in ("truth", "predicted"):
+        answers = (answer(estimator, Trust(), question) for question in questions(examples, masks, of_tool=False))
+        rows, ranked = summary(examples, False, answers)
+        assert len(rows) == sum(i.target for i in examples.instances)
+        assert np.all(rows.position[~rows.made] == np.inf)
+        kinds[masks] = rows
+        groups = pose.tables(rows)
+        assert set(groups) == {"held-out"}
+        for category, row in groups["held-out"]["accuracy"].items():
+            assert row["2deg2mm"] <= row["5deg5mm"] <= row["5deg1cm"] <= row["5deg2cm"] <= row["10deg5cm"], category
+        latency = {**pose.latency(rows), "device": "cpu", "torch_threads": 1}
+        record[masks] = {
+            "groups": groups,
+            "breakdown": held_out_breakdown(examples.instances, rows, of_tool=False),
+            "ranked_ap": pose.ranked_ap(examples.instances, ranked),
+            "usable": pose.usable_poses(examples.instances, ranked, examples.images),
+            "latency": latency,
+        }
+    report["estimators"] = {"ours & more": record}
+    evaluation = Evaluation(report, {"ours & more": kinds})
+    images = pictures(evaluation)
+    assert {"accuracy_held-out_truth.png", "samplers.png"} <= set(images)
+    html = page(evaluation, images, "now · here")
+    check_self_contained(html)
+    assert html.count("data:image/png;base64,") == len(images)
+    assert "ours &amp; more" in html
+    assert "&lt;data&gt;" in html
+    json.dumps(report, default=float)
+    table = report["samplers"]
+    assert isinstance(table, list)
+    assert table[0]["sampler"] == "RK45"
+    assert [r["evaluations"] - 1 for r in table[1:]] == [1, 2, 3, 5, 10, 20], "one more: EDM's last denoising"
+    assert table[0]["evaluations"] > 20
+
+
+def check_self_contained(html: str) -> None:
+    """Well-formed, with nothing in it that a browser would fetch."""
+    assert not re.search(r"https?://|<script|<link|@import|url\(", html)
+    for source in re.findall(r'src="([^"]*)"', html):
+        assert base64.b64decode(source.removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
+    targets = set(re.findall(r'id="([^"]*)"', html))
+    assert set(re.findall(r'href="#([^"]*)"', html)) == targets
+
+    class Balance(HTMLParser):
+        stack: list[str]
+
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:  # noqa: ARG002
+            if tag not in ("meta", "img"):
+                self.stack.append(tag)
+
+        def handle_endtag(self, tag: str) -> None:
+            assert self.stack.pop() == tag
+
+    parser = Balance()
+    parser.stack = []
+    parser.feed(html)
+    assert parser.stack == []
+
+
+def test_a_page_escapes_what_it_is_given() -> None:
+    out = Page("<b>", "a & b")
+    out.section("Über 5° 2 cm")
+    out.table(["<i>"], [["<script>alert(1)</script>"], [("1 < 2", True)]])
+    check_self_contained(out.text())
+
+
+def test_the_command_writes_the_report(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "report"
+    arguments = ["--true-masks-only", "--limit", "2", "--json", "--out", str(out)]
+    assert run(["evaluate", "pose", str(folder), *arguments]) == 0
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert printed == json.loads((out / "report.json").read_text())
+    assert "machine" in printed
+    check_self_contained((out / "report.html").read_text())
+    assert run(["evaluate", "pose", str(tmp_path / "none"), "--true-masks-only"]) == 1
+    assert run(["evaluate", "pose", str(folder), "--weights", "a=x", "a=y"]) == 2
+
+
+@pytest.fixture
+def single_thread() -> Iterator[None]:
+    """As a worker has: with another number of threads sums are rounded otherwise."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("single_thread")
+def test_the_figures_are_the_same_for_any_number_of_workers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reports = []
+    for workers in ("1", "2"):
+        arguments = ["--limit", "3", "--hammers", "1", "--no-tool", "2", "--workers", workers, "--json"]
+        assert run(["evaluate", "pose", str(folder), *arguments]) == 0
+        report = json.loads(capsys.readouterr().out.splitlines()[-1])
+        del report["machine"]
+        for masks in ("truth", "predicted"):
+            assert report["estimators"]["ours"][masks].pop("latency")["workers"] == int(workers)
+        reports.append(report)
+    assert reports[0]["fused"]["hammers"] == 1
+    assert reports[0]["no_tool"]["frames"] == 2
+    assert reports[0] == reports[1]
+
+
+def test_the_breakdown_puts_every_instance_into_one_group_of_each_axis(examples: Examples) -> None:
+    estimator = PoseEstimator.load()
+    asked = questions(examples, "truth", estimator.of_tool)
+    found, _ = summary(examples, estimator.of_tool, (answer(estimator, Trust(), q) for q in asked))
+    tables = held_out_breakdown(examples.instances, found, estimator.of_tool)
+    right = metrics.within(found.angle, found.position, *metrics.THRESHOLDS["5deg2cm"]).sum()
+    for groups in tables.values():
+        assert sum(g["instances"] for g in groups.values()) == len(found)
+        assert sum(g["instances"] * g["5deg2cm"] for g in groups.values() if g["instances"]) == pytest.approx(right)
+    assert set(tables["tool"]) <= {"validation", "test"}
+    near = [i for i in examples.instances if i.target and i.X_camera_ee[2, 3] < 0.55]
+    assert tables["distance"].get("0.40 to 0.55 m", {"instances": 0})["instances"] == len(near)
+
+
+def test_only_the_tools_of_the_role_asked_for_are_targets(examples: Examples) -> None:
+    parts = [of_role(examples, role) for role in ("validation", "test")]
+    targets = [{k for k, i in enumerate(part.instances) if i.target} for part in parts]
+    assert not targets[0] & targets[1]
+    assert targets[0] | targets[1] == {k for k, i in enumerate(examples.instances) if i.target}
+
+
+def test_targets_without_depth_are_left_out_and_counted(
+    folder: Path, examples: Examples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = next(i.image for i in examples.instances if i.target)
+    gone = sum(i.target for i in examples.instances if i.image == image)
+    before = sum(i.too_few_points for i in examples.instances)
+    shutil.copytree(folder, tmp_path / "data")
+    path = tmp_path / f"data/test/000000/depth/{image:06d}.png"
+    Image.fromarray(np.zeros_like(np.asarray(Image.open(path)))).save(path)
+    assert run(["evaluate", "pose", str(tmp_path / "data"), "--true-masks-only", "--json", "--out", str(tmp_path)]) == 0
+    data = json.loads(capsys.readouterr().out.splitlines()[-1])["data"]
+    assert data["left_out_under_50_points"] == before + gone
+    for groups in json.loads((tmp_path / "report.json").read_text())["estimators"]["ours"]["truth"][
+        "breakdown"
+    ].values():
+        assert sum(g["left_out"] for g in groups.values()) == before + gone
+        assert sum(g["instances"] for g in groups.values()) == data["targets"]
+    assert data["targets"] == sum(i.target for i in examples.instances) - gone
+    assert f"{before + gone} more are left out" in (tmp_path / "report.html").read_text()
+
+
+def test_the_segmentation_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("faster_coco_eval")
+    assert (
+        run(["evaluate", "segmentation", str(folder / "test"), "--limit", "2", "--json", "--out", str(tmp_path)]) == 0
+    )
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert printed["images"] == 2
+    assert set(STATISTICS) <= set(printed["average"])
+    check_self_contained((tmp_path / "report.html").read_text())
+
+
+def test_coco_figures_are_pycocotools_own(task: CocoTask) -> None:
+    pycocotools = pytest.importorskip("pycocotools.coco")
+    from pycocotools.cocoeval import COCOeval
+
+    from toolee_robot.perception.detection.detector import CLASSES
+
+    ours = statistics(task)
+    truth = pycocotools.COCO()
+    truth.dataset = copy.deepcopy(task.truth)  # it writes into it
+    truth.createIndex()
+    found = truth.loadRes([dict(r) for r in task.results])
+    for label, name in enumerate(CLASSES):
+        if label == 0 or not ours[name]["instances"]:
+            continue
+        run_ = COCOeval(truth, found, "segm")
+        run_.params.catIds = [label]
+        run_.evaluate()
+        run_.accumulate()
+        run_.summarize()
+        theirs = [None if v < 0 else v for v in run_.stats[: len(STATISTICS)]]
+        for key, value in zip(STATISTICS, theirs, strict=True):
+            assert ours[name][key] == (None if value is None else pytest.approx(value, abs=1e-6)), (name, key)
+
+
+def test_what_is_no_target_is_neither_found_nor_missed(images: SegmentationSet, task: CocoTask) -> None:
+    targets = images.table.targets
+    assert targets.any()
+    whole, asked = statistics(task), statistics(task.of_targets())
+    assert whole["tool"] == asked["tool"]
+    count = sum(asked[name]["instances"] for name in ("hammer_head", "hammer_grip", "screwdriver_head", "wrench_head"))
+    assert count == np.count_nonzero(targets)
+    # Were no EE asked for, even the best detection could not count, for or against.
+    unasked = [{**a, "target": False} for a in task.truth["annotations"]]
+    nothing = statistics(replace(task, truth={**task.truth, "annotations": unasked}).of_targets())
+    assert nothing["average"]["AP"] is None
+
+
+def test_five_views_of_a_held_hammer_and_empty_frames() -> None:
+    hammer = next(h for index in itertools.count() if (h := views.held_hammer(3, index, GENERATED)) is not None)
+    assert len(hammer.frames) == len(hammer.Xs_camera_hand) == views.VIEWS
+    faces = [np.stack([X @ X_hand_ee for X in hammer.Xs_camera_hand]) for X_hand_ee in hammer.Xs_hand_ee]
+    # The views differ, and a face is in every image, before the camera.
+    for Xs in faces[:1]:
+        turns = [np.arccos(np.clip(Xs[0, :3, 2] @ X[:3, 2], -1, 1)) for X in Xs[1:]]
+        assert np.rad2deg(max(turns)) > 5
+        assert np.all(Xs[:, 2, 3] > 0.2)
+    K = hammer.frames[0].intrinsics
+    for number, frame in enumerate(hammer.frames):
+        seen = []
+        for Xs in faces:
+            x, y, z = Xs[number, :3, 3]
+            u, v = K.fx * x / z + K.cx, K.fy * y / z + K.cy
+            if 0 <= u < K.width and 0 <= v < K.height:
+                patch = frame.depth[max(int(v) - 6, 0) : int(v) + 7, max(int(u) - 6, 0) : int(u) + 7]
+                seen.append(bool((np.abs(patch - z) < 0.08).any()))
+        assert any(seen)
+    frame = views.empty_frame(3, 0, GENERATED)
+    assert frame.depth.max() > 0.3
+
+
+def test_held_hammers_are_of_the_data_sets_kinds(tmp_path: Path) -> None:
+    spec, tools = DatasetSpec("hard", 2, 5, 1.0, kinds=13), generated_tools(13)
+    (tmp_path / DESCRIPTION).write_text(json.dumps(spec.to_json()))
+    (tmp_path / "test").mkdir()
+    write_scene(tmp_path / "test" / "000000", examples_of(spec, "test", 0, 2), catalogue=tools)
+    found = evaluate_pose(Plan(tmp_path, {"ours": None}, hammers=1, seed=3), lambda _stage, _done, _all: None)
+    hammer = next(h for index in itertools.count() if (h := views.held_hammer(3, index, tools)) is not None)
+    perception = ToolPerception(Segmenter.load(), PoseEstimator.load(), Trust.load(None, None))
+    expected = views.fused([views.fuse(perception, hammer)])
+    assert found.report["fused"]["one_frame"] == pytest.approx(expected["one_frame"], rel=1e-3, nan_ok=True)

@@ -1,0 +1,100 @@
+"""Training clouds are cut as the data set's masks are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.examples import examples
+from toolee_robot.frames import transform
+from toolee_robot.perception.offline.dataset import paper_camera
+from toolee_robot.perception.offline.synthesis import paper
+from toolee_robot.perception.offline.synthesis.labels import _Reach
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
+from toolee_robot.perception.offline.synthetic_clouds.cuts import Border, Cut
+from toolee_robot.perception.offline.synthetic_clouds.surface_samples import NOWHERE
+from toolee_robot.perception.offline.synthetic_clouds.torch_rng import TorchRng
+from toolee_robot.types import CameraIntrinsics
+
+CAMERA = CameraIntrinsics(365.0, 365.0, 31.5, 31.5, 64, 64)
+
+
+@given(st.integers(0, 2**31), st.booleans(), st.floats(0.05, 0.14))
+@examples(40)
+def test_a_cut_holds_the_pixels_that_the_data_sets_mask_shows(seed: int, circle: bool, apart: float) -> None:
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(0.5, 0.62, (64, 64)).astype(np.float32)
+    direction = rng.normal(size=3)
+    origins = np.array([[0.0, 0.0, 0.56], [0.0, 0.0, 0.56] + apart * direction / np.linalg.norm(direction)])
+    radii = np.array([rng.uniform(0.02, 0.06)] * 2 if circle else rng.uniform(0.02, 0.06, 2))
+    pixels = CAMERA.fx * radii[0] / origins[0, 2] if circle else None
+    v, u = np.indices(depth.shape)
+    Xs = [transform(np.eye(3), p) for p in origins]
+    rows, columns, own = _Reach(Xs, radii, pixels).within(depth, v.ravel(), u.ravel(), CAMERA)
+    first = np.zeros(depth.shape, bool)
+    first[rows[own == 0], columns[own == 0]] = True
+
+    points = np.stack([(u - CAMERA.cx) / CAMERA.fx * depth, (v - CAMERA.cy) / CAMERA.fy * depth, depth], -1)
+    focus, other = torch.as_tensor(origins, dtype=torch.float32)[:, None]
+    radius, other_radius = torch.as_tensor(radii, dtype=torch.float32)[:, None]
+    cut = Cut(focus, radius, other, other_radius, torch.tensor([circle]))
+    held = cut.holds(torch.as_tensor(points.reshape(1, -1, 3), dtype=torch.float32))[0].numpy().reshape(64, 64)
+    # Rounding decides of a pixel on the very edge.
+    assert np.count_nonzero(held != first) <= 3
+
+
+@given(st.integers(0, 2**31))
+@examples(20)
+def test_a_tool_with_one_end_loses_nothing_to_another(seed: int) -> None:
+    focus = torch.tensor([[0.1, 0.0, 0.6]])
+    points = focus[:, None] + 0.03 * torch.randn(1, 50, 3, generator=torch.Generator().manual_seed(seed)).clamp(-1, 1)
+    # Behind the focus as the camera sees it, and a little beside.
+    other = NOWHERE * focus / focus[:, 2:] + torch.tensor([[NOWHERE / 40, 0.0, 0.0]])
+    for circle in (False, True):
+        cut = Cut(focus, torch.tensor([0.1]), other, torch.tensor([0.05]), torch.tensor([circle]))
+        assert bool(cut.holds(points).all())
+
+
+def test_the_papers_protocol_is_the_data_sets() -> None:
+    config = CloudConfig.paper()
+    assert config.distance == paper.DEPTHS
+    assert config.focal == (paper_camera.FOCAL, paper_camera.FOCAL)
+    assert config.circle == paper_camera.CIRCLE
+    half = np.array([paper_camera.FULL_WIDTH, paper_camera.FULL_HEIGHT]) / 2 - 60
+    np.testing.assert_allclose(config.field, half / paper_camera.FOCAL)
+
+
+def test_shares_of_cuts() -> None:
+    B = 4000
+    focus = torch.tensor([[0.0, 0.0, 0.6]]).expand(B, 3)
+    radius = torch.full((B,), 0.05)
+    other = focus + torch.tensor([0.0, 0.1, 0.0])
+    config = CloudConfig(other_cut_share=0.5, other_cut=(0.5, 1.6), circle_share=0.4)
+    cut = Cut.drawn(focus, radius, other, 2 * radius, config, torch.full((B,), 480.0), TorchRng(torch.device("cpu"), 0))
+    own = cut.radius == radius
+    assert float(own.float().mean()) == pytest.approx(0.5, abs=0.03)
+    assert float(cut.circle.float().mean()) == pytest.approx(0.2, abs=0.03)
+    assert not bool((cut.circle & own).any())
+    assert float(cut.radius.min()) == pytest.approx(0.025, abs=0.001)
+    assert float(cut.radius.max()) == pytest.approx(0.08, abs=0.001)
+    torch.testing.assert_close(cut.other_radius, 2 * cut.radius)
+
+
+def test_borders_cross_or_pass_the_end_effector_and_keep_the_middle() -> None:
+    B, radius = 4000, 0.05
+    g = torch.Generator().manual_seed(0)
+    focus = torch.cat([1.2 * torch.rand((B, 2), generator=g) - 0.6, torch.ones((B, 1))], 1) * 0.8
+    border = Border.drawn(focus, torch.full((B,), radius), 0.25, TorchRng(torch.device("cpu"), 0))
+    rays = (focus / focus[:, 2:])[:, None, None]
+    ends = border.limit.isfinite()
+    assert float(ends.float().mean()) == pytest.approx(0.25, abs=0.03)
+    assert bool(border.shows(torch.tensor([0.0, 0.0, 1.0]).expand(B, 1, 1, 3)).all())
+    # As seen from the EE the image ends on its own side, and always within a radius of it unless that hides the middle.
+    assert bool(border.shows(rays)[~ends].all())
+    beyond = rays + torch.cat([border.normal * radius / 0.8, torch.zeros((B, 1))], 1)[:, None, None]
+    across = (border.normal * rays[:, 0, 0, :2]).sum(1)
+    assert not bool(border.shows(beyond)[ends & (across > 0.05)].any())
+    assert 0.2 < float(1 - border.shows(rays)[ends & (across > 0.1)].float().mean()) < 0.5

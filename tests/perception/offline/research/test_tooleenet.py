@@ -1,0 +1,296 @@
+"""The paper's estimator: its encoder, its sampler against exact answers, its pooling, its training."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from tests.errors import raises
+from tests.paper_weights import untrained_paper_weights
+from toolee_robot.end_effectors import Category
+from toolee_robot.errors import AssetError, TooleeError, UserError
+from toolee_robot.frames import transform
+from toolee_robot.perception.offline.pose.config import TrainConfig
+from toolee_robot.perception.offline.pose.trainer import Trainer
+from toolee_robot.perception.offline.research.tooleenet import COLUMNS, PaperEstimator, PaperRecipe
+from toolee_robot.perception.offline.research.tooleenet.estimator import scatter
+from toolee_robot.perception.offline.research.tooleenet.object_clouds import category_priors, first_ends, with_ee_truth
+from toolee_robot.perception.offline.research.tooleenet.pointnet2 import Level, PointNet2, SharedMlp
+from toolee_robot.perception.offline.research.tooleenet.pooling import mean_pose
+from toolee_robot.perception.offline.research.tooleenet.representation import class_ambiguity, decode, encode
+from toolee_robot.perception.offline.research.tooleenet.rk45 import Rk45, solve
+from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
+    Float32,
+    SurfaceSamples,
+    sample_hands,
+    sample_tools,
+)
+from toolee_robot.perception.offline.training.distributed import Distributed
+from toolee_robot.perception.pose.canonical import farthest_points_first
+from toolee_robot.perception.pose.cloud_estimator import PoseResult, with_hand
+from toolee_robot.perception.pose.processes.flow import Euler
+from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
+from toolee_robot.perception.pose.weights import Calibration
+from toolee_robot.types import HoldingHand, PoseHypotheses
+
+pytestmark = pytest.mark.sim
+
+CPU = Distributed(0, 1, torch.device("cpu"))
+
+MEAN, SPREAD = torch.tensor([0.5, -0.3, 0.1]), torch.tensor([0.2, 0.6, 1.0])
+SMALL = (
+    Level(64, (0.02, 0.04), (8, 16), ((8, 16), (8, 16))),
+    Level(16, (0.04, 0.08), (8, 16), ((16, 32), (16, 32))),
+    Level(0, (), (), ((32, 64), (32, 64))),
+)
+
+
+@pytest.fixture(scope="module")
+def samples() -> SurfaceSamples:
+    return sample_tools(held_out=False, seeds_per_kind=1, workers=1)
+
+
+@pytest.fixture(scope="module")
+def hands() -> Float32:
+    return sample_hands(2)
+
+
+@pytest.mark.parametrize("sampler", [Rk45(), Euler(200)])
+def test_the_samplers_recover_a_gaussian_from_its_exact_score(sampler: Rk45 | Euler) -> None:
+    process = VarianceExploding(start=1.0)
+
+    def field(u: Tensor, t: Tensor) -> Tensor:
+        sigma = process.tau(t)[..., None]
+        return -sigma * (u - MEAN) / (SPREAD**2 + sigma**2)
+
+    u = sampler(process, field, torch.randn(2, 4000, 3, generator=torch.Generator().manual_seed(0)))
+    torch.testing.assert_close(u.mean((0, 1)), MEAN, atol=0.03, rtol=0)
+    covariance = torch.cov(u.flatten(0, 1).T)
+    torch.testing.assert_close(covariance, torch.diag(SPREAD**2), atol=0.05, rtol=0)
+
+
+def test_rk45_agrees_with_scipy_and_each_row_has_its_own_step() -> None:
+    y = torch.randn(3, 2, dtype=torch.double, generator=torch.Generator().manual_seed(1))
+    stiffness = torch.tensor([1.0, 5.0, 40.0], dtype=torch.double)
+
+    def derivative(t: Tensor, y: Tensor) -> Tensor:
+        return stiffness[: len(y), None] * torch.stack([y[:, 1], -y[:, 0]], -1) * t.cos()[:, None]
+
+    ours = solve(derivative, y, 0.0, 2.0, 1e-8, 1e-8)
+    for row, k in enumerate(stiffness.tolist()):
+        reference = solve_ivp(
+            lambda t, v, k=k: k * np.cos(t) * np.array([v[1], -v[0]]), (0, 2), y[row].numpy(), rtol=1e-10, atol=1e-10
+        )
+        np.testing.assert_allclose(ours[row].numpy(), reference.y[:, -1], atol=1e-5)
+    # A stiff neighbour in the batch changes nothing.
+    torch.testing.assert_close(solve(derivative, y[:1], 0.0, 2.0, 1e-8, 1e-8), ours[:1], atol=0, rtol=0)
+    with raises(TooleeError, code="toolee.stiff_ode"):
+        solve(derivative, y, 0.0, 2.0, 1e-12, 1e-12, most_steps=5)
+
+
+def test_pointnet_does_not_care_about_the_order_of_the_points() -> None:
+    torch.manual_seed(0)
+    net = PointNet2(SMALL).eval()
+    points = 0.03 * torch.randn(2, 200, 3)
+    feature = net(farthest_points_first(points, 64))
+    shuffled = net(farthest_points_first(points[:, torch.randperm(200)], 64))
+    torch.testing.assert_close(feature, shuffled, atol=1e-5, rtol=1e-4)
+    assert feature.shape == (2, net.size)
+    moved = net(farthest_points_first(points + 0.01, 64))
+    assert not torch.allclose(feature, moved)  # the paper's encoder sees where the cloud is
+
+
+def plainly(net: PointNet2, points: Tensor) -> Tensor:
+    """PointNet++ as it is written down: every group's coordinates and features side by side, then the shared MLP."""
+    feature: Tensor | None = None
+    for level, stage in zip(net.levels, net.stages, strict=True):
+        centres = points[:, : level.centres] if level.centres else torch.zeros(len(points), 1, 3)
+        distance = torch.cdist(centres, points, compute_mode="donot_use_mm_for_euclid_dist")
+        order = distance.argsort(-1)
+        scales = []
+        for mlp, radius, count in zip(
+            stage.children(), level.radii or (torch.inf,) * 2, level.neighbours or (points.shape[1],) * 2, strict=True
+        ):
+            assert isinstance(mlp, SharedMlp)
+            near = torch.where(distance.gather(-1, order[..., :count]) < radius, order[..., :count], order[..., :1])
+            batch = torch.arange(len(points))[:, None, None]
+            x = points[batch, near] - centres[:, :, None]
+            if feature is not None:
+                x = torch.cat([x, feature[batch, near]], dim=-1)
+            for linear, norm in zip(mlp.linears, mlp.norms, strict=True):
+                x = torch.relu(norm(linear(x).flatten(0, 2)).view(*x.shape[:3], -1))
+            scales.append(x.max(2)[0])
+        points, feature = centres, torch.cat(scales, dim=-1)
+    assert feature is not None
+    return feature[:, 0]
+
+
+def test_pointnet_and_its_gradients_are_those_of_the_plain_definition() -> None:
+    torch.manual_seed(0)
+    net = PointNet2(SMALL)
+    points = farthest_points_first(0.02 * torch.randn(3, 150, 3), 64) + torch.tensor([0.1, 0.0, 0.05])
+    weight = torch.randn(3, net.size)
+    results = []
+    for encode_ in (net, lambda points: plainly(net, points)):
+        net.zero_grad()
+        feature = encode_(points)
+        (feature * weight).sum().backward()
+        results.append([feature, *(p.grad.clone() for p in net.parameters() if p.grad is not None)])
+    assert len(results[0]) == 1 + len(list(net.parameters()))
+    for ours, plain in zip(*results, strict=True):
+        torch.testing.assert_close(ours, plain, atol=1e-4, rtol=1e-3)
+
+
+def test_the_published_sizes() -> None:
+    encoder = PointNet2()
+    assert encoder.size == 1024
+    assert sum(p.numel() for p in encoder.parameters()) == pytest.approx(1.0e6, rel=0.1)
+    net = PaperRecipe().network(sample_tools(False, 1, 1))
+    assert sum(p.numel() for p in net.parameters()) == pytest.approx(2.5e6, rel=0.05)
+
+
+def test_pose_vectors_there_and_back() -> None:
+    R = torch.as_tensor(Rotation.random(20, random_state=0).as_matrix(), dtype=torch.float32)
+    p = torch.randn(20, 3)
+    for S in (None, class_ambiguity()[torch.arange(20) % 4]):
+        back, p_back, S_back = decode(encode(R, p, S))
+        torch.testing.assert_close(back, R, atol=1e-5, rtol=0)
+        torch.testing.assert_close(p_back, p)
+        torch.testing.assert_close(S_back, torch.zeros(20, 3) if S is None else S)
+
+
+def test_mean_pooling_keeps_the_axis_of_a_free_spin_and_fails_on_flips() -> None:
+    R = Rotation.random(random_state=3)
+    spins = Rotation.from_rotvec(np.linspace(0, 2 * np.pi, 40, endpoint=False)[:, None] * [0.0, 0.0, 1.0])
+    Xs = np.tile(np.eye(4), (40, 1, 1))
+    Xs[:, :3, :3] = (R * spins).as_matrix()
+    np.testing.assert_allclose(mean_pose(Xs)[:3, 2], R.as_matrix()[:, 2], atol=1e-9)
+    wrench = Category.WRENCH_HEAD.symmetry
+    tilt = Rotation.from_rotvec(np.random.default_rng(0).normal(0, 0.05, (40, 3)))
+    flips = Rotation.from_rotvec(np.pi * (np.arange(40) % 2)[:, None] * np.asarray(wrench.axis))
+    Xs[:, :3, :3] = (R * tilt * flips).as_matrix()
+    plain, knowing = (wrench.rotation_error(mean_pose(Xs, g)[:3, :3], R.as_matrix()) for g in (None, wrench))
+    assert knowing < np.deg2rad(3)
+    assert plain > np.deg2rad(10)
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_a_spin_that_the_samples_agree_on_is_the_hands_where_the_symmetry_label_says_so(labelled: bool) -> None:
+    """The scatter of the axis is the samples' either way, and of an axis of no group everything is."""
+    category, rng = Category.HAMMER_HEAD, np.random.default_rng(0)
+    true, tilt = Rotation.random(random_state=3), Rotation.from_rotvec(rng.normal(0, 0.05, (400, 3)) * [1, 1, 0])
+    spin = Rotation.from_rotvec([0.0, 0.0, 2.0]) * Rotation.from_rotvec(rng.normal(0, 0.02, (400, 3)) * [0, 0, 1])
+    Xs = np.tile(np.eye(4), (400, 1, 1))
+    Xs[:, :3, :3], Xs[:, :3, 3] = (true * tilt * spin).as_matrix(), rng.normal(0.5, 0.004, (400, 3))
+    X = mean_pose(Xs)
+    covariance = scatter(Xs, X, category.symmetry, 0.0 if labelled else 1.0)
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)[:3]), 0.004, rtol=0.15)
+    R = X[:3, :3]
+    np.testing.assert_allclose(np.sqrt(np.diag(R.T @ covariance[3:, 3:] @ R))[:2], 0.05, rtol=0.15)
+    hypotheses = PoseHypotheses(Xs, np.zeros((1, 3)), 0.0, 0.0, 0.0)
+    result = PoseResult(
+        category, X, covariance, 1.0, True, "ok", hypotheses, (1.0,), np.zeros(0), np.array([0.0, 0.0, labelled])
+    )
+    hand = HoldingHand(transform(true.as_matrix() @ category.spec.R_tool_ee.T, [0.0, 0.0, 0.0]), np.eye(3))
+    fixed = with_hand(result, hand)
+    off = Rotation.from_matrix(true.as_matrix().T @ fixed.X_camera_ee[:3, :3]).magnitude()
+    assert (off < 0.1) == labelled
+    assert (off > 1.5) == (not labelled)
+    spread = scatter(Xs, X, Category.HAMMER_GRIP.symmetry, 1.0)
+    assert np.sqrt(R[:, 2] @ spread[3:, 3:] @ R[:, 2]) == pytest.approx(0.02, rel=0.2)
+
+
+def test_a_job_takes_no_estimator_of_whole_tools(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
+    loaded = PaperEstimator.load_for_job(untrained_paper_weights(tmp_path / "ends"))
+    assert loaded.estimate(points, Category.HAMMER_HEAD).usable, "it has no confidence"
+    with raises(UserError, code="user.paper_column"):
+        PaperEstimator.load_for_job(untrained_paper_weights(tmp_path / "tools", "object-prior"))
+    with raises(AssetError, code="asset.missing") as missing:
+        PaperEstimator.load_for_job(tmp_path)
+    assert all(command in str(missing.value) for command in ("dataset generate", "train clouds", "train pose"))
+
+
+def test_whole_tool_clouds_and_the_prior(samples: SurfaceSamples, hands: Float32) -> None:
+    recipe = PaperRecipe(COLUMNS["object-prior"])
+    clouds = recipe.clouds(samples, hands, torch.device("cpu"), 0).collect(12, 16)
+    assert clouds.points.shape[1:] == (1024, 3)
+    assert bool(torch.as_tensor(first_ends(samples) > 0)[clouds.item].all())
+    extent = (clouds.points.amax(1) - clouds.points.amin(1)).norm(dim=-1)
+    assert float(extent.median()) > 0.12
+    as_ee = with_ee_truth(clouds, samples)
+    X = torch.as_tensor(samples.X_ee_tool)[clouds.item]
+    torch.testing.assert_close(as_ee.R @ X[:, :3, :3], clouds.R, atol=1e-5, rtol=0)
+    torch.testing.assert_close(as_ee.p + (as_ee.R @ X[:, :3, 3:])[..., 0], clouds.p, atol=1e-5, rtol=0)
+    priors = category_priors(samples)
+    assert 0.1 < priors[0][2, 3] < 0.4  # a hammer's head is up the handle
+
+
+@pytest.mark.parametrize("column", ["object-prior", "ee-symmetry-prior", "symmetry-aware"])
+def test_every_column_trains_and_its_weights_load(
+    column: str, tmp_path: Path, samples: SurfaceSamples, hands: Float32, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("toolee_robot.perception.offline.research.tooleenet.pointnet2.LEVELS", SMALL)
+    monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
+    config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100, ema=0.5)
+    recipe = replace(PaperRecipe(COLUMNS[column]), draws=2)
+    trainer = Trainer(tmp_path, config, (samples, samples), hands, recipe, CPU)
+    report = trainer.run()
+    assert report["steps"] == 3
+    assert "10deg_2cm" in report["K20"]["average"]
+    assert (tmp_path / "checkpoint.pt").is_file()
+    points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
+    loaded = PaperEstimator.load(tmp_path).estimate(points, Category.WRENCH_HEAD, seed=1)
+    before = recipe.estimator(trainer.export(), Calibration(), "cpu").estimate(points, Category.WRENCH_HEAD, seed=1)
+    np.testing.assert_allclose(loaded.X_camera_ee, before.X_camera_ee, atol=1e-4)
+    assert loaded.hypotheses.Xs_camera_ee.shape == (20, 4, 4)
+    if column != "symmetry-aware":
+        np.testing.assert_array_equal(loaded.ambiguous, [1, 0, 0])
+
+
+def test_the_norms_keep_their_statistics_for_the_last_part_of_a_training(
+    tmp_path: Path, samples: SurfaceSamples, hands: Float32, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Resumed, too."""
+    monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
+    config = TrainConfig(max_steps=4, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100)
+    recipe = replace(PaperRecipe(COLUMNS["ee"]), draws=2)
+
+    def statistics(max_steps: int, settle: float) -> dict[str, Tensor]:
+        trainer = Trainer(
+            tmp_path,
+            replace(config, max_steps=max_steps, freeze_batchnorm=settle),
+            (samples, samples),
+            hands,
+            recipe,
+            CPU,
+        )
+        trainer.run()
+        assert trainer.step == max_steps
+        return {name: x.clone() for name, x in trainer.net.named_buffers() if "norms" in name}
+
+    half = statistics(4, settle=0.5)
+    assert {int(x) for name, x in half.items() if name.endswith("num_batches_tracked")} == {2}
+    gone_on = statistics(6, settle=0.5)
+    assert all(torch.equal(gone_on[name], x) for name, x in half.items())
+    unsettled = statistics(8, settle=1.0)
+    assert {int(x) for name, x in unsettled.items() if name.endswith("num_batches_tracked")} == {4}
+
+
+def test_a_trainings_configuration_says_when_sampling_starts(tmp_path: Path) -> None:
+    card = untrained_paper_weights(tmp_path) / "pose_paper.json"
+    assert PaperEstimator.load(tmp_path).process.start == 0.55, "the paper's"
+    card.write_text(json.dumps(json.loads(card.read_text()) | {"sampling_start": 1.0}))
+    assert PaperEstimator.load(tmp_path).process.start == 1.0
+    card.write_text(json.dumps(json.loads(card.read_text()) | {"sampling_start": 1.5}))
+    with raises(AssetError, code="asset.unreadable") as unreadable:
+        PaperEstimator.load(tmp_path)
+    assert "sampling_start 1.5" in str(unreadable.value)
