@@ -23,7 +23,7 @@ from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
 from toolee_robot.perception.offline.dataset.reserved import refuse_test_set
 from toolee_robot.perception.offline.dataset.spec import generated_catalogue_of
-from toolee_robot.perception.offline.evaluation import views
+from toolee_robot.perception.offline.evaluation.empty_frames import empty_frame
 from toolee_robot.perception.offline.evaluation.estimates import Ranked, estimate_case
 from toolee_robot.perception.offline.evaluation.examples import Part, parts, read_part
 from toolee_robot.perception.offline.evaluation.pose import right_poses
@@ -96,7 +96,7 @@ def collect(seed: int, catalogue: Catalogue, networks: Networks, part: Part | in
         return _tool_samples(networks, read_part(part, networks.detector))
     rows = []
     sure = networks.pose.calibration.confidence.threshold
-    frame = views.empty_frame(seed, part, catalogue, "train")
+    frame = empty_frame(seed, part, catalogue, "train")
     for e in ToolPerception(networks.detector, networks.pose).estimate(frame):
         if np.isfinite(e.X_camera_ee).all():
             d = e.detection

@@ -10,9 +10,8 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.cli.evaluate_tables import text_table
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
+from toolee_robot.cli.output import json_line, text_table
 from toolee_robot.cli.serving import serve
 
 

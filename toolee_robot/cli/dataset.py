@@ -54,7 +54,7 @@ class Generate:
     """Processes (or Ray tasks) at a time."""
     seed: int = 0
     """Which data set of that kind."""
-    test_share: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: 0.1; --tools, mitsuba: 1)")] = None
+    test_share: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: 0.1; --tools: 1)")] = None
     """Share of the examples with held-out tools, textures and backgrounds, from 0 to 1."""
     tools: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """One's own tools instead of the generated ones, all held out: a folder for each with tool.yaml (docs/dataset.md)
@@ -66,11 +66,6 @@ class Generate:
     differ by a rounding."""
     test_set: Flag = False
     """Mark it as a test set: every scoring of it is entered in the ledger (docs/results/protocol.md)."""
-    renderer: Literal["built-in", "mitsuba"] = "built-in"
-    """mitsuba: path-traced pictures of the scenes of `hard` (extra `evaluate`), to evaluate on and never to train on;
-    some 10 s an image and core."""
-    surroundings: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """Panoramas (.hdr) and textures (.jpg, .png) for --renderer mitsuba, docs/dataset.md; without it a modelled sky."""
     sensor: SensorKind = "time-of-flight"
     """Depth camera of `hard`: docs/dataset.md. mixed draws one for each image."""
     kinds: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all)")] = None
@@ -106,10 +101,8 @@ class Generate:
             UserError: An option is out of range, or two of them exclude each other.
         """
         from toolee_robot.perception.offline.dataset.spec import DatasetSpec
-        from toolee_robot.render.path_tracing.surroundings import surroundings_files
 
-        held_out = bool(custom_tools) or self.renderer != "built-in"
-        share = self.test_share if self.test_share is not None else 1.0 if held_out else DatasetSpec.test_share
+        share = self.test_share if self.test_share is not None else 1.0 if custom_tools else DatasetSpec.test_share
         return DatasetSpec(
             self.config,
             self.size,
@@ -119,8 +112,6 @@ class Generate:
             device=self.device,
             test_set=self.test_set,
             sensor=self.sensor,
-            renderer=self.renderer,
-            surroundings=() if self.surroundings is None else surroundings_files(self.surroundings),
             kinds=DatasetSpec.kinds if self.kinds is None else self.kinds,
         )
 
@@ -139,7 +130,7 @@ class Generate:
                 counts.append(done)
                 report("rendering", done, total)
 
-            made = generate(spec, self.out, workers, count, self.cluster, custom_tools, self.surroundings)
+            made = generate(spec, self.out, workers, count, self.cluster, custom_tools)
         seconds = time.monotonic() - began
         cost = _Cost.of_workers(spec.size - counts[0], seconds) if made and self.cluster == "local" else None
         if made:

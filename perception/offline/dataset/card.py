@@ -209,10 +209,6 @@ _FILES = (
 def _command(spec: DatasetSpec) -> str:
     """The command that repeats a data set into the folder of its `--out`; DIR stands for the user's own folders."""
     words = ["toolee dataset generate", f"--config {spec.config}", f"--size {spec.size}", f"--seed {spec.seed}"]
-    if spec.renderer != DatasetSpec.renderer:
-        words.append(f"--renderer {spec.renderer}")
-    if spec.surroundings:
-        words.append("--surroundings DIR")
     if not spec.tools:
         words.append(f"--kinds {spec.kinds}")  # always, for the number of all kinds grows with the program's version
     if spec.sensor != DatasetSpec.sensor:

@@ -1,4 +1,4 @@
-"""Test sets and the second renderer's pictures are for reports: nothing is trained or fitted on them."""
+"""Test sets are for reports: nothing is trained or fitted on them."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def are_test_photographs(folder: Path) -> bool:
 
 
 def refuse_test_set(folder: Path) -> None:
-    """Refuse to train or fit on a test set or another renderer's pictures; asked before any image is read.
+    """Refuse to train or fit on a test set; asked before any image is read.
 
     Args:
         folder: Folder of a data set, of one of its splits, or of a set of photographs. One that does not exist, or has
             no description, passes.
 
     Raises:
-        UserError: It is a test set, or shows another renderer's pictures (`user.test_set`).
+        UserError: It is a test set (`user.test_set`).
         AssetError: The description of a set of photographs is damaged.
     """
     if are_test_photographs(folder):
@@ -44,14 +44,8 @@ def refuse_test_set(folder: Path) -> None:
             code="user.test_set",
         )
     root = root_of(folder)
-    if root is None or not (spec := DatasetSpec.read(root)).is_reserved:
+    if root is None or not (spec := DatasetSpec.read(root)).is_test_set:
         return
-    if not spec.is_test_set:
-        raise UserError(
-            f"{folder} is of --renderer {spec.renderer}, which is to evaluate on: nothing may be trained or fitted on "
-            "it, take a data set of the built-in renderer",
-            code="user.test_set",
-        )
     raise UserError(
         f"{folder} is a test set (seed {spec.seed}), on which nothing may be trained or fitted: take another seed, "
         "`toolee dataset generate --seed N` without --test-set",

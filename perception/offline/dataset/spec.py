@@ -27,8 +27,6 @@ SPLITS = ("train", "test")
 """Splits; "test" shows held-out instances, textures and backgrounds."""
 DEVICES = ("cpu", "cuda")
 """Rendering devices."""
-RENDERERS = ("built-in", "mitsuba")
-"""Renderers; what another than the built-in one shows is for evaluation only."""
 LICENCE = "MIT"
 TEST_SEEDS = frozenset({7001, 7002, 7004, 7010, 7601, 7801})
 """Seeds of test sets: those from before data sets could say so themselves, and the one of the published figures."""
@@ -73,12 +71,10 @@ class DatasetSpec:
         device: Rendering device, "cpu" or "cuda"; the two differ by rounding.
         test_set: Whether it is a test set, whose every scoring is entered in the ledger (`evaluation.ledger`).
         sensor: Kind of the depth camera, one of `sensor_kinds.KINDS`; that of "paper" is free of noise.
-        renderer: One of `RENDERERS`; "mitsuba" shows "hard" only, and only held-out tools.
-        surroundings: Name and SHA-256 of each panorama and texture of the renderer "mitsuba".
         kinds: Kinds of generated tools that it is drawn from, the first ones of `TOOL_SPECS`, at least `FIRST_KINDS`.
 
     Raises:
-        UserError: A value is out of range, or custom tools or another renderer are combined with a training split.
+        UserError: A value is out of range, or custom tools are combined with a training split.
     """
 
     config: str
@@ -90,8 +86,6 @@ class DatasetSpec:
     device: str = "cpu"
     test_set: bool = False
     sensor: SensorKind = "time-of-flight"
-    renderer: str = "built-in"
-    surroundings: tuple[tuple[str, str], ...] = ()
     kinds: int = len(TOOL_SPECS)
 
     def __post_init__(self) -> None:
@@ -115,30 +109,6 @@ class DatasetSpec:
             raise UserError(f"--test-share {self.test_share}: one's own tools are all held out, leave it out or give 1")
         if self.tools and self.config == "paper-claws":
             raise UserError(f"--config {self.config} is to train on, one's own tools are all held out: choose paper")
-
-        if self.renderer not in RENDERERS:
-            raise UserError(f"--renderer {self.renderer}: choose one of {', '.join(RENDERERS)}")
-        if self.renderer != "built-in":
-            self._check_renderer()
-        elif self.surroundings:
-            raise UserError("--surroundings are for --renderer mitsuba: leave them out", code="user.surroundings")
-
-    def _check_renderer(self) -> None:
-        if self.config != "hard":
-            raise UserError(f"--renderer {self.renderer} shows --config hard only", code="user.renderer")
-        if self.device != "cpu":
-            raise UserError(f"--device {self.device}: --renderer {self.renderer} runs on the cpu", code="user.renderer")
-        if self.test_share != 1.0:
-            raise UserError(
-                f"--test-share {self.test_share}: --renderer {self.renderer} is to evaluate on, with held-out tools "
-                "only: leave it out or give 1",
-                code="user.renderer",
-            )
-
-    @property
-    def is_reserved(self) -> bool:
-        """Whether nothing may be trained or fitted on it: a test set, or another renderer's."""
-        return self.is_test_set or self.renderer != "built-in"
 
     @property
     def is_test_set(self) -> bool:
@@ -170,8 +140,6 @@ class DatasetSpec:
             data["test_set"] = True
         if self.sensor != "time-of-flight":
             data["sensor"] = self.sensor
-        if self.renderer != "built-in":
-            data |= {"renderer": self.renderer, "surroundings": dict(self.surroundings)}
         if self.tools:
             data["tools"] = [tool.to_json() for tool in self.tools]
         elif self.kinds != FIRST_KINDS:
@@ -203,6 +171,11 @@ class DatasetSpec:
                     f"{len(TOOL_SPECS)} are known here; update the program",
                     code="user.newer_data_set",
                 )
+            if "renderer" in data:
+                raise UserError(
+                    f"{path} is of the path tracer, which this version no longer has: use the tag before-half",
+                    code="user.dataset_renderer",
+                )
             spec = DatasetSpec(
                 config,
                 data["size"],
@@ -213,8 +186,6 @@ class DatasetSpec:
                 data["device"],
                 bool(data.get("test_set", False)),
                 data.get("sensor", "time-of-flight"),
-                data.get("renderer", "built-in"),
-                tuple(data.get("surroundings", {}).items()),
                 kinds,
             )
         except FileNotFoundError as error:

@@ -1,4 +1,4 @@
 """Evaluation of the perception: metrics, tables, pictures and the report.
 
-`toolee evaluate pose|segmentation|samplers DIR` runs it; docs/results/protocol.md defines every figure.
+`toolee evaluate pose|segmentation|photographs DIR` runs it; docs/results/protocol.md defines every figure.
 """

@@ -110,10 +110,10 @@ def pose_figures(report: dict[str, Any]) -> dict[str, Any]:
         for masks in ("truth", "predicted"):
             groups = record.get(masks, {}).get("groups", {})
             if "held-out" in groups:
-                rows = groups["held-out"]["accuracy"]
+                rows = groups["held-out"]["table"]
                 shares = {category: round(row["5deg2cm"], 4) for category, row in rows.items()}
                 figures.setdefault(label, {})[masks] = {**shares, "usable": record[masks]["usable"]}
-    return {"5deg2cm": figures, **{k: report[k] for k in ("fused", "no_tool") if k in report}}
+    return {"5deg2cm": figures, **{k: report[k] for k in ("no_tool",) if k in report}}
 
 
 def _test_set(folder: Path) -> dict[str, Any] | None:

@@ -188,21 +188,6 @@ def reliability(confidence: Array, success: NDArray[np.bool_], bins: int = 10) -
     return [(float(confidence[r].mean()), float(success[r].mean()), int(r.sum())) for r in rows if r.any()]
 
 
-def risk_coverage(confidence: Array, success: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Risk over coverage when only the most confident estimates are kept.
-
-    Args:
-        confidence: (N,) in [0, 1].
-        success: (N,) bool.
-
-    Returns:
-        Coverage (N,) and risk (N,), the share of failures, for one kept estimate to all.
-    """
-    failed = ~success[np.argsort(-confidence, kind="stable")]
-    n = np.arange(1, len(failed) + 1)
-    return n / max(len(failed), 1), np.cumsum(failed) / n
-
-
 def refusing(confidence: Array, success: NDArray[np.bool_], share: float = 0.1) -> dict[str, float]:
     """Share of failures before and after refusing the least confident estimates.
 

@@ -1,14 +1,14 @@
-"""The tables of `toolee evaluate pose`."""
+"""The metrics of `toolee evaluate pose`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.frames import Array
 from toolee_robot.perception.offline.evaluation import metrics
 from toolee_robot.perception.offline.evaluation.estimates import Estimates, Ranked
 from toolee_robot.perception.offline.evaluation.records import Instance
@@ -23,80 +23,72 @@ KEPT = 0.85
 
 
 def tables(estimates: Estimates) -> dict[str, Any]:
-    """All tables of one estimator with one kind of masks, for held-out and for seen instances."""
+    """The metric table of one estimator with one kind of masks, for held-out and for seen instances.
+
+    Args:
+        estimates: Its estimates.
+
+    Returns:
+        Group to "table", "symmetry" and "confidence". The table has a row of all metrics for each category that
+        occurs, and as "average" the mean over the categories.
+    """
     result: dict[str, Any] = {}
-    for group, chosen in (("held-out", estimates.held_out), ("seen", ~estimates.held_out)):
+    for group, chosen in zip(GROUPS, (estimates.held_out, ~estimates.held_out), strict=True):
         part = estimates.rows(chosen)
         if len(part):
-            result[group] = {
-                "accuracy": by_category(part, lambda e: metrics.shares(e.angle, e.position)),
-                "paper_rule": by_category(part, lambda e: metrics.shares(e.paper_angle, e.position)),
-                "errors": by_category(part, _errors),
-                "bop": by_category(part, _bop),
-                "symmetry": _symmetry(part),
-                "confidence": confidence(part),
-                "kept": {c.value: _kept(part.rows(part.category == i)) for i, c in enumerate(CATEGORIES)},
-            }
+            result[group] = {"table": _table(part), "symmetry": _symmetry(part), "confidence": confidence(part)}
     return result
 
 
-class Results(Protocol):
-    """One row per instance."""
-
-    @property
-    def category(self) -> NDArray[np.int64]:
-        """Index of the category, (N,)."""
-
-    def __len__(self) -> int: ...
-
-    def rows(self, chosen: NDArray[np.bool_]) -> Self:
-        """The rows of a mask (N,) bool."""
-
-
-R = TypeVar("R", bound=Results)
-
-
-def by_category(results: R, row: Callable[[R], dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """A table by category.
-
-    Args:
-        results: All results, such as `Estimates`.
-        row: Makes the row of a category of its results.
-
-    Returns:
-        The row of each category that occurs, and as "average" the mean over the categories.
-    """
+def _table(estimates: Estimates) -> dict[str, dict[str, Any]]:
     table = {}
     for i, category in enumerate(CATEGORIES):
-        part = results.rows(results.category == i)
+        part = estimates.rows(estimates.category == i)
         if len(part):
-            table[category.value] = {"instances": len(part), **row(part)}
+            table[category.value] = {"instances": len(part), **_row(part)}
     rows = list(table.values())
-    average: dict[str, Any] = {"instances": len(results)}
-    for key in (k for k in rows[0] if k != "instances") if rows else ():
+    average: dict[str, Any] = {"instances": len(estimates)}
+    for key in list(rows[0])[1:]:
         known = [r[key] for r in rows if r[key] is not None and np.isfinite(r[key])]
         average[key] = float(np.mean(known)) if known else None
     return {**table, "average": average}
 
 
-def _errors(e: Estimates) -> dict[str, Any]:
-    made = e.rows(e.made)
-    position, angle = metrics.quantiles(1e3 * made.position), metrics.quantiles(np.rad2deg(made.angle))
-    spin = e.rows(np.isfinite(e.spin))
+def _row(e: Estimates) -> dict[str, Any]:
+    """All metrics of one category.
+
+    Shares under the thresholds, with "paper_" before them by the paper's rule; medians and 95th percentiles of the
+    errors; BOP's recalls; the errors of the usable and of the most confident 85 % of the estimates, of the EE's origin
+    and of its z axis (a hammer's face: centre and normal).
+    """
+    made, spin = e.rows(e.made), e.rows(np.isfinite(e.spin))
+    AR_mssd, AR_mspd = metrics.average_recall(e.mssd_share, 1.0), metrics.average_recall(e.mspd, 100.0)
+    best = np.zeros(len(e), dtype=bool)
+    best[np.argsort(-e.confidence, kind="stable")[: int(np.ceil(KEPT * len(e)))]] = True
     return {
+        **metrics.shares(e.angle, e.position),
+        **{f"paper_{k}": share for k, share in metrics.shares(e.paper_angle, e.position).items()},
         "estimated": float(e.made.mean()),
-        "median_mm": position["median"],
-        "p95_mm": position["p95"],
-        "median_deg": angle["median"],
-        "p95_deg": angle["p95"],
+        **_quantiles("mm", 1e3 * made.position),
+        **_quantiles("deg", np.rad2deg(made.angle)),
         "spin_median_deg": metrics.quantiles(np.rad2deg(spin.spin))["median"],
         "spin_with_hand_median_deg": metrics.quantiles(np.rad2deg(spin.spin_fixed))["median"],
+        "AR_MSSD": AR_mssd,
+        "AR_MSPD": AR_mspd,
+        "AR": (AR_mssd + AR_mspd) / 2,
+        **_kept("usable", e, e.usable),
+        **_kept("best_85_percent", e, best),
     }
 
 
-def _bop(e: Estimates) -> dict[str, float]:
-    AR_mssd, AR_mspd = metrics.average_recall(e.mssd_share, 1.0), metrics.average_recall(e.mspd, 100.0)
-    return {"AR_MSSD": AR_mssd, "AR_MSPD": AR_mspd, "AR": (AR_mssd + AR_mspd) / 2}
+def _kept(name: str, e: Estimates, chosen: NDArray[np.bool_]) -> dict[str, float | None]:
+    part = e.rows(chosen & e.made)
+    errors = _quantiles("mm", 1e3 * part.position, "centre_") | _quantiles("deg", np.rad2deg(part.axis), "normal_")
+    return {f"{name}_share": len(part) / len(e), **{f"{name}_{k}": v for k, v in errors.items()}}
+
+
+def _quantiles(unit: str, values: Array, before: str = "") -> dict[str, float | None]:
+    return {f"{before}{k}_{unit}": v for k, v in metrics.quantiles(values).items()}
 
 
 def _symmetry(e: Estimates) -> dict[str, Any]:
@@ -132,11 +124,6 @@ def confidence(e: Estimates) -> dict[str, Any] | None:
         return None
     success = metrics.within(made.angle, made.position, *metrics.THRESHOLDS["10deg2cm"])
     strict = metrics.within(made.angle, made.position, *metrics.THRESHOLDS["5deg1cm"])
-    curves = {}
-    for name, good in (("10deg2cm", success), ("5deg1cm", strict)):
-        coverage, risk = metrics.risk_coverage(made.confidence, good)
-        pick = np.unique(np.linspace(0, len(risk) - 1, min(len(risk), 100)).round().astype(int))
-        curves[name] = {"coverage": coverage[pick].tolist(), "risk": risk[pick].tolist()}
     return {
         "expected_calibration_error": metrics.calibration_error(made.confidence, success),
         "reliability": metrics.reliability(made.confidence, success),
@@ -147,30 +134,7 @@ def confidence(e: Estimates) -> dict[str, Any] | None:
             "10deg2cm": metrics.refusing(made.confidence, success),
             "5deg1cm": metrics.refusing(made.confidence, strict),
         },
-        "risk_coverage": curves,
     }
-
-
-def _kept(e: Estimates) -> dict[str, Any]:
-    """Errors of the usable estimates, and of the most confident 85 %.
-
-    Of the EE's origin [mm] and of its z axis [deg] (a hammer's face: centre and normal).
-    """
-    order = np.argsort(-e.confidence, kind="stable")
-    best = np.zeros(len(e), dtype=bool)
-    best[order[: int(np.ceil(KEPT * len(e)))]] = True
-    result: dict[str, Any] = {}
-    for name, chosen in (("usable", e.usable), ("best_85_percent", best)):
-        part = e.rows(chosen & e.made)
-        position, axis = metrics.quantiles(1e3 * part.position), metrics.quantiles(np.rad2deg(part.axis))
-        result[name] = {
-            "share": len(part) / len(e) if len(e) else None,
-            "centre_median_mm": position["median"],
-            "centre_p95_mm": position["p95"],
-            "normal_median_deg": axis["median"],
-            "normal_p95_deg": axis["p95"],
-        }
-    return result
 
 
 def ranked_ap(instances: list[Instance], ranked: list[Ranked]) -> dict[str, dict[str, float | None]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,8 +14,9 @@ import torch
 from toolee_robot.perception import Segmenter
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
 from toolee_robot.perception.offline.dataset.spec import generated_catalogue_of
-from toolee_robot.perception.offline.evaluation import exact_shape, pose, views
+from toolee_robot.perception.offline.evaluation import pose
 from toolee_robot.perception.offline.evaluation.breakdown import held_out_breakdown
+from toolee_robot.perception.offline.evaluation.empty_frames import claims, empty_frame, no_tool
 from toolee_robot.perception.offline.evaluation.estimates import (
     Answer,
     Estimates,
@@ -28,8 +28,7 @@ from toolee_robot.perception.offline.evaluation.estimates import (
     summary,
 )
 from toolee_robot.perception.offline.evaluation.examples import Part, joined, of_role, parts, read_part
-from toolee_robot.perception.offline.evaluation.records import Case, Examples, Instance
-from toolee_robot.perception.offline.evaluation.samplers import sampler_table
+from toolee_robot.perception.offline.evaluation.records import Examples, Instance
 from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 from toolee_robot.perception.pipeline import EeDetector, ToolPerception
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
@@ -48,19 +47,16 @@ class Plan:
 
     Attributes:
         folder: Folder of the data set or split.
-        weights: Label to folder of a training; None: the shipped weights. The first label is also used for fused views,
-            frames without a tool and samplers.
+        weights: Label to folder of a training; None: the shipped weights. The first label is also used for frames
+            without a tool.
         detector: Folder of the detector's weights; None: the shipped ones.
         role: Use of the held-out tools that are asked for, "validation" or "test"; None: all of them.
-        true_masks_only: No detector: without predicted masks, fused views and frames without a tool.
+        true_masks_only: No detector: without predicted masks and frames without a tool.
         limit: Largest number of images per split.
-        hammers: Number of held hammers that are seen from five views.
         empty_frames: Number of frames without a tool.
-        sampler_clouds: Number of clouds for the table of samplers.
         seed: Seed of the rendered frames.
         device: torch device of the networks.
         workers: Number of processes.
-        exact_shape: Whether to fit each tool's exact shape to its cloud, too.
     """
 
     folder: Path
@@ -69,13 +65,10 @@ class Plan:
     true_masks_only: bool = False
     role: str | None = None
     limit: int | None = None
-    hammers: int = 0
     empty_frames: int = 0
-    sampler_clouds: int = 0
     seed: int = 1_000_003
     device: str = "cpu"
     workers: int = 1
-    exact_shape: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,23 +164,11 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
                     },
                 }
             report["estimators"][label] = record
-        if plan.exact_shape:
-            best = examples.of("truth")
-            targets = [(i, best.get(k)) for k, i in enumerate(examples.instances) if i.target]
-            errors = _counted(processes.map(_fit, targets), partial(progress, "exact shapes"), len(targets))
-            report["exact_shape"] = exact_shape.tables(exact_shape.Fits.of([i for i, _ in targets], list(errors)))
-        if plan.sampler_clouds:
-            first = next(iter(networks.estimators.values()))
-            report["samplers"] = sampler_table(first, examples, plan.sampler_clouds, partial(progress, "samplers"))
-        catalogue = generated_catalogue_of(plan.folder)
-        if plan.hammers and not plan.true_masks_only:
-            with closing(processes.map(partial(_fuse, plan.seed, catalogue), itertools.count())) as tried:
-                found = itertools.islice((f for f in tried if f is not None), plan.hammers)
-                report["fused"] = views.fused(list(_counted(found, partial(progress, "five views"), plan.hammers)))
         if plan.empty_frames and not plan.true_masks_only:
             frames: Iterable[RgbdFrame | int] = itertools.chain(examples.empty, itertools.count())
+            catalogue = generated_catalogue_of(plan.folder)
             looked = processes.map(partial(_claims, plan.seed, catalogue), itertools.islice(frames, plan.empty_frames))
-            report["no_tool"] = views.no_tool(list(_counted(looked, partial(progress, "no tool"), plan.empty_frames)))
+            report["no_tool"] = no_tool(list(_counted(looked, partial(progress, "no tool"), plan.empty_frames)))
     return Evaluation(report, estimates)
 
 
@@ -199,10 +180,6 @@ def _answer(label: str, networks: Networks, question: Question) -> Answer:
     return answer(networks.estimators[label], networks.trust[label], question)
 
 
-def _fit(_networks: Networks, asked: tuple[Instance, Case | None]) -> tuple[float, float]:
-    return exact_shape.errors_of(*asked)
-
-
 def _ranked_ap(
     instances: list[Instance],
     networks: Networks,  # noqa: ARG001 - as the others
@@ -211,16 +188,11 @@ def _ranked_ap(
     return pose.ranked_ap(instances, ranked)
 
 
-def _fuse(seed: int, catalogue: Catalogue, networks: Networks, index: int) -> views.Fused | None:
-    hammer = views.held_hammer(seed, index, catalogue)
-    return None if hammer is None else views.fuse(networks.perception, hammer)
-
-
 def _claims(seed: int, catalogue: Catalogue, networks: Networks, frame: RgbdFrame | int) -> tuple[bool, bool]:
-    """`views.claims` of a frame of the data set, or of a rendered one of this number."""
+    """`empty_frames.claims` of a frame of the data set, or of a rendered one of this number."""
     if isinstance(frame, int):
-        frame = views.empty_frame(seed, frame, catalogue)
-    return views.claims(networks.perception, frame)
+        frame = empty_frame(seed, frame, catalogue)
+    return claims(networks.perception, frame)
 
 
 def _counted(items: Iterator[T], progress: Callable[[int, int], None], total: int) -> Iterator[T]:

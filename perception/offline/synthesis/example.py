@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.errors import UserError
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED, Catalogue, generated_tools
 from toolee_robot.perception.offline.dataset.records import Example
 from toolee_robot.perception.offline.dataset.spec import CONFIGS, SPLITS, DatasetSpec
@@ -19,11 +17,7 @@ from toolee_robot.perception.offline.synthesis.labels import Labels, label
 from toolee_robot.perception.offline.synthesis.paper import paper_scene
 from toolee_robot.perception.offline.synthesis.placement import Pool, SceneSample
 from toolee_robot.perception.offline.synthesis.station import station_scene
-from toolee_robot.render.path_tracing.camera_response import CameraResponse
-from toolee_robot.render.path_tracing.surroundings import Surroundings, read_surroundings
-from toolee_robot.render.path_tracing.traced import PathTracedView
 from toolee_robot.render.renderer import Shot
-from toolee_robot.render.scene import Rendering
 from toolee_robot.render.sensors.color_camera import Photo, photograph
 from toolee_robot.render.sensors.depth_sensors import random_reading
 from toolee_robot.sensor_kinds import SensorKind
@@ -32,10 +26,6 @@ from toolee_robot.types import CameraIntrinsics
 EMPTY_SHARE, STATION_SHARE = 0.10, 0.30
 """Shares of scenes without tools and of station scenes in the configuration "hard"."""
 _ATTEMPTS = 50
-_PATHS = 4
-"""Light paths a pixel in each of the second renderer's three passes."""
-_PATH_TRACED = 2
-"""Random stream of its materials, lights and sensors; 0 and 1 are those of pools and scenes."""
 
 
 @lru_cache(maxsize=2)
@@ -172,7 +162,6 @@ def examples_of(
     first: int,
     last: int,
     catalogue: Catalogue | None = None,
-    surroundings: Path | None = None,
 ) -> Iterator[Example]:
     """Generate examples first .. last - 1 of a split of a data set.
 
@@ -182,55 +171,14 @@ def examples_of(
         first: Index of the first example.
         last: Index after the last example.
         catalogue: Tools of the data set; None: the generated ones.
-        surroundings: Folder of the files that `spec.surroundings` names.
 
     Yields:
         The examples.
-
-    Raises:
-        UserError: The specification names files and no folder is given, or the other way round; or the folder has
-            others (`user.other_surroundings`).
     """
-    if bool(spec.surroundings) != (surroundings is not None):
-        names = ", ".join(name for name, _ in spec.surroundings) or "no panoramas"
-        raise UserError(
-            f"the data set is made with {names}, and the folder of them is {surroundings}: give `surroundings` exactly "
-            "where the specification names files",
-            code="user.other_surroundings",
-        )
     catalogue = catalogue or generated_tools(spec.kinds)
     series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue, spec.sensor)
-    if spec.renderer == "mitsuba":
-        around = Surroundings() if surroundings is None else read_surroundings(surroundings, spec.surroundings)
-        yield from (path_traced_example(series, i, around) for i in range(first, last))
-        return
     for i in range(first, last):
         yield make_example(series, i, spec.device)
-
-
-def path_traced_example(series: Series, index: int, surroundings: Surroundings) -> Example:
-    """Generate an example of a series in the second renderer, Mitsuba: the built-in one's scene in another picture.
-
-    Args:
-        series: The series; of the configuration "hard".
-        index: Index of the example in it.
-        surroundings: Panoramas and textures.
-
-    Returns:
-        The example, with sensor effects.
-
-    Raises:
-        UserError: Mitsuba is not installed.
-    """
-    sample = render_example(series, index).sample
-    rng = np.random.default_rng([series.seed, SPLITS.index(series.split), _PATH_TRACED, index])
-    view = PathTracedView(sample.scene, sample.intrinsics, sample.X_world_camera, surroundings, rng)
-    ee, tool, full, table = label(sample, view)
-    radiance = view.radiance(_PATHS, int(rng.integers(2**31)))
-    rgb = CameraResponse.random(rng).picture(radiance, rng)
-    image = Rendering(rgb, view.depth, view.body_ids, view.cos_incidence, view.shininess)
-    depth = random_reading(series.sensor, image, sample.intrinsics, rng)
-    return Example(rgb, millimetres(depth), ee, tool, table, sample.intrinsics, sample.kind, full)
 
 
 def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:

@@ -28,7 +28,6 @@ from toolee_robot.perception.offline.synthesis.bodies import forget_tools
 from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.offline.synthesis.tool_cache import ToolCache
 from toolee_robot.render.device import checked
-from toolee_robot.render.path_tracing.library import mitsuba
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.tools import TOOL_SPECS
 
@@ -44,7 +43,6 @@ def generate(
     progress: Progress | None = None,
     cluster: str = "local",
     custom_tools: Sequence[CustomMesh] = (),
-    surroundings: Path | None = None,
 ) -> bool:
     """Generate a data set; scenes that exist are kept.
 
@@ -55,7 +53,6 @@ def generate(
         progress: Called after each scene.
         cluster: "local" or "ray".
         custom_tools: Meshes of `spec.tools`.
-        surroundings: Folder of the files that `spec.surroundings` names.
 
     Returns:
         False if the data set was already complete.
@@ -71,9 +68,6 @@ def generate(
     if cluster == "ray" and spec.device != "cpu":
         raise UserError(f"--device {spec.device}: Ray gives its tasks no GPU unless they ask for it, choose cpu there")
     checked(spec.device)
-    if spec.renderer == "mitsuba":
-        mitsuba()
-    around = None if surroundings is None else surroundings.resolve()
     begin(spec, out, custom_tools)
     if is_finished(out):
         return False
@@ -89,7 +83,7 @@ def generate(
         run = on_ray
     waiting = deque(jobs)
     with Summary(spec, out, out) as summary:
-        with contextlib.closing(run(partial(make_scene_folder, spec, out.resolve(), around), todo, workers)) as made:
+        with contextlib.closing(run(partial(make_scene_folder, spec, out.resolve()), todo, workers)) as made:
             for job in made:
                 done += job.last - job.first
                 if progress is not None:
@@ -158,13 +152,12 @@ def _clear(out: Path) -> None:
             left.unlink(missing_ok=True)
 
 
-def make_scene_folder(spec: DatasetSpec, out: Path, surroundings: Path | None, job: SceneJob) -> SceneJob:
+def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
     """Write one scene and the models of its tools.
 
     Args:
         spec: Specification of the data set.
         out: Folder of the data set.
-        surroundings: Folder of the files that `spec.surroundings` names.
         job: The scene.
 
     Returns:
@@ -173,7 +166,7 @@ def make_scene_folder(spec: DatasetSpec, out: Path, surroundings: Path | None, j
     catalogue = spec.catalogue(out)
     if not spec.tools:
         catalogue = ToolCache(catalogue, out)
-    examples = examples_of(spec, job.split, job.first, job.last, catalogue, surroundings)
+    examples = examples_of(spec, job.split, job.first, job.last, catalogue)
     write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
     forget_tools()
     return job

@@ -16,7 +16,6 @@ from rich.console import Console
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
-from toolee_robot.cli.train.ablations import Ablations
 from toolee_robot.cli.train.images import Refinement, Segmentation
 from toolee_robot.cli.train.options import File
 from toolee_robot.cli.train.pose import Clouds, Pose
@@ -73,6 +72,5 @@ COMMANDS = {
     "refinement": Refinement,
     "clouds": Clouds,
     "pose": Pose,
-    "ablations": Ablations,
     "trust": Trust,
 }

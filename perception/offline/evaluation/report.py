@@ -1,0 +1,281 @@
+"""The report of `toolee evaluate`: the same tables for the terminal and for one self-contained page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+
+from toolee_robot.end_effectors import CATEGORIES, label_of
+from toolee_robot.perception.offline.evaluation.estimates import Estimates
+from toolee_robot.perception.offline.evaluation.metrics import THRESHOLDS
+from toolee_robot.perception.offline.evaluation.pose import GROUPS
+from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS
+from toolee_robot.runtime.html_page import Page
+
+MASKS = {"truth": "true masks", "predicted": "predicted masks"}
+"""Kinds of masks, and how the report calls them."""
+_SHOWN = ("5deg2cm", "10deg5cm", "5deg1cm", "5deg5mm")
+"""Thresholds of the tables on the terminal; the others and report.json have all."""
+_COLOURS = ("#12609e", "#d1662b", "#5a8f3c", "#8a5aa8", "#8c8c8c", "#b0902a")
+DEFINITIONS = {
+    "n deg m cm": "share of instances whose rotation error, modulo the category's symmetry group, and position error "
+    "are both under the threshold; an instance without an estimate counts as over it",
+    "paper": "the same with the paper's rotation error, which ignores axes that the prediction itself calls ambiguous; "
+    "only for comparison with its tables",
+    "AR": "BOP's average recall: mean of that of the maximum symmetry-aware surface distance (0.05 to 0.5 of the EE's "
+    "diameter) and of the projection distance (5 to 50 px at a width of 640)",
+    "ranked AP": "area under the precision-recall curve of detections ranked by trust, right "
+    "if their box overlaps the EE's (IoU over 0.1) and the pose is under the threshold (NOCS)",
+    "held-out, seen": "tools that were not, and that were, in the training data; both in new images",
+    "usable": "the estimate's confidence is over the threshold that was fixed after training",
+    "calibration error": "mean gap between confidence and share within 10 deg and 2 cm over ten bins",
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table of a report.
+
+    Attributes:
+        title: Its title.
+        columns: Headings.
+        rows: Cells of each row, as text.
+        left: Number of left-aligned columns.
+        on_page_only: Whether the terminal leaves it out.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: list[list[str]]
+    left: int = 1
+    on_page_only: bool = False
+
+
+def pose_tables(report: dict[str, Any]) -> list[Table]:
+    """Tables of `toolee evaluate pose`.
+
+    Args:
+        report: Its record, what `run.evaluate_pose` gives.
+
+    Returns:
+        Accuracy and errors by group and kind of masks, ranking, what a picture shows, frames without a tool, time.
+    """
+    estimators, tables = report["estimators"], []
+    for masks, text in MASKS.items():
+        for group in GROUPS:
+            found = [
+                (label, record[masks]["groups"][group])
+                for label, record in estimators.items()
+                if group in record.get(masks, {}).get("groups", {})
+            ]
+            if found:
+                tables += _group_tables(f"{group} instances, {text}", found)
+    of_masks = [(label, m, record[m]) for label, record in estimators.items() for m in MASKS if m in record]
+    ranked = [
+        [label_of(category), label, MASKS[masks], *_shares(row, THRESHOLDS)]
+        for label, masks, record in of_masks
+        for category, row in record["ranked_ap"].items()
+    ]
+    tables.append(Table("score-ranked AP", ("category", "estimator", "masks", *THRESHOLDS), ranked, 3, True))
+    keys = ("right_10deg2cm", "wrong_per_image", "found_10deg2cm")
+    usable = [
+        [label, MASKS[masks], str(record["usable"]["poses"]), *_shares(record["usable"], keys)]
+        for label, masks, record in of_masks
+    ]
+    heads = ("estimator", "masks", "usable poses", "10deg2cm", "wrong an image", "EEs with a right one")
+    tables.append(Table("acting on every usable pose, false alarms included", heads, usable, 2))
+    label, masks, record = next(each for each in reversed(of_masks) if each[0] == of_masks[0][0])
+    rows = [
+        ["" if k else axis, group, str(row["instances"]), str(row["left_out"]), *_shares(row, _SHOWN)]
+        for axis, groups in record["breakdown"].items()
+        for k, (group, row) in enumerate(groups.items())
+    ]
+    title = f"{label}, {MASKS[masks]}, by what the picture shows"
+    tables.append(Table(title, ("by", "", "n", "no depth", *_SHOWN), rows, 2))
+    if "no_tool" in report:
+        row = [str(report["no_tool"][k]) for k in ("frames", "with_a_detection", "with_a_usable_pose")]
+        tables.append(Table("without a tool", ("frames", "with a detection", "with a usable pose"), [row], 0))
+    times = [
+        [label, MASKS[masks], *_numbers(t, ("median_ms", "p90_ms")), f"{t['device']}, {t['torch_threads']} threads"]
+        for label, masks, record in of_masks
+        for t in [record["latency"]]
+    ]
+    tables.append(Table("time of one pose", ("estimator", "masks", "median ms", "90 % ms", "on"), times, 2, True))
+    return tables
+
+
+def _group_tables(title: str, found: list[tuple[str, dict[str, Any]]]) -> list[Table]:
+    """Accuracy, errors and confidence of one group under one kind of masks: by category a row for each estimator."""
+    categories = sorted(dict.fromkeys(c for _, t in found for c in t["table"]), key="average".__eq__)
+    by_category = [(c, label, t["table"][c]) for c in categories for label, t in found if c in t["table"]]
+    heads, rest = ("category", "estimator", "n"), [k for k in THRESHOLDS if k not in _SHOWN]
+    accuracy, strict = (
+        [[label_of(c), label, str(r["instances"]), *_shares(r, keys)] for c, label, r in by_category]
+        for keys in (_SHOWN, rest)
+    )
+    errors = [
+        [
+            *(label_of(c), label, *_shares(r, ("estimated",))),
+            *_numbers(r, ("median_mm", "p95_mm", "median_deg", "p95_deg", "spin_with_hand_median_deg")),
+            *_numbers(r, ("usable_centre_p95_mm", "usable_normal_p95_deg")),
+            *_shares(r, ("AR", "paper_5deg2cm", "paper_5deg5cm", "paper_10deg5cm")),
+        ]
+        for c, label, r in by_category
+    ]
+    of_errors = ("estimated", "mm", "95 %", "deg", "95 %", "spin, hand", "usable mm 95 %", "usable deg 95 %", "AR")
+    keys = ("expected_calibration_error", "usable_share", "usable_right_10deg2cm", "usable_right_5deg1cm")
+    confidence = [[label, *_shares(t["confidence"], keys)] for label, t in found if t["confidence"] is not None]
+    paper = ("paper 5deg2cm", "5deg5cm", "10deg5cm")
+    tables = [
+        Table(title, (*heads, *_SHOWN), accuracy, 2),
+        Table(f"other thresholds: {title}", (*heads, *rest), strict, 2, True),
+        Table(f"errors: {title}", (*heads[:2], *of_errors, *paper), errors, 2, True),
+    ]
+    if confidence:
+        columns = ("estimator", "calibration error", "usable", "of these 10deg2cm", "5deg1cm")
+        tables.append(Table(f"confidence: {title}", columns, confidence, 1, True))
+    return tables
+
+
+def segmentation_tables(found: dict[str, Any]) -> list[Table]:
+    """Tables of `toolee evaluate segmentation`, of what `segmentation.report` gives: COCO's statistics [%]."""
+    rows = [
+        [label_of(name), str(row["instances"]) if "instances" in row else ""]
+        + ["–" if row[k] is None else f"{100 * row[k]:.1f}" for k in STATISTICS]
+        for name, row in found.items()
+        if isinstance(row, dict)
+    ]
+    return [Table(f"Segmentation, COCO mask AP [%], {found['images']} images", ("class", "n", *STATISTICS), rows)]
+
+
+def photograph_tables(report: dict[str, Any]) -> list[Table]:
+    """Tables of `toolee evaluate photographs`.
+
+    Args:
+        report: Its record.
+
+    Returns:
+        The ends that are found, their errors beside the annotations' uncertainty, and the false alarms.
+    """
+    ends, errors, alarms = [], [], []
+    for row in report["table"]:
+        name = f"{row['half']}, {row['view']}"
+        right = f"{row['right']} of {row['known_poses']}" if row["known_poses"] else "–"
+        counts = [str(row[k]) for k in ("ends", "found", "certain")]
+        ends.append([name, *counts, _number(row["median_score"], 2), str(row["usable"]), right])
+        if row["median_mm"] is not None:
+            keys = ("median_mm", "median_annotation_mm", "median_deg", "median_annotation_deg")
+            errors.append([name, *_numbers(row, keys), str(row["undecided"])])
+    for row in [r for r in report["table"] if r["view"] == "whole"] + report["places"]:
+        keys = ("empty_frames", "false_alarms", "certain_false_alarms", "frames_with_usable_alarm")
+        alarms.append([row["place"] or f"half {row['half']}", *(str(row[k]) for k in keys)])
+    heads = ("half, view", "ends", "found", "certain", "median score", "usable", "right pose")
+    tables = [Table("End effectors on photographs", heads, ends)]
+    if errors:
+        columns = ("half, view", "error [mm]", "annotation [mm]", "error [deg]", "annotation [deg]", "undecided")
+        tables.append(Table("Medians of errors, and of the annotations' standard deviations", columns, errors))
+    where = ("where", "frames", "false alarms", "certain", "frames with a usable one")
+    return [*tables, Table("Frames without a tool", where, alarms)]
+
+
+def described(data: dict[str, Any]) -> str:
+    """What an evaluation of poses was asked for, in one paragraph; of the "data" of its record."""
+    return (
+        f"{data['images']} images of the data set “{data['folder']}”, {data['targets']} end effectors asked for, "
+        f"{data['targets_held_out']} of them on {data['held_out_tools']} held-out tools. "
+        f"{data['left_out_under_50_points']} more are left out because fewer than 50 of their pixels have a depth."
+    )
+
+
+def page(title: str, subtitle: str, about: str, tables: Sequence[Table], pictures: dict[str, bytes]) -> str:
+    """The HTML report.
+
+    Args:
+        title: What was evaluated.
+        subtitle: Line below the title.
+        about: First paragraph.
+        tables: The tables.
+        pictures: Caption to PNG.
+
+    Returns:
+        The page.
+    """
+    out = Page(f"TOOLEE benchmark: {title}", subtitle)
+    if about:
+        out.paragraph(about)
+    for caption, png in pictures.items():
+        out.picture(png, caption)
+    for table in tables:
+        out.section(table.title)
+        out.table(table.columns, table.rows, left=table.left)
+    out.section("Definitions")
+    out.definitions(DEFINITIONS)
+    return out.text()
+
+
+def accuracy_pictures(estimates: dict[str, dict[str, Estimates]]) -> dict[str, bytes]:
+    """Share of the instances under a threshold, over the threshold, as in the paper's Fig. 5.
+
+    Args:
+        estimates: Label of an estimator to kind of masks to its estimates.
+
+    Returns:
+        Caption to PNG, of each group and kind of masks: rotation above, position below, a column per category.
+    """
+    made = {}
+    for masks, text in MASKS.items():
+        for group in GROUPS:
+            rows = {
+                label: e.rows(e.held_out == (group == "held-out"))
+                for label, by_masks in estimates.items()
+                if (e := by_masks.get(masks)) is not None
+            }
+            rows = {label: e for label, e in rows.items() if len(e)}
+            if rows:
+                made[f"Share of instances under a threshold: {group}, {text}"] = _accuracy_curves(rows)
+    return made
+
+
+def _accuracy_curves(estimates: dict[str, Estimates]) -> bytes:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    present = [i for i in range(len(CATEGORIES)) if any((e.category == i).any() for e in estimates.values())]
+    size = (2.9 * len(present), 5.0)
+    figure, axes = pyplot.subplots(2, len(present), figsize=size, squeeze=False, layout="constrained", sharey=True)
+    for column, i in enumerate(present):
+        axes[0, column].set_title(CATEGORIES[i].spec.label, fontsize=10)
+        for row, (unit, limit) in enumerate((("rotation threshold [deg]", 20), ("position threshold [mm]", 30))):
+            ax, thresholds = axes[row, column], np.linspace(0, limit, 201)
+            for k, (label, e) in enumerate(estimates.items()):
+                own = e.rows(e.category == i)
+                errors = 1e3 * own.position if row else np.rad2deg(own.angle)
+                if len(own):
+                    share = np.searchsorted(np.sort(errors), thresholds, side="right") / len(own)
+                    ax.plot(thresholds, share, color=_COLOURS[k % len(_COLOURS)], label=label)
+            ax.set(xlabel=unit, xlim=(0, limit), ylim=(0, 1.02))
+            ax.grid(color="#e3e8ed", linewidth=0.8)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    pyplot.close(figure)
+    return buffer.getvalue()
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None or value != value else f"{value:.{digits}f}"
+
+
+def _shares(row: dict[str, Any], keys: Sequence[str] | dict[str, Any]) -> list[str]:
+    return [_number(row[k], 3) for k in keys]
+
+
+def _numbers(row: dict[str, Any], keys: Sequence[str]) -> list[str]:
+    return [_number(row[k], 1) for k in keys]

@@ -1,1 +1,0 @@
-"""The report of an evaluation: its pages, tables and pictures."""
