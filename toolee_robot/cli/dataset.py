@@ -198,9 +198,9 @@ class Inspect:
     def run(self) -> int:
         if self.count < 1 or self.pairs < 1:
             raise UserError("--count and --pairs must be 1 or more", code="user.count")
-        from toolee_robot.perception.offline.dataset import index_files
-        from toolee_robot.perception.offline.dataset.figures import pictures, plots, shape_distances
-        from toolee_robot.perception.offline.dataset.scene_reader import read_json, scene_folders
+        from toolee_robot.perception.offline.dataset import figures, index_files
+        from toolee_robot.perception.offline.dataset.files import read_json
+        from toolee_robot.perception.offline.dataset.scene_reader import scene_folders
         from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
 
         spec = DatasetSpec.read(self.folder)
@@ -216,11 +216,11 @@ class Inspect:
         with console.status("drawing"):
             for split in SPLITS:
                 if scene_folders(self.folder / split):
-                    pictures.montage(self.folder / split, self.count).save(out / f"montage_{split}.png")
-            plots.distributions(card).savefig(out / "distributions.png", dpi=110)
-            found = shape_distances.shape_distances(self.folder, self.pairs)
+                    figures.montage(self.folder / split, self.count).save(out / f"montage_{split}.png")
+            figures.distributions(card).savefig(out / "distributions.png", dpi=110)
+            found = figures.shape_distances(self.folder, self.pairs)
             if found.values:
-                plots.shape_figure(found).savefig(out / "shapes.png", dpi=110)
+                figures.shape_figure(found).savefig(out / "shapes.png", dpi=110)
         record = {"spec": spec.to_json(), "splits": _summary(card), "shape_distances": found.to_json()}
         write_atomic(out / "inspection.json", (json_line(record) + "\n").encode())
         if found.values:
@@ -250,7 +250,7 @@ class Validate:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.offline.dataset.validation.validate import validate
+        from toolee_robot.perception.offline.dataset.validate import validate
 
         if self.workers < 1:
             raise UserError(f"--workers {self.workers}: give 1 or more", code="user.workers")

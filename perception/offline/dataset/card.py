@@ -16,8 +16,7 @@ import numpy as np
 
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
-from toolee_robot.perception.offline.dataset.holdout import BACKDROPS, ROOMS, TEXTURES
-from toolee_robot.perception.offline.dataset.records import MIN_POINTS
+from toolee_robot.perception.offline.dataset.records import BACKDROPS, MIN_POINTS, ROOMS, TEXTURES
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
 
 EDGES: dict[str, list[float]] = {

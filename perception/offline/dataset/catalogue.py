@@ -13,9 +13,8 @@ import numpy as np
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.perception.offline.dataset.custom_tools import CustomTool, CustomToolRecord
-from toolee_robot.perception.offline.dataset.holdout import draw
 from toolee_robot.perception.offline.dataset.instances import read_ply, tool_path
-from toolee_robot.perception.offline.dataset.records import INSTANCES
+from toolee_robot.perception.offline.dataset.records import INSTANCES, draw
 from toolee_robot.render import Mesh
 from toolee_robot.tools import TOOL_SPECS, Family, Tool, ToolKind, ToolShape, kinds_of, make_tool, tool_name
 from toolee_robot.tools.catalog import role as role_of

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError, words_of
-from toolee_robot.perception.offline.dataset.encoding.masks import pixels_of
-from toolee_robot.perception.offline.dataset.records import Example, FloatArray
+from toolee_robot.perception.offline.dataset.records import Example, FloatArray, pixels_of
 from toolee_robot.types import CameraIntrinsics
 
 MAX_POINTS = 1024

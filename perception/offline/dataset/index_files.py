@@ -10,13 +10,11 @@ from typing import IO, Any
 
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception.offline.dataset.card import Card
-from toolee_robot.perception.offline.dataset.encoding.checksums import SUMS, write_sums
-from toolee_robot.perception.offline.dataset.instances import MODELS, TOOLS
-from toolee_robot.perception.offline.dataset.models import model_entry, write_models_info
-from toolee_robot.perception.offline.dataset.paper_camera import FOCAL, FULL_HEIGHT, FULL_WIDTH
-from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
-from toolee_robot.perception.offline.dataset.scene_reader import read_json, scene_folders
-from toolee_robot.perception.offline.dataset.scene_writer import COCO_CATEGORIES, json_by_line
+from toolee_robot.perception.offline.dataset.files import SUMS, json_by_line, read_json, write_sums
+from toolee_robot.perception.offline.dataset.instances import MODELS, TOOLS, model_entry, write_models_info
+from toolee_robot.perception.offline.dataset.records import FOCAL, FULL_HEIGHT, FULL_WIDTH, HEIGHT, WIDTH
+from toolee_robot.perception.offline.dataset.scene_reader import scene_folders
+from toolee_robot.perception.offline.dataset.scene_writer import COCO_CATEGORIES
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec, SceneJob
 from toolee_robot.runtime.files import sha256
 

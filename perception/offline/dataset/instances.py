@@ -1,9 +1,10 @@
-"""Tools and their EEs as objects of a BOP data set: object ids, files, meshes in millimetres, symmetries."""
+"""Tools and their EEs as objects of a BOP data set: ids, meshes in millimetres, symmetries, `models_info.json`."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
@@ -14,8 +15,13 @@ from scipy.spatial.distance import pdist
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError, words_of
 from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.perception.offline.dataset.files import json_by_line
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.tools import ToolShape
+
+if TYPE_CHECKING:
+    from toolee_robot.perception.offline.dataset.catalogue import Catalogue
 
 MODELS, TOOLS = "models", "tools"
 _EES = 4
@@ -172,3 +178,58 @@ def model_info(vertices: Array, category: Category) -> dict[str, Any]:
         half_turn = transform(2.0 * np.outer(axis, axis) - np.eye(3))
         info["symmetries_discrete"] = [[float(v) for v in half_turn.reshape(-1)]]
     return info
+
+
+def write_models(root: Path, catalogue: Catalogue, obj_ids: Iterable[int]) -> None:
+    """Write the missing meshes of objects and of their tools.
+
+    Args:
+        root: Folder of the data set.
+        catalogue: Its tools.
+        obj_ids: BOP object ids.
+    """
+    for number in sorted({object_of(obj_id)[0] for obj_id in obj_ids}):
+        tool = catalogue.tool(number)
+        for k in range(len(tool.ees)):
+            path = model_path(root, object_id(number, k))
+            if not path.exists():
+                mesh = ee_mesh(tool, k)
+                _write(path, ply_bytes(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
+        path = tool_path(root, tool.name)
+        if not path.exists():
+            _write(path, ply_bytes(1e3 * np.asarray(tool.mesh.vertices), np.asarray(tool.mesh.faces)))
+
+
+def model_entry(root: Path, catalogue: Catalogue, obj_id: int, category: Category) -> dict[str, Any]:
+    """Entry of an object in models_info.json.
+
+    Args:
+        root: Folder of the data set.
+        catalogue: Its tools.
+        obj_id: BOP object id.
+        category: Category of the EE.
+
+    Returns:
+        The entry: size and symmetries as in BOP [mm], category, instance and split.
+
+    Raises:
+        AssetError: The mesh is missing or corrupt.
+    """
+    number, _ = object_of(obj_id)
+    info = model_info(read_ply(model_path(root, obj_id))[0], category)
+    return {**info, "category": str(category), "instance": catalogue.name(number), "split": catalogue.split(number)}
+
+
+def write_models_info(out: Path, entries: dict[int, dict[str, Any]]) -> None:
+    """Write models_info.json.
+
+    Args:
+        out: Folder of the data set.
+        entries: BOP object id -> entry, see `model_entry`.
+    """
+    _write(out / MODELS / "models_info.json", json_by_line({str(k): entries[k] for k in sorted(entries)}))
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(exist_ok=True)
+    write_atomic(path, data)

@@ -31,6 +31,15 @@ POSES = {"m2c": "X_camera_ee", "t2c": "X_camera_tool", "h2c": "X_camera_hand"}
 """Suffix of cam_R_ and cam_t_ in scene_gt -> field of `EeTable`: pose of the EE (the model in BOP), of the tool and
 of the hand in the camera frame."""
 
+TEXTURES, ROOMS, BACKDROPS = 1000, 1000, 1000
+"""Numbers of textures, rooms and backdrops in both splits."""
+FULL_WIDTH, FULL_HEIGHT = 960, 540
+"""Size [px] of the full image of the paper's protocol; a window of it is rendered."""
+FOCAL = 480.0
+"""Focal length [px]: a field of view of about 90 degrees."""
+CIRCLE = 30.0
+"""Radius [px] of the EE mask about the EE origin: 2.6 to 6.1 cm at depths of 0.42 to 0.98 m."""
+
 FloatArray = NDArray[np.float32]
 
 
@@ -123,3 +132,33 @@ class Example:
     def frame(self) -> RgbdFrame:
         """The image as a camera frame, depth in metres."""
         return RgbdFrame(self.rgb, self.depth_mm.astype(np.float32) * np.float32(1e-3), self.intrinsics)
+
+
+def draw(rng: np.random.Generator, split: str, count: int) -> int:
+    """Draw a number of a split; each fifth number belongs to "test".
+
+    Args:
+        rng: Random generator.
+        split: "train" or "test".
+        count: Upper bound, excluded; a multiple of 5.
+
+    Returns:
+        The number.
+    """
+    five = 5 * int(rng.integers(count // 5))
+    return five + 4 if split == "test" else five + int(rng.integers(4))
+
+
+def pixels_of(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pixels of a mask, row by row.
+
+    The same as np.nonzero, which takes ten times as long in two dimensions.
+
+    Args:
+        mask: The mask, (H, W).
+
+    Returns:
+        Rows (N,) and columns (N,).
+    """
+    rows, columns = np.divmod(np.flatnonzero(mask), mask.shape[1])
+    return rows, columns

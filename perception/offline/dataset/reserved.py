@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.dataset.scene_reader import read_json
+from toolee_robot.perception.offline.dataset.files import read_json
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec, root_of
 
 PHOTOGRAPHS = "frames.json"

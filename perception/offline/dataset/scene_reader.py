@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from toolee_robot.errors import AssetError, words_of
-from toolee_robot.perception.offline.dataset.encoding.checksums import SUMS
+from toolee_robot.perception.offline.dataset.files import SUMS, read_json
 from toolee_robot.perception.offline.dataset.records import HEIGHT, POSES, SCENES, WIDTH, EeTable, FloatArray
 from toolee_robot.types import CameraIntrinsics
 
@@ -227,17 +226,3 @@ def pose_of(entry: dict[str, Any], suffix: str = "m2c") -> FloatArray:
     X[:3, :3] = np.reshape(entry[f"cam_R_{suffix}"], (3, 3))
     X[:3, 3] = np.reshape(entry[f"cam_t_{suffix}"], 3) * 1e-3
     return X.astype(np.float32)
-
-
-def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        AssetError: The file is missing or not valid JSON; the message names it.
-    """
-    try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise AssetError(
-            f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"
-        ) from error

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from toolee_robot.end_effectors import CATEGORIES
+from toolee_robot.perception.offline.dataset import png, rle
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED, Catalogue
 from toolee_robot.perception.offline.dataset.clouds import CloudWriter
-from toolee_robot.perception.offline.dataset.encoding import png, rle
-from toolee_robot.perception.offline.dataset.encoding.checksums import write_sums
+from toolee_robot.perception.offline.dataset.files import json_by_line, write_sums
 from toolee_robot.perception.offline.dataset.instances import object_of
 from toolee_robot.perception.offline.dataset.records import (
     HEIGHT,
@@ -66,10 +66,19 @@ def write_scene(
     """
     scratch = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     shutil.rmtree(scratch, ignore_errors=True)
-    writer = _SceneWriter(scratch, catalogue)
+    for name in ("rgb", "depth", "tool", "mask", "mask_visib"):
+        (scratch / name).mkdir(parents=True)
+    sums: dict[str, str] = {}
+
+    def write(name: str, data: bytes) -> None:
+        (scratch / name).write_bytes(data)
+        sums[name] = hashlib.sha256(data).hexdigest()
+
+    writer = SceneWriter(write, catalogue)
     for example in examples:
         writer.add(example)
     writer.close()
+    write_sums(scratch, sums)
     if write_models is not None:
         write_models(writer.objects)
     try:
@@ -80,20 +89,22 @@ def write_scene(
         shutil.rmtree(scratch)  # another process wrote the same scene meanwhile
 
 
-class _SceneWriter:
-    """Incremental writer of a scene; only the labels of its examples stay in memory."""
+class SceneWriter:
+    """Encodes the files of a scene, one example after the other; only their labels stay in memory.
 
-    def __init__(self, folder: Path, catalogue: Catalogue) -> None:
-        self._folder, self._catalogue = folder, catalogue
-        self._sums: dict[str, str] = {}
+    Args:
+        write: Takes the name of a file in the scene, and its content.
+        catalogue: Tools of the examples.
+    """
+
+    def __init__(self, write: Callable[[str, bytes], None], catalogue: Catalogue) -> None:
+        self._file, self._catalogue = write, catalogue
         self._camera: dict[str, Any] = {}
         self._gt: dict[str, Any] = {}
         self._info: dict[str, Any] = {}
         self._annotations: list[dict[str, Any]] = []
         self._instances: dict[str, dict[str, Any]] = {}
         self._clouds = CloudWriter()
-        for name in ("rgb", "depth", "tool", "mask", "mask_visib"):
-            (folder / name).mkdir(parents=True)
 
     def add(self, e: Example) -> None:
         """Write the next example."""
@@ -134,7 +145,7 @@ class _SceneWriter:
         return {entry["obj_id"] for entries in self._gt.values() for entry in entries}
 
     def close(self) -> None:
-        """Write the files that describe the whole scene, the checksums last."""
+        """Write the files that describe the whole scene."""
         images = [
             {"id": i, "file_name": f"rgb/{i:06d}.jpg", "width": WIDTH, "height": HEIGHT}
             for i in range(len(self._camera))
@@ -146,11 +157,6 @@ class _SceneWriter:
         self._file("scene_gt_coco.json", json.dumps(coco, separators=(",", ":")).encode() + b"\n")
         self._file("scene_instances.json", json_by_line(dict(sorted(self._instances.items()))))
         self._file("clouds.npz", self._clouds.to_bytes())
-        write_sums(self._folder, self._sums)
-
-    def _file(self, name: str, data: bytes) -> None:
-        (self._folder / name).write_bytes(data)
-        self._sums[name] = hashlib.sha256(data).hexdigest()
 
     def _annotate(
         self, mask: NDArray[np.bool_], box: list[int], im_id: int, category: int, more: dict[str, Any]
@@ -195,12 +201,6 @@ def bbox(mask: NDArray[np.bool_]) -> list[int]:
     if not len(rows):
         return [-1, -1, -1, -1]
     return [int(columns[0]), int(rows[0]), int(columns[-1] - columns[0]) + 1, int(rows[-1] - rows[0]) + 1]
-
-
-def json_by_line(entries: dict[str, Any]) -> bytes:
-    """A JSON object with one entry per line, for readable files and diffs."""
-    lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
-    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
 
 
 def _jpeg(rgb: NDArray[np.uint8]) -> bytes:

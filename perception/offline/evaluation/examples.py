@@ -14,9 +14,10 @@ from toolee_robot.errors import AssetError
 from toolee_robot.perception.cloud import back_project, ee_cloud, without_flying_pixels
 from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
+from toolee_robot.perception.offline.dataset.files import read_json
 from toolee_robot.perception.offline.dataset.instances import object_of
 from toolee_robot.perception.offline.dataset.records import MIN_POINTS, SCENES, EeTable
-from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, read_json, scene_folders
+from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import catalogue_of
 from toolee_robot.perception.offline.evaluation.records import Case, Examples, Instance
 from toolee_robot.perception.pipeline import EeDetector

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, random_rotation, rotation_z, transform, transform_points
-from toolee_robot.perception.offline.dataset.holdout import ROOMS
+from toolee_robot.perception.offline.dataset.records import ROOMS
 from toolee_robot.perception.offline.synthesis.surfaces import Surfaces, room_rng
 from toolee_robot.render import Body, Material, Mesh
 from toolee_robot.render.mesh import box, cylinder, plane, sphere, tube

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.offline.dataset.catalogue import number_of
-from toolee_robot.perception.offline.dataset.encoding.masks import pixels_of
 from toolee_robot.perception.offline.dataset.instances import object_id
-from toolee_robot.perception.offline.dataset.records import HEIGHT, MAX_EES, WIDTH, EeTable
+from toolee_robot.perception.offline.dataset.records import HEIGHT, MAX_EES, WIDTH, EeTable, pixels_of
 from toolee_robot.perception.offline.synthesis.placement import SceneSample
 from toolee_robot.render.renderer import Region
 from toolee_robot.types import CameraIntrinsics

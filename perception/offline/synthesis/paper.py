@@ -11,8 +11,16 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import transform, transform_points
-from toolee_robot.perception.offline.dataset.paper_camera import CIRCLE, FOCAL, FULL_HEIGHT, FULL_WIDTH
-from toolee_robot.perception.offline.dataset.records import HEIGHT, SCENES, SHOWN_HAND, WIDTH
+from toolee_robot.perception.offline.dataset.records import (
+    CIRCLE,
+    FOCAL,
+    FULL_HEIGHT,
+    FULL_WIDTH,
+    HEIGHT,
+    SCENES,
+    SHOWN_HAND,
+    WIDTH,
+)
 from toolee_robot.perception.offline.synthesis.bodies import Grasp, HandStyle, hand_bodies, tool_bodies
 from toolee_robot.perception.offline.synthesis.clutter import walls
 from toolee_robot.perception.offline.synthesis.placement import (

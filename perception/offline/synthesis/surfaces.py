@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from toolee_robot.perception.offline.dataset.holdout import BACKDROPS, ROOMS, TEXTURES, draw
+from toolee_robot.perception.offline.dataset.records import BACKDROPS, ROOMS, TEXTURES, draw
 from toolee_robot.render import Material, Pattern
 from toolee_robot.render.lab import Surroundings, laboratory
 from toolee_robot.render.palette import any_color, finish, linear

@@ -22,16 +22,16 @@ from tests.perception.folders import assert_same
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.io import bop_images
+from toolee_robot.perception.offline.dataset import rle
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED, number_of
 from toolee_robot.perception.offline.dataset.clouds import read_clouds
-from toolee_robot.perception.offline.dataset.encoding import rle
-from toolee_robot.perception.offline.dataset.encoding.checksums import SUMS, write_sums
-from toolee_robot.perception.offline.dataset.figures.shape_distances import distances
+from toolee_robot.perception.offline.dataset.figures import distances
+from toolee_robot.perception.offline.dataset.files import SUMS, read_json, write_sums
 from toolee_robot.perception.offline.dataset.index_files import listed
 from toolee_robot.perception.offline.dataset.instances import read_ply
-from toolee_robot.perception.offline.dataset.scene_reader import load, read_json
+from toolee_robot.perception.offline.dataset.scene_reader import load
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
-from toolee_robot.perception.offline.dataset.validation.validate import validate
+from toolee_robot.perception.offline.dataset.validate import validate
 from toolee_robot.perception.offline.synthesis.bodies import tool_meshes
 from toolee_robot.perception.offline.synthesis.generate import generate
 from toolee_robot.perception.offline.synthesis.tool_cache import TOOL_CACHE, ToolCache

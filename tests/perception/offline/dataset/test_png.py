@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tests.examples import examples
-from toolee_robot.perception.offline.dataset.encoding import png
+from toolee_robot.perception.offline.dataset import png
 
 
 @st.composite

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from toolee_robot.frames import transform
-from toolee_robot.perception.offline.dataset import paper_camera
+from toolee_robot.perception.offline.dataset import records
 from toolee_robot.perception.offline.synthesis import paper
 from toolee_robot.perception.offline.synthesis.labels import _Reach
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
@@ -61,10 +61,10 @@ def test_a_tool_with_one_end_loses_nothing_to_another(seed: int) -> None:
 def test_the_papers_protocol_is_the_data_sets() -> None:
     config = CloudConfig.paper()
     assert config.distance == paper.DEPTHS
-    assert config.focal == (paper_camera.FOCAL, paper_camera.FOCAL)
-    assert config.circle == paper_camera.CIRCLE
-    half = np.array([paper_camera.FULL_WIDTH, paper_camera.FULL_HEIGHT]) / 2 - 60
-    np.testing.assert_allclose(config.field, half / paper_camera.FOCAL)
+    assert config.focal == (records.FOCAL, records.FOCAL)
+    assert config.circle == records.CIRCLE
+    half = np.array([records.FULL_WIDTH, records.FULL_HEIGHT]) / 2 - 60
+    np.testing.assert_allclose(config.field, half / records.FOCAL)
 
 
 def test_shares_of_cuts() -> None:

@@ -16,7 +16,7 @@ import pytest
 from tests.perception.folders import assert_same
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec, SceneJob
-from toolee_robot.perception.offline.dataset.validation.validate import validate
+from toolee_robot.perception.offline.dataset.validate import validate
 from toolee_robot.perception.offline.synthesis.generate import generate
 from toolee_robot.runtime.ray_cluster import joined, on_ray
 

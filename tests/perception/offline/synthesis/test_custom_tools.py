@@ -21,8 +21,8 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import is_rigid, transform, transform_points
 from toolee_robot.perception.offline.dataset.custom_tools import CustomTool
+from toolee_robot.perception.offline.dataset.files import read_json
 from toolee_robot.perception.offline.dataset.instances import read_ply
-from toolee_robot.perception.offline.dataset.scene_reader import read_json
 from toolee_robot.perception.offline.dataset.spec import catalogue_of
 from toolee_robot.perception.offline.evaluation.shapes import ee_shape
 from toolee_robot.perception.offline.synthesis.custom_tool_reader import read_custom_tools

@@ -13,10 +13,17 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED, number_of
-from toolee_robot.perception.offline.dataset.holdout import draw
 from toolee_robot.perception.offline.dataset.instances import object_of
-from toolee_robot.perception.offline.dataset.paper_camera import CIRCLE, FOCAL
-from toolee_robot.perception.offline.dataset.records import FARTHEST, MAX_EES, NEAREST, SCENES, Example
+from toolee_robot.perception.offline.dataset.records import (
+    CIRCLE,
+    FARTHEST,
+    FOCAL,
+    MAX_EES,
+    NEAREST,
+    SCENES,
+    Example,
+    draw,
+)
 from toolee_robot.perception.offline.dataset.scene_reader import load
 from toolee_robot.perception.offline.dataset.scene_writer import write_scene
 from toolee_robot.perception.offline.synthesis.example import Series, make_example, render_example

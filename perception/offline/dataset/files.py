@@ -1,8 +1,10 @@
-"""SHA256SUMS: the checksums of a folder's files, which are written last: a folder that has them is whole."""
+"""JSON files and checksums of a data set; SHA256SUMS is written last: a folder that has it is whole."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 from toolee_robot.errors import AssetError, words_of
 from toolee_robot.runtime.files import write_atomic
@@ -41,3 +43,23 @@ def read_sums(folder: Path) -> dict[str, str]:
     if len(sums) != len(lines) or not sums:
         raise AssetError(f"{folder / SUMS} is not a list of checksums")
     return sums
+
+
+def json_by_line(entries: dict[str, Any]) -> bytes:
+    """A JSON object with one entry per line, for readable files and diffs."""
+    lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Raises:
+        AssetError: The file is missing or not valid JSON; the message names it.
+    """
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise AssetError(
+            f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"
+        ) from error

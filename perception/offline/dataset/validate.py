@@ -10,12 +10,12 @@ from pathlib import Path
 
 from toolee_robot.errors import AssetError, TooleeError
 from toolee_robot.perception.offline.dataset.card import GENERATED_BY
-from toolee_robot.perception.offline.dataset.encoding.checksums import SUMS, read_sums
+from toolee_robot.perception.offline.dataset.files import SUMS, read_sums
 from toolee_robot.perception.offline.dataset.index_files import COCO, README, derive, is_finished, listed
 from toolee_robot.perception.offline.dataset.instances import MODELS
 from toolee_robot.perception.offline.dataset.parallel import on_processes
+from toolee_robot.perception.offline.dataset.scene_check import check_scene
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec, SceneJob
-from toolee_robot.perception.offline.dataset.validation.scene_check import check_scene
 from toolee_robot.runtime.files import sha256
 
 

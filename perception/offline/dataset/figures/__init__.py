@@ -1,1 +1,0 @@
-"""Pictures and figures of a data set, for looking at it."""

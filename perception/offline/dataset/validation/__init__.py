@@ -1,1 +1,0 @@
-"""Checks that a data set is whole and agrees with itself."""
