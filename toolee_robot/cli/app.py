@@ -142,9 +142,9 @@ def _parse_options(command: type[Command], path: tuple[str, ...], words: Sequenc
     return parsed
 
 
-def _joined(text: str | None) -> str:
+def _joined(helptext: str | None) -> str:
     """A docstring with one line for each paragraph."""
-    paragraphs = (text or "").split("\n\n")
+    paragraphs = (helptext or "").split("\n\n")
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs).strip()
 
 
