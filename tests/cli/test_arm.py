@@ -21,13 +21,14 @@ from rich.console import Console
 from tests.errors import raises
 from tests.slow_motion import assert_slow
 from tests.stand_in import stand_in
-from toolee_robot.cli.app import run
-from toolee_robot.cli.arm.terminal import TerminalPerson
+from toolee_robot.cli.app import parse, run
+from toolee_robot.cli.terminal import TerminalPerson
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import PersonNearError, UserError
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import StationConfig
+from toolee_robot.tasks.bring_up.caps import ACCELERATION, SPEED
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.35"
@@ -181,8 +182,8 @@ def test_freedrive_tells_where_the_arm_is_and_leaves_it_there(
     ("words", "expected_text"),
     [
         (["move", "--robot-host", "192.0.2.7", "--joint", "1", "--by", "0.1", "--yes"], "--yes for 192.0.2.7"),
-        (["home", "--robot-host", "192.0.2.7"], "--config"),
-        (["home", "--robot-host", HOST], "standard input"),
+        (["transfer", "--to", "home", "--robot-host", "192.0.2.7"], "--config"),
+        (["transfer", "--to", "home", "--robot-host", HOST], "standard input"),
         (["move", "--robot-host", HOST, "--joint", "1", "--yes"], "--joint goes with --by"),
         (["move", "--robot-host", HOST, "--along", "0", "0", "0.1", "--yes"], "--along with --frame"),
         (["move", "--robot-host", HOST, "--yes"], "give one of"),
@@ -203,11 +204,16 @@ def test_what_nobody_attends_or_nobody_can_mean_is_exit_2(
     assert expected_text in capsys.readouterr().err
 
 
+def test_the_caps_hold_unless_a_person_raises_them() -> None:
+    command = vars(parse(["arm", "transfer", "--to", "home"]))
+    assert (command["max_speed"], command["max_acceleration"]) == (SPEED, ACCELERATION)
+
+
 def test_a_robots_station_file_that_leaves_out_what_is_measured_moves_nothing(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Otherwise the simulated camera, nail and person would be taken for the lab's."""
-    assert run(["arm", "home", "--robot-host", "192.0.2.7", "--config", str(lab)]) == 2
+    assert run(["arm", "transfer", "--to", "home", "--robot-host", "192.0.2.7", "--config", str(lab)]) == 2
     assert "camera.position" in capsys.readouterr().err
 
 

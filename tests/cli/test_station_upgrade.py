@@ -158,7 +158,7 @@ def test_a_copy_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.
         ["station", "check"],
         ["station", "new"],
         ["doctor", "--robot-host", "127.0.0.47", "--config"],
-        ["arm", "home", "--robot-host", "192.0.2.1", "--config"],
+        ["arm", "transfer", "--to", "home", "--robot-host", "192.0.2.1", "--config"],
         ["calibrate", "camera", "--bars-mm", "360", "257", "--plate-distance", "0.1", "--plate-mass", "1", "--station"],
     ],
     ids=" ".join,

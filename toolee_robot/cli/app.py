@@ -27,7 +27,7 @@ GROUPS: dict[str, tuple[str, str]] = {
     "hammer": ("hammering.command", "Take a hammer from a person, look at it, and drive the nail"),
     "station": ("station.command", "Write, check, show and upgrade the station file of a lab"),
     "doctor": ("doctor", "Check a station before any motion: robot, devices, computer"),
-    "arm": ("arm.command", "Move a UR arm slowly, for its bring-up"),
+    "arm": ("arm", "Move a UR arm slowly, for its bring-up"),
     "hand": ("hand.command", "Read, open or close the hand of a station"),
     "camera": ("camera.command", "Find, show, record and check an RGB-D camera"),
     "calibrate": ("calibrate.command", "Measure where camera, tool tip and nail are"),

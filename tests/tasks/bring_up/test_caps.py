@@ -1,8 +1,9 @@
-"""Whatever a `toolee arm` command is asked for, the arm gets nothing that is faster than the caps."""
+"""Whatever a bring-up is asked for, the arm gets nothing that is faster than the caps."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -13,10 +14,6 @@ from tests.control.paper_arm import Bystander, PaperArm
 from tests.errors import raises
 from tests.examples import examples
 from tests.sim_backend.kinematics import line
-from toolee_robot.cli.arm.move import Move
-from toolee_robot.cli.arm.options import MotionOptions
-from toolee_robot.cli.arm.touch import Touch
-from toolee_robot.cli.arm.transfer import Transfer
 from toolee_robot.control import Supervisor
 from toolee_robot.control.motion.touch_force import TouchSettings
 from toolee_robot.errors import DeviceError, LimitError, TooleeError, UserError
@@ -24,14 +21,15 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.station import StationConfig
 from toolee_robot.tasks.bring_up.caps import ACCELERATION, SPEED, Caps, SlowStation
+from toolee_robot.tasks.bring_up.jog import MotionFrame, jog_joint, plan_joints, plan_line
 from toolee_robot.tasks.bring_up.lag_motion import lag_motion
-from toolee_robot.tasks.bring_up.touch import Touch as Contact
-from toolee_robot.tasks.bring_up.touch import approach
+from toolee_robot.tasks.bring_up.places import Place, plan_to_place
+from toolee_robot.tasks.bring_up.touch import SPEED as TOUCH_SPEED
+from toolee_robot.tasks.bring_up.touch import Touch, approach
 from toolee_robot.types import Trajectory
 
 STATION = StationConfig()
 HOME = np.array(STATION.scene.home)
-HOST = "127.0.0.2"
 
 
 class ListeningArm(PaperArm):
@@ -57,42 +55,63 @@ class ListeningArm(PaperArm):
 
 _number = st.one_of(st.floats(-0.3, 0.3), st.floats(), st.floats(-10.0, 10.0))
 _three = st.tuples(_number, _number, _number)
-_frame = st.sampled_from(["pendant_base", "base_link", "tool"])
+_frame = st.sampled_from(list(MotionFrame))
 _starts = st.lists(st.floats(-0.3, 0.3), min_size=6, max_size=6).map(lambda change: HOME + change)
 _caps = st.one_of(st.just((SPEED, ACCELERATION)), st.tuples(st.floats(1e-3, 50.0), st.floats(1e-2, 500.0)))
-_plain = st.one_of(
-    st.builds(lambda joint, by: {"joint": joint, "by": by}, st.integers(-1, 8), _number),
-    st.builds(lambda to: {"to": to}, st.tuples(*[_number] * 6)),
-    st.builds(
-        lambda change: {"to": tuple((HOME + change).tolist())}, st.lists(st.floats(-1, 1), min_size=6, max_size=6)
-    ),
-    st.builds(lambda along, frame: {"along": along, "frame": frame}, _three, _frame),
+_moves = st.one_of(
+    st.builds(lambda joint, by: _jog(joint, by), st.integers(-1, 8), _number),
+    st.builds(lambda to: _to(np.array(to)), st.tuples(*[_number] * 6)),
+    st.builds(lambda change: _to(HOME + change), st.lists(st.floats(-1, 1), min_size=6, max_size=6)),
+    st.builds(lambda along, frame: _line(along, frame), _three, _frame),
 )
-_moves = st.builds(lambda options: Move(robot_host=HOST, **options), _plain)
 _touches = st.builds(
-    lambda along, frame, speed, force: Touch(robot_host=HOST, along=along, frame=frame, speed=speed, force=force),
+    lambda along, frame, speed, force: Approach(along, frame, speed, force),
     *(_three, _frame, _number, st.floats(0.1, 1e3)),
 )
-_transfers = st.sampled_from(
-    [
-        Transfer(robot_host=HOST, to="home"),
-        Transfer(robot_host=HOST, to="handover"),
-        Transfer(robot_host=HOST, to="nail"),
-    ]
-)
+
+Plan = Callable[[SlowStation, Array], Trajectory]
 
 
-def _executed(command: Move | Touch | Transfer, slow: SlowStation, q: Array) -> list[Trajectory]:
-    """What an arm is given when the command is carried out; nothing where it is refused."""
+@dataclass(frozen=True)
+class Approach:
+    """A guarded approach."""
+
+    along: tuple[float, float, float]
+    frame: MotionFrame = MotionFrame.BASE_LINK
+    speed: float = TOUCH_SPEED
+    force: float = 1.0
+
+    def __call__(self, slow: SlowStation, q: Array) -> Trajectory:
+        return plan_line(slow, q, np.array(self.along), self.frame, self.speed)
+
+
+def _jog(joint: int, by: float) -> Plan:
+    return lambda slow, q: plan_joints(slow, q, jog_joint(q, joint, by))
+
+
+def _to(goal: Array) -> Plan:
+    return lambda slow, q: plan_joints(slow, q, goal)
+
+
+def _line(along: tuple[float, float, float], frame: MotionFrame) -> Plan:
+    return lambda slow, q: plan_line(slow, q, np.array(along), frame)
+
+
+def _transfer(place: Place) -> Plan:
+    return lambda slow, q: plan_to_place(slow, q, place)
+
+
+def _executed(plan: Plan, slow: SlowStation, q: Array) -> list[Trajectory]:
+    """What an arm is given when the motion is carried out; nothing where it is refused."""
     arm = ListeningArm(q)
     supervisor = Supervisor(arm, Bystander(), slow.robot, slow.config, lambda: slow.world)
     try:
-        plan = command.plan(slow, q)
-        if isinstance(command, Touch):
+        trajectory = plan(slow, q)
+        if isinstance(plan, Approach):
             arm.meets = 0.5
-            approach(supervisor, slow, plan, TouchSettings(command.force or 1.0, 0.024, command.speed, None, 0.0, 12.0))
+            approach(supervisor, slow, trajectory, TouchSettings(plan.force, 0.024, plan.speed, None, 0.0, 12.0))
         else:
-            supervisor.execute(plan)
+            supervisor.execute(trajectory)
     except TooleeError:
         pass
     return arm.given
@@ -108,19 +127,17 @@ def _assert_slow(trajectory: Trajectory, speed: float, acceleration: float) -> N
 
 @examples(40)
 @given(st.one_of(_moves, _touches), _starts, _caps)
-def test_no_arguments_make_a_motion_faster_than_its_caps(
-    command: Move | Touch, q: Array, caps: tuple[float, float]
-) -> None:
+def test_no_arguments_make_a_motion_faster_than_its_caps(plan: Plan, q: Array, caps: tuple[float, float]) -> None:
     slow = SlowStation.of(STATION, Caps(*caps))
-    for trajectory in _executed(command, slow, q):
+    for trajectory in _executed(plan, slow, q):
         _assert_slow(trajectory, min(caps[0], 3.14), min(caps[1], STATION.arm.transfer_acceleration))
 
 
 @examples(5)
-@given(_transfers, _starts)
-def test_no_transfer_is_faster_than_the_caps(command: Transfer, q: Array) -> None:
+@given(st.sampled_from([Place.HOME, Place.HANDOVER, Place.NAIL]), _starts)
+def test_no_transfer_is_faster_than_the_caps(place: Place, q: Array) -> None:
     slow = SlowStation.of(STATION, Caps())
-    for trajectory in _executed(command, slow, q):
+    for trajectory in _executed(_transfer(place), slow, q):
         _assert_slow(trajectory, SPEED, ACCELERATION)
 
 
@@ -132,23 +149,20 @@ def test_no_measurement_of_the_lag_is_faster_than_the_caps(joint: int, speed: fl
 
 
 @pytest.mark.parametrize(
-    "command",
+    "plan",
     [
-        Move(robot_host=HOST, joint=3, by=0.05),
-        Move(robot_host=HOST, along=(0.0, 0.0, 0.05), frame="pendant_base"),
-        Move(robot_host=HOST, along=(0.0, 0.0, -0.02), frame="tool"),
-        Touch(robot_host=HOST, along=(0.0, 0.0, -0.05), frame="base_link"),
-        Transfer(robot_host=HOST, to="handover"),
-        Transfer(robot_host=HOST, to="nail"),
-        Transfer(robot_host=HOST, to="view"),
+        _jog(3, 0.05),
+        _line((0.0, 0.0, 0.05), MotionFrame.PENDANT_BASE),
+        _line((0.0, 0.0, -0.02), MotionFrame.TOOL),
+        Approach((0.0, 0.0, -0.05)),
+        *(_transfer(place) for place in (Place.HANDOVER, Place.NAIL, Place.VIEW)),
     ],
-    ids=lambda command: f"{type(command).__name__} {getattr(command, 'to', '') or ''}",
 )
-def test_what_a_bring_up_asks_for_is_carried_out(command: Move | Touch | Transfer) -> None:
-    given = _executed(command, SlowStation.of(STATION, Caps()), HOME)
-    assert len(given) == (2 if isinstance(command, Touch) else 1)
+def test_what_a_bring_up_asks_for_is_carried_out(plan: Plan) -> None:
+    given = _executed(plan, SlowStation.of(STATION, Caps()), HOME)
+    assert len(given) == (2 if isinstance(plan, Approach) else 1)
     assert np.ptp(given[0].q, axis=0).max() > 0.01
-    if isinstance(command, Touch):
+    if isinstance(plan, Approach):
         np.testing.assert_allclose(given[1].q[-1], given[0].q[0], atol=1e-6)
 
 
@@ -156,10 +170,10 @@ def test_a_touch_that_feels_contacts_where_nothing_presses_goes_on_and_gives_up_
     slow = SlowStation.of(STATION, Caps())
     arm = ListeningArm(HOME)
     arm.meets, arm.presses = 0.2, 1.0
-    command = Touch(robot_host=HOST, along=(0.0, 0.0, -0.05), frame="base_link")
+    plan = Approach((0.0, 0.0, -0.05))
     supervisor = Supervisor(arm, Bystander(), slow.robot, slow.config, lambda: slow.world)
     with raises(DeviceError, code="device.force_noise"):
-        approach(supervisor, slow, command.plan(slow, HOME), TouchSettings(8.0, 0.024, 0.01, None, 0.0, 12.0))
+        approach(supervisor, slow, plan(slow, HOME), TouchSettings(8.0, 0.024, 0.01, None, 0.0, 12.0))
     heights = [slow.robot.arm.fk(trajectory.q[-1])[2, 3] for trajectory in arm.given]
     np.testing.assert_allclose(heights[:3], heights[0], atol=1e-6)
     np.testing.assert_allclose(arm.q, HOME, atol=1e-6)
@@ -177,12 +191,12 @@ def test_a_touch_is_told_before_the_way_back_which_may_end_in_a_stop() -> None:
     slow = SlowStation.of(STATION, Caps())
     arm = StoppedOnItsWayBack(HOME)
     arm.meets = 0.5
-    command = Touch(robot_host=HOST, along=(0.0, 0.0, -0.05), frame="base_link")
+    plan = Approach((0.0, 0.0, -0.05))
     supervisor = Supervisor(arm, Bystander(), slow.robot, slow.config, lambda: slow.world)
     settings = TouchSettings(8.0, 0.024, 0.01, None, 0.0, 12.0)
-    met: list[Contact] = []
+    met: list[Touch] = []
     with raises(DeviceError, code="device.arm"):
-        approach(supervisor, slow, command.plan(slow, HOME), settings, met=met.append)
+        approach(supervisor, slow, plan(slow, HOME), settings, met=met.append)
     (touch,) = met
     assert 0.0 < touch.travelled < 0.05
 
@@ -216,5 +230,3 @@ def test_a_cap_that_is_no_number_is_refused(value: float) -> None:
     for caps in ({"speed": value}, {"acceleration": value}):
         with raises(UserError, code="user.cap"):
             Caps(**caps)
-    assert MotionOptions(robot_host=HOST).max_speed == SPEED
-    assert MotionOptions(robot_host=HOST).max_acceleration == ACCELERATION

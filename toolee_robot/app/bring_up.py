@@ -1,0 +1,167 @@
+"""The slow motions of an arm's bring-up, each shown to a person and confirmed before it begins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from toolee_robot.control import Supervisor
+from toolee_robot.errors import DeviceError
+from toolee_robot.frames import Array
+from toolee_robot.hal import MotionOutcome, Person
+from toolee_robot.station import StationConfig
+from toolee_robot.stations.ur import open_arm
+from toolee_robot.tasks.bring_up.caps import Caps, SlowStation
+from toolee_robot.tasks.bring_up.jog import MotionFrame, plan_line
+from toolee_robot.tasks.bring_up.lag_motion import lag_motion
+from toolee_robot.tasks.bring_up.servo_tuning import PAIRS, Trial, tune
+from toolee_robot.tasks.bring_up.touch import Touch, approach, measured_settings
+from toolee_robot.types import Trajectory
+
+
+class Attendant(Person, Protocol):
+    """A person who confirms each motion, and stops it."""
+
+    def confirm(self, question: str) -> None:
+        """Ask whether the arm may move; raises PersonNearError if not."""
+
+    def attending(self) -> AbstractContextManager[None]:
+        """Context of what was confirmed."""
+
+
+@dataclass(frozen=True)
+class BringUp:
+    """A robot at a person's disposal.
+
+    Attributes:
+        arm: The arm, under the supervisor.
+        slow: The station under its caps.
+        person: Who confirms its motions.
+    """
+
+    arm: Supervisor
+    slow: SlowStation
+    person: Attendant
+
+    @property
+    def q(self) -> Array:
+        """Joint positions that the arm holds, (6,) [rad]."""
+        return self.arm.state().q_commanded
+
+    def move(self, trajectory: Trajectory) -> Array:
+        """Execute a motion once the person has confirmed it.
+
+        Args:
+            trajectory: The motion, from rest to rest.
+
+        Returns:
+            Measured joint positions after it, (6,) [rad].
+
+        Raises:
+            PersonNearError: It was not confirmed, or was stopped by the person.
+            DeviceError: The arm was stopped.
+            TooleeError: What `Supervisor.execute` raises.
+        """
+        self.person.confirm("Move?")
+        with self.person.attending():
+            report = self.arm.execute(trajectory)
+        if report.outcome is not MotionOutcome.COMPLETED:
+            raise DeviceError("the arm was stopped during the motion", code="device.stopped")
+        return report.q_measured[-1]
+
+    def touch(
+        self,
+        way: Array,
+        frame: MotionFrame,
+        speed: float,
+        force: float | None,
+        show: Callable[[Trajectory, float, float], None],
+        met: Callable[[Touch], None] = lambda _: None,
+    ) -> Touch | None:
+        """Approach until the arm feels a force, and go back.
+
+        Args:
+            way: Longest way of the flange, (3,) [m].
+            frame: Its frame.
+            speed: Speed [m/s]; a noisy force lowers it.
+            force: Force that ends the approach [N]; None for the station's. A noisy force raises it.
+            show: Shows the plan, its force [N] and speed [m/s], before the person is asked.
+            met: Called with the contact, before the way back.
+
+        Returns:
+            The contact; None if nothing was felt on the whole way.
+
+        Raises:
+            TooleeError: The way is out of reach, the person does not confirm, or the arm was stopped.
+        """
+        strike = self.slow.config.strike
+        settings = measured_settings(self.arm, strike, strike.touch_force if force is None else force)
+        speed = min(speed, settings.speed)
+        plan = plan_line(self.slow, self.q, way, frame, speed)
+        show(plan, settings.force, speed)
+        self.person.confirm("Move?")
+        with self.person.attending():
+            return approach(self.arm, self.slow, plan, settings, met=met)
+
+
+@contextmanager
+def open_bring_up(station: StationConfig, host: str, person: Attendant, caps: Caps) -> Iterator[BringUp]:
+    """Check the robot and connect, which moves nothing; leaving the context ends its program.
+
+    Args:
+        station: The station.
+        host: Address of the robot's controller.
+        person: Who confirms its motions.
+        caps: How fast it may move.
+
+    Yields:
+        The robot.
+
+    Raises:
+        TooleeError: A cap is no number, or the robot is not ready.
+    """
+    slow = SlowStation.of(station, caps)
+    with open_arm(slow.config, host, person) as arm:
+        yield BringUp(arm, slow, person)
+
+
+def tune_servo(
+    station: StationConfig,
+    host: str,
+    person: Attendant,
+    caps: Caps,
+    joint: int,
+    show: Callable[[BringUp, Trajectory, float], None],
+) -> Iterator[Trial]:
+    """Try servo settings from gentle to sharp, until one is bad.
+
+    Args:
+        station: The station.
+        host: Address of the robot's controller.
+        person: Who confirms the motions, once.
+        caps: How fast it may move.
+        joint: Number of the joint that moves, 1 to 6.
+        show: Shows the largest motion and its reach to either side [rad], before the person is asked.
+
+    Yields:
+        The trials in their order.
+
+    Raises:
+        TooleeError: The robot is not ready, or a motion was refused, not confirmed or stopped.
+    """
+
+    @contextmanager
+    def open_with(gain: float, lookahead: float) -> Iterator[Supervisor]:
+        servo = replace(station.servo, gain=gain, lookahead=lookahead, lag=None)
+        with open_bring_up(replace(station, servo=servo), host, person, caps) as robot:
+            yield robot.arm
+
+    with open_bring_up(station, host, person, caps) as robot:
+        limits = robot.slow.config.arm
+        motion = lag_motion(robot.q, joint, limits.velocity[joint - 1], limits)
+        show(robot, motion.trajectory, motion.reach)
+    person.confirm("Move?")
+    with person.attending():
+        yield from tune(open_with, SlowStation.of(station, caps), joint, PAIRS)

@@ -1,1 +1,0 @@
-"""Command `toolee arm`: slow motions of a bring-up."""
