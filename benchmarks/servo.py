@@ -29,7 +29,7 @@ from toolee_robot.hal import MotionReport, MotionWatch
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.station import ArmLimits, SceneConfig, ServoConfig
 from toolee_robot.types import ArmModel, Trajectory
 

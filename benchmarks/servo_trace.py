@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel, JointPlant
 
 _ROW = np.dtype([("stamp", np.float64), ("q", np.float64, 6)])
 _LATEST = 6  # cycles within which a command must have reached the robot

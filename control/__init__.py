@@ -13,16 +13,14 @@ if __name__ != "toolee_robot.control":
     raise ImportError("import toolee_robot.control: the short name would make a second copy of every module")
 
 from toolee_robot.control.collision import Clearance, CollisionWorld
-from toolee_robot.control.contact import ContactVerdict, ExpectedContact, Meeting
-from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.modes import Mode, slowed_to
+from toolee_robot.control.contact import ContactVerdict, ExpectedContact, Meeting, merge, protrusion, slip
+from toolee_robot.control.limits import Mode, check_trajectory, slowed_to
 from toolee_robot.control.planning.straight import plan_over_nail, plan_straight
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.planning.views import plan_handover, plan_views
 from toolee_robot.control.records import StrikePlan, View, ViewPlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.control.slip import merge, protrusion, slip
 from toolee_robot.control.supervisor import Supervisor
 
 __all__ = [

@@ -17,8 +17,8 @@ from typing import Any, Self
 
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT, CollisionWorld
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, judge_contact
-from toolee_robot.control.dynamics.torque_room import bound_stop
-from toolee_robot.control.modes import Mode
+from toolee_robot.control.dynamics.arm_dynamics import bound_stop
+from toolee_robot.control.limits import Mode
 from toolee_robot.control.motion.trajectory_checks import check_start
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor_checks import (

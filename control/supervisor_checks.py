@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from toolee_robot.control.collision import CollisionWorld
-from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.modes import Mode, carried_speed
+from toolee_robot.control.limits import Mode, carried_speed, check_trajectory
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, LimitError, NotReadyError
 from toolee_robot.frames import Array

@@ -2,7 +2,7 @@
 
 from examples.plan_turn import HEIGHT, plan_turn
 from toolee_robot import Category, StationConfig, ToolPerception
-from toolee_robot.control.modes import Mode
+from toolee_robot.control.limits import Mode
 from toolee_robot.control.planning.views import plan_handover, plan_views
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import GripError

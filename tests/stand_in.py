@@ -14,7 +14,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, MotionWatch
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
+from toolee_robot.sim_backend.ur_controller.robot.plant import JointPlant
 from toolee_robot.station import ServoConfig
 from toolee_robot.types import ArmModel
 

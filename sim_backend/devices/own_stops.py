@@ -7,17 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.devices.reading_errors import TURN, ReadingErrors
+from toolee_robot.sim_backend.devices.flange_sensor import TURN, ReadingErrors
 from toolee_robot.sim_backend.ur_controller.profile import profile
-from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
-from toolee_robot.sim_backend.ur_controller.robot.motion import Brake
-from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import (
+from toolee_robot.sim_backend.ur_controller.robot.collision_detection import (
     CollisionDetection,
     Measured,
     Planned,
 )
-from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
+from toolee_robot.sim_backend.ur_controller.robot.error_codes import ErrorCode
+from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain
+from toolee_robot.sim_backend.ur_controller.robot.motion import Brake
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.types import ArmModel
 
 

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.sim_backend.physics.bullet import pb, pose_matrix
-from toolee_robot.sim_backend.physics.convex_margin import shrink_convex
+from toolee_robot.sim_backend.physics.bullet import pb, pose_matrix, shrink_convex
 from toolee_robot.station import StationConfig
 from toolee_robot.tools import Tool
 

@@ -1,7 +1,4 @@
-"""pybullet without its output on the standard streams.
-
-from toolee_robot.sim_backend.physics.bullet import pb
-"""
+"""pybullet without its output on the standard streams, and meshes shrunk by its collision margin."""
 
 from __future__ import annotations
 
@@ -12,6 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
+import trimesh
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from toolee_robot.frames import Array
 
@@ -62,3 +62,29 @@ def pose_matrix(position: tuple[float, ...], quaternion: tuple[float, ...]) -> A
     xx, xy, xz, yx, yy, yz, zx, zy, zz = pb.getMatrixFromQuaternion(quaternion)
     x, y, z = position
     return np.array([[xx, xy, xz, x], [yx, yy, yz, y], [zx, zy, zz, z], [0.0, 0.0, 0.0, 1.0]])
+
+
+MARGIN = 0.001  # [m] that pybullet adds to a convex mesh from a URDF
+MIN_CORE = 1e-4  # [m] inscribed radius that remains of a part thinner than the margin
+
+
+def shrink_convex(mesh: trimesh.Trimesh, margin: float = MARGIN) -> trimesh.Trimesh:
+    """Shrink a convex mesh so that adding the margin restores its faces; the edges are then rounded.
+
+    Args:
+        mesh: Convex mesh [m].
+        margin: The margin that pybullet adds [m].
+
+    Returns:
+        The shrunk mesh; of a mesh thinner than twice the margin, a core of inscribed radius MIN_CORE remains.
+    """
+    planes = ConvexHull(mesh.vertices).equations  # unit normals n and offsets b: n x + b <= 0 inside
+    normals, offsets = planes[:, :3], planes[:, 3]
+    # Largest inscribed ball: its centre lies inside the shrunk mesh, its radius limits the shrinking.
+    columns = np.hstack([normals, np.ones((len(normals), 1))])
+    ball = linprog([0, 0, 0, -1], A_ub=columns, b_ub=-offsets, bounds=[(None, None)] * 3 + [(0, None)])
+    center, radius = ball.x[:3], ball.x[3]
+    depth = min(margin, radius - min(MIN_CORE, radius / 2))
+    shrunk = np.column_stack([normals, offsets + depth])
+    corners = HalfspaceIntersection(shrunk, center).intersections
+    return trimesh.Trimesh(corners).convex_hull

@@ -1,11 +1,8 @@
-"""Devices and ground truth of a world in another process, behind the same Protocols as the direct ones.
-
-The arm is not among them: it is driven through the controller stand-in, as a real arm is.
-"""
+"""Devices and ground truth of a world in another process, stamped on the controller's clock."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, Self
 
 from toolee_robot.frames import Array
@@ -13,10 +10,64 @@ from toolee_robot.hal import Arm, Clock, HandState, Station
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
+from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
+from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.station import SIMULATED, StationConfig
 from toolee_robot.tools import Tool
 from toolee_robot.types import InHandEstimate
+
+
+class HostTimedTruth:
+    """A `TruthSource` whose time is the controller's clock at the step, on which all of the station's stamps are.
+
+    The steps of a tick are computed in a burst, so their stamps are closer together than the steps in simulated time.
+
+    Args:
+        world: The simulated world.
+        clock: The controller's clock.
+    """
+
+    def __init__(self, world: SimWorld, clock: Clock) -> None:
+        self._world, self._clock = world, clock
+
+    @property
+    def client(self) -> int:
+        """Id of pybullet's physics client."""
+        return self._world.client
+
+    @property
+    def time(self) -> float:
+        """Time on the controller's clock [s]."""
+        return self._clock.now()
+
+    @property
+    def nail(self) -> Nail:
+        """The nail that the tool is nearest to."""
+        return self._world.nail
+
+    @property
+    def nails(self) -> Mapping[str, Nail]:
+        """The nails by name."""
+        return self._world.nails
+
+    @property
+    def tool_body(self) -> int:
+        """Id of the tool's body in pybullet."""
+        return self._world.tool_body
+
+    @property
+    def robot_body(self) -> int:
+        """Id of the robot's body in pybullet."""
+        return self._world.robot_body
+
+    def X_base_hand(self) -> Array:
+        """Pose of the palm, 4x4."""
+        return self._world.X_base_hand()
+
+    def X_base_ee(self) -> Array:
+        """Pose of the tool's end effector, 4x4."""
+        return self._world.X_base_ee()
 
 
 class Caller(Protocol):

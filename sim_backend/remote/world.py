@@ -9,7 +9,7 @@ from typing import Any, Self
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.channel import Channel
-from toolee_robot.sim_backend.remote.world_setup import WorldJob
+from toolee_robot.sim_backend.remote.world_plant import WorldJob
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.station import StationConfig, check_upright

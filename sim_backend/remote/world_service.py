@@ -1,9 +1,4 @@
-"""The service in the controller's tick loop that offers hand, person, judge and scene of a simulated world.
-
-Requests come over a pipe from the process that started this one. A request is (number, name, arguments), or None to
-end; its answer is (number, done, value or exception). Answers are sent in the order in which commands end: while the
-hand closes, its state can be read and it can be stopped.
-"""
+"""The service in the controller's tick loop that offers the devices and the judge of its world to another process."""
 
 from __future__ import annotations
 
@@ -15,17 +10,86 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
+from greenlet import getcurrent, greenlet
+
 from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.hal import Clock, HandState
 from toolee_robot.sim_backend.devices.coupled_fingers import CoupledFingers
 from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.remote.device_commands import Commands
-from toolee_robot.sim_backend.remote.host_timed_truth import HostTimedTruth
+from toolee_robot.sim_backend.remote.station import HostTimedTruth
 from toolee_robot.sim_backend.station import build_world, draw_handover, simulated_hand
 from toolee_robot.sim_backend.visuals.scene import scene_state
+from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.station import StationConfig
+
+
+class Commands:
+    """The running commands of a world, at most one per device. All calls must come from the world's thread.
+
+    Args:
+        world: The simulated world.
+    """
+
+    def __init__(self, world: SimWorld) -> None:
+        self._world = world
+        self._hub = getcurrent()
+        self._running: dict[str, greenlet] = {}
+        self._due: dict[greenlet, float] = {}
+        world.wait = self._wait
+        world.after_step.append(self._wake)
+
+    def start(self, device: str, call: Callable[[], None]) -> None:
+        """Start a command; returns when it has finished or first waits.
+
+        Args:
+            device: Name of the device.
+            call: The command, which must not raise.
+
+        Raises:
+            DeviceError: The device still executes another command.
+        """
+        if device in self._running:
+            message = f"the {device} still executes another command: wait for it, or stop the {device}"
+            raise DeviceError(message, code="device.busy")
+
+        def run() -> None:
+            try:
+                call()
+            finally:
+                self._running.pop(device, None)
+
+        command = self._running[device] = greenlet(run, self._hub)
+        command.switch()
+
+    def cancel(self, device: str, reason: str) -> None:
+        """Cancel a device's command: its wait raises DeviceError with this reason.
+
+        Args:
+            device: Name of the device.
+            reason: Message of the error.
+        """
+        command = self._running.get(device)
+        if command is not None:
+            self._due.pop(command, None)
+            command.throw(DeviceError(reason, code="device.cancelled"))
+
+    def _wait(self, duration: float) -> None:
+        command = getcurrent()
+        if command not in self._running.values():
+            raise RuntimeError("the controller's loop advances the time: nothing else may wait in it")
+        self._due[command] = self._world.time + duration
+        self._hub.switch()
+
+    def _wake(self) -> None:
+        if not self._due:
+            return
+        now = self._world.time + 1e-9
+        for command in [c for c, due in self._due.items() if due <= now]:
+            del self._due[command]
+            command.switch()
+
 
 Handler = Callable[..., Any]
 

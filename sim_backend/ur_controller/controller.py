@@ -20,8 +20,7 @@ from typing import get_args
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock, check_real_time_factor, is_loopback
-from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults
-from toolee_robot.sim_backend.ur_controller.faults.session import FaultSession
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults, FaultSession
 from toolee_robot.sim_backend.ur_controller.profile import (
     Profile,
     ProfileName,
@@ -30,18 +29,15 @@ from toolee_robot.sim_backend.ur_controller.profile import (
     profile,
     usual_lag,
 )
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
-from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS, ControllerModel, Plant
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.dashboard import DashboardSession
-from toolee_robot.sim_backend.ur_controller.server.port import Port
-from toolee_robot.sim_backend.ur_controller.server.primary import StateSession
+from toolee_robot.sim_backend.ur_controller.server.port import Port, Service
+from toolee_robot.sim_backend.ur_controller.server.primary import ScriptSession, StateSession
 from toolee_robot.sim_backend.ur_controller.server.rtde import RtdeFaults, RtdeSession
 from toolee_robot.sim_backend.ur_controller.server.rtde_inputs import Inputs
 from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Outputs
 from toolee_robot.sim_backend.ur_controller.server.schedule import Schedule
-from toolee_robot.sim_backend.ur_controller.server.script_ports import ScriptSession
-from toolee_robot.sim_backend.ur_controller.server.service import Service
 
 DASHBOARD_PORT, PRIMARY_PORT, SECONDARY_PORT, REALTIME_PORT, RTDE_PORT = 29999, 30001, 30002, 30003, 30004
 FAULT_PORT = 30020

@@ -23,9 +23,7 @@ import numpy as np
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
-from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel, JointPlant, Plant
 
 Q_START = (0.0, -pi / 2, pi / 2, -pi / 2, -pi / 2, 0.0)  # [rad] the flange points down
 STOP_TIME = 5.0  # [s] for the child to end before it is killed

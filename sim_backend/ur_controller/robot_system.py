@@ -14,15 +14,13 @@ import numpy as np
 from toolee_robot.frames import Array, cross
 from toolee_robot.sim_backend.ur_controller.profile import IDEAL, Profile, SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot import poses
-from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
+from toolee_robot.sim_backend.ur_controller.robot.collision_detection import Measured
+from toolee_robot.sim_backend.ur_controller.robot.error_codes import ErrorCode
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import Chain, chain
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
-from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
-from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
-from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import Measured
-from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import RobotMode, Safety
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel, Plant
+from toolee_robot.sim_backend.ur_controller.robot.registers import EventKind, Registers
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import RobotMode, Safety
 from toolee_robot.sim_backend.ur_controller.urscript.program import Program, RuntimeState
 
 MESSAGES = 100  # messages of the script that are kept

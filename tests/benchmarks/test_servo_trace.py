@@ -13,8 +13,8 @@ from benchmarks.servo import drift, wave
 from benchmarks.servo_trace import TraceFigures, compare
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
-from toolee_robot.sim_backend.ur_controller.robot.servo.exact import ServoJ
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.servoj import ServoJ
 
 RATE, N = 500.0, 3000
 PERIOD = 1.0 / RATE

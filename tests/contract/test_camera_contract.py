@@ -18,8 +18,7 @@ from tests.rigs.camera_devices import CameraEvent, OrbbecDevice
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.airo import AiroStream
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
-from toolee_robot.devices.cameras.recorded import RecordedStream
-from toolee_robot.devices.cameras.recording import RecordingWriter
+from toolee_robot.devices.cameras.recording import RecordedStream, RecordingWriter
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.hal import Clock, RgbdCamera
 from toolee_robot.runtime.clock import HostClock

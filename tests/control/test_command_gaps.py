@@ -14,8 +14,8 @@ from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_st
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import profile
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
-from toolee_robot.sim_backend.ur_controller.robot.servo.lagging import LaggingServoJ
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.servoj import LaggingServoJ
 from toolee_robot.station import ServoConfig, StationConfig
 from toolee_robot.types import ArmModel
 

@@ -23,7 +23,7 @@ from toolee_robot.control import (
     slowed_to,
 )
 from toolee_robot.control.collision_shapes import box_body
-from toolee_robot.control.modes import carried_speed
+from toolee_robot.control.limits import carried_speed
 from toolee_robot.control.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import (

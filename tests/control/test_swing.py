@@ -17,7 +17,7 @@ from tests.examples import examples
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, check_trajectory
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT
 from toolee_robot.control.collision_shapes import box_body
-from toolee_robot.control.modes import carried_speed
+from toolee_robot.control.limits import carried_speed
 from toolee_robot.control.planning.swing import SwingLimits, plan_swing
 from toolee_robot.control.planning.swing.spline import Spline
 from toolee_robot.control.supervisor_checks import check_limits, check_speed

@@ -20,8 +20,7 @@ from toolee_robot.devices.cameras import CameraStream, orbbec, realsense
 from toolee_robot.devices.cameras.airo import AiroStream
 from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
-from toolee_robot.devices.cameras.recorded import RecordedStream
-from toolee_robot.devices.cameras.recording import RecordingWriter
+from toolee_robot.devices.cameras.recording import RecordedStream, RecordingWriter
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices import orbbec_recording
 from toolee_robot.sim_backend.devices.orbbec_recording import write_recording

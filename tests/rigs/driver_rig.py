@@ -16,7 +16,7 @@ from tests.rigs.joints_path import MOVING, Stop, stop_after
 from tests.rigs.setting import Setting
 from tests.rigs.strikes import Swing, plan_swing
 from tests.rigs.time_bounds import PATIENT
-from toolee_robot.control.motion.strike_contact import strike_guard
+from toolee_robot.control.motion.contact_force import strike_guard
 from toolee_robot.control.motion.touch_force import forces_at_rest
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.devices.ur.config import UrArmConfig

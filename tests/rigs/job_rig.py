@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.rigs.people import People
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
-from toolee_robot.control.dynamics.torque_room import bound_stop
+from toolee_robot.control.dynamics.arm_dynamics import bound_stop
 from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Hand, HandState, MotionReport, Person, RgbdCamera, Station
 from toolee_robot.robots import SHADOW_HAND

@@ -25,11 +25,10 @@ from toolee_robot.sim_backend.ur_controller.profile import (
     StopDecelerations,
 )
 from toolee_robot.sim_backend.ur_controller.profile import profile as profile_of
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.robot.machine import RATE_SLEW
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.motion import Motion
-from toolee_robot.sim_backend.ur_controller.robot.servo.servoj import servoj
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS, ControllerModel, JointPlant
+from toolee_robot.sim_backend.ur_controller.robot.servoj import servoj
 from toolee_robot.station import ArmLimits, ServoConfig, servo_lag
 from toolee_robot.types import ArmModel, Trajectory
 

@@ -13,7 +13,7 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.robots.description import arm_tree
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import ArmDynamics as ControllerDynamics
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.types import ArmModel, Payload
 
 ANGLES = st.lists(st.floats(-np.pi, np.pi), min_size=6, max_size=6).map(np.array)

@@ -11,7 +11,7 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.control import CollisionWorld, RobotModel, plan_strike
-from toolee_robot.control.compliance import yield_length
+from toolee_robot.control.contact import yield_length
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError, LimitError
 from toolee_robot.frames import Array

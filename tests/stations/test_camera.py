@@ -155,7 +155,7 @@ def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypat
     toy_recording(tmp_path / "r")
     (tmp_path / "our_lab.py").write_text(
         "from pathlib import Path\n"
-        "from toolee_robot.devices.cameras.recorded import RecordedStream\n"
+        "from toolee_robot.devices.cameras.recording import RecordedStream\n"
         "def open_stream(config, device, clock):\n"
         "    return RecordedStream(Path(__file__).parent / 'r', clock)\n"
     )

@@ -8,7 +8,7 @@ from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.bench import Log
 from toolee_robot.control import Mode, RobotModel, plan_over_nail, plan_strike
 from toolee_robot.frames import inverse
-from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
+from toolee_robot.sim_backend.devices.flange_sensor import ReadingErrors
 from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.hammering.touch import Touch

@@ -13,7 +13,7 @@ from toolee_robot.control.motion.touch_force import MAX_PHANTOMS
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME
-from toolee_robot.sim_backend.devices.reading_errors import ReadingErrors
+from toolee_robot.sim_backend.devices.flange_sensor import ReadingErrors
 from toolee_robot.tasks.hammering.touch import Contact, SidewaysContactError
 from toolee_robot.types import ArmModel, Payload
 

@@ -66,7 +66,7 @@ class UrController:
     def run(self) -> int:
         from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
         from toolee_robot.sim_backend.ur_controller.process import resting_joints
-        from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
+        from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 
         console = Console(highlight=False)
         begin = time.monotonic()

@@ -9,8 +9,8 @@ import numpy as np
 from toolee_robot.arm_data import CB3_RATE
 from toolee_robot.control import RobotModel
 from toolee_robot.devices.ur.checks import UrExpected, check
-from toolee_robot.devices.ur.kinematics import calibration_of
 from toolee_robot.devices.ur.probe import nominal_rate, probe
+from toolee_robot.devices.ur.setup_checks import calibration_of
 from toolee_robot.doctor.force import check_force, measure_force
 from toolee_robot.doctor.frames import JOGGED_POINT, check_frames
 from toolee_robot.doctor.mounting import check_mounting

@@ -16,7 +16,7 @@ from toolee_robot.devices.cameras import CameraProfile, CameraStream, RawImages,
 from toolee_robot.devices.cameras.airo import AiroStream
 from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
-from toolee_robot.devices.cameras.recorded import RecordedStream
+from toolee_robot.devices.cameras.recording import RecordedStream
 from toolee_robot.errors import ConfigError, NotReadyError, UserError, words_of
 from toolee_robot.hal import Clock
 from toolee_robot.runtime.device_plugins import installed, load

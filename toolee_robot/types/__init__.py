@@ -1,9 +1,7 @@
 """Frozen records that the stages exchange. SI units and radians; poses are 4x4 arrays named X_AB."""
 
 from toolee_robot.types.arm import ArmModel, DhCalibration, HandWeight, JointState, Payload, Six, Trajectory
-from toolee_robot.types.efforts import HandEfforts
-from toolee_robot.types.mount import MOUNT, ToolMount
-from toolee_robot.types.mounting import HandMounting
+from toolee_robot.types.mount import MOUNT, HandEfforts, HandMounting, ToolMount
 from toolee_robot.types.perception import (
     CameraError,
     CameraIntrinsics,

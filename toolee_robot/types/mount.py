@@ -1,12 +1,63 @@
-"""Record of a tool mount: what a station file says of a clamp on the flange that takes the place of a hand."""
+"""How a hand or a tool mount sits on the flange, and the efforts of its fingers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from toolee_robot.frames import Array, frame_from_axes
+
+
+@dataclass(frozen=True)
+class HandMounting:
+    """Place of the hand frame in the flange: origin at the root of the palm, z to the fingertips, x to the thumb.
+
+    All in the flange's axes, z out of the flange. No field has a default: a lab measures how its adapter holds the
+    hand.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
+    position: Three
+    """Origin of the hand frame [m]."""
+    fingers: Three
+    """Direction in which the stretched fingers point; any length."""
+    thumb: Three
+    """Direction across the palm to the side of the thumb, at a right angle to `fingers`; any length."""
+
+    def __post_init__(self) -> None:
+        for name in ("fingers", "thumb"):
+            if np.linalg.norm(getattr(self, name)) < 1e-6:
+                raise ValueError(f"{name} is no direction")
+        cosine = np.dot(self.fingers, self.thumb) / (np.linalg.norm(self.fingers) * np.linalg.norm(self.thumb))
+        if abs(cosine) > SQUARE:
+            raise ValueError("fingers and thumb must be at a right angle to each other")
+
+    @property
+    def X_flange_hand(self) -> Array:
+        """Pose of the hand frame in the flange, (4, 4) [m]."""
+        return frame_from_axes(z=np.array(self.fingers), x=np.array(self.thumb), p=self.position)
+
+
+@dataclass(frozen=True)
+class HandEfforts:
+    """Efforts of a hand's motors, in the unit in which it reports them. No field has a default: a lab measures them."""
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
+    touch: float
+    """Effort above which a motor counts as touching; more than any has while its finger moves freely."""
+    grip: float
+    """Effort at which a motor stops to close further."""
+    newtons_per_unit: float
+    """Force at the fingertip by the effort [N]."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if getattr(self, field.name) <= 0.0:
+                raise ValueError(f"{field.name} must be more than 0")
+        if self.grip <= self.touch:
+            raise ValueError("grip must be more than touch")
+
 
 MOUNT = "mount"
 """What a station file's `hand.model` calls a tool mount."""

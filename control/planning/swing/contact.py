@@ -1,4 +1,4 @@
-"""The face at the contact: its place and Jacobian, and the speed and deceleration that the joints can give there."""
+"""The face at the contact of a swing (its place, Jacobian, speed and deceleration), and a swing's own limits."""
 
 from __future__ import annotations
 
@@ -7,9 +7,41 @@ from dataclasses import dataclass
 import daqp
 import numpy as np
 
-from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
+from toolee_robot.control.dynamics.arm_dynamics import TORQUE_SHARE, ArmDynamics
 from toolee_robot.control.kinematics import ArmKinematics
+from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.types import Payload
+
+
+@dataclass(frozen=True)
+class SwingLimits:
+    """Limits of a swing in addition to `StationConfig.arm` and `supervisor.unattended_speed`.
+
+    Attributes:
+        tool: Mass of the tool [kg] and its centre of mass in the end effector's frame [m].
+        deepest: Largest distance of the commanded face beyond the contact along the nail's axis [m]; infinite for no
+            bound. An arm lags behind its command and would follow it into the wood.
+        torque_share: Share of the joints' rated torques that the inverse dynamics may take.
+        height_error: Error of the nail's height within which the face is still square to 1 deg [m].
+
+    Raises:
+        UserError: A value is out of its range; code `user.swing_limits`.
+    """
+
+    tool: Payload
+    deepest: float = 0.010
+    torque_share: float = TORQUE_SHARE
+    height_error: float = 0.003
+
+    def __post_init__(self) -> None:
+        if not (self.deepest >= 0.001 and 0 < self.torque_share <= 1 and 0 < self.height_error <= 0.05):
+            raise UserError(
+                f"swing limits {self.deepest}, {self.torque_share}, {self.height_error}: give at least 1 mm beyond the "
+                "contact, a share of the torques up to 1, and a height error of up to 50 mm",
+                code="user.swing_limits",
+            )
+
 
 _TINY = 1e-6
 """Weight that makes a linear program strictly convex."""

@@ -16,10 +16,9 @@ from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.line import Line
 from toolee_robot.control.planning.strike import MIN_SPEED
-from toolee_robot.control.planning.swing.contact import Face, decelerations, fastest
-from toolee_robot.control.planning.swing.limits import SwingLimits
+from toolee_robot.control.planning.swing.contact import Face, SwingLimits, decelerations, fastest
 from toolee_robot.control.planning.swing.problem import SwingProblem
-from toolee_robot.control.planning.swing.sampling import sampled_within, spline_for
+from toolee_robot.control.planning.swing.spline import sampled_within, spline_for
 from toolee_robot.control.planning.transfer import NEED, STEP, plan_transfer
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel

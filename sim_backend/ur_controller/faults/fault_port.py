@@ -1,22 +1,113 @@
-"""The hooks of the fault port: one JSON object per line in, one per line out.
+"""The fault port: a client's session, one JSON object per line, and queries of the controller's true state.
 
 {"fault": "drop", "port": "rtde", "reset": true} -> {"ok": true}; an invalid request -> {"ok": false, "error": "..."}.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from toolee_robot.sim_backend.ur_controller.faults.hooks import HookGroup, hook
 from toolee_robot.sim_backend.ur_controller.faults.measuring import MeasuringFaults
-from toolee_robot.sim_backend.ur_controller.faults.network import NetworkFaults
-from toolee_robot.sim_backend.ur_controller.faults.queries import Queries
+from toolee_robot.sim_backend.ur_controller.faults.network import NetworkFaults, RtdeFaultHooks
 from toolee_robot.sim_backend.ur_controller.faults.robot import RobotFaults
-from toolee_robot.sim_backend.ur_controller.faults.rtde import RtdeFaultHooks
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import RobotMode, SafetyMode
+from toolee_robot.sim_backend.ur_controller.server.port import Sink
 
 if TYPE_CHECKING:
     from toolee_robot.sim_backend.ur_controller.controller import Controller
+
+
+def describe(controller: Controller) -> dict[str, Any]:
+    """The answer of the `state` hook."""
+    robot = controller.robot
+    machine, safety, program, statistics = robot.machine, robot.safety, robot.program, controller.schedule.statistics
+    return {
+        "model": robot.model.name,
+        "profile": machine.profile.name,
+        "timestamp": robot.timestamp,
+        "stamp": controller.clock.now(),
+        "tick": robot.ticks,
+        "q": robot.plant.q.tolist(),
+        "qd": robot.plant.qd.tolist(),
+        "q_target": machine.q_target.tolist(),
+        "qd_target": machine.qd_target.tolist(),
+        "tcp_pose": robot.reading.tcp_pose,
+        "tcp_force": robot.reading.tcp_force.tolist(),
+        "moving": machine.moving,
+        "robot_mode": RobotMode(safety.robot_mode).name,
+        "safety_mode": SafetyMode(safety.mode).name,
+        "safety_reason": safety.reason,
+        "deviation_ratio": safety.detection.deviation_ratio,
+        "collision_ratio": safety.detection.collision_ratio,
+        "remote": safety.remote,
+        "program_state": program.state.name,
+        "program_name": program.name,
+        "program_error": program.last_error,
+        "uploads": program.uploads,
+        "payload": machine.payload,
+        "payload_cog": list(machine.payload_cog),
+        "tcp": list(machine.tcp),
+        "speed_slider": machine.speed_fraction,
+        "popup": robot.popup,
+        "messages": [str(said) for _, said in list(robot.messages)[-10:]],
+        "clients": {name: len(port.clients) for name, port in controller.ports.items()},
+        "ticks": {
+            "done": statistics.ticks,
+            "late": statistics.late,
+            "slipped": statistics.slipped,
+            "worst_late": statistics.worst_late,
+            "mean_work": statistics.busy / max(1, statistics.ticks),
+        },
+    }
+
+
+TRACE_PAGE = 250  # rows in one answer: more would delay the tick
+
+
+class Queries(HookGroup):
+    """Hooks that return the controller's state.
+
+    Args:
+        controller: The controller.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+
+    @hook
+    def state(self) -> dict[str, Any]:
+        """Return the true state of the robot: joints, modes, program, settings, tick statistics, clients."""
+        return describe(self._controller)
+
+    @hook
+    def registers(self) -> dict[str, Any]:
+        """Return all general purpose registers."""
+        registers = self._controller.robot.registers
+        names = ("int_in", "float_in", "bool_in", "int_out", "float_out", "bool_out")
+        return {name: list(getattr(registers, name)) for name in names}
+
+    @hook
+    def trace(self, after: int = -1) -> dict[str, Any]:
+        """Return the ticks after number `after`, the oldest first, at most TRACE_PAGE; continue after the last one."""
+        trace = self._controller.trace
+        first = trace[0].tick if trace else 0
+        start = max(0, after + 1 - first)
+        rows = [trace[i] for i in range(start, min(len(trace), start + TRACE_PAGE))]
+        return {
+            "columns": ["tick", "stamp", "safety", "program", "q", "qd", "q_target", "commands"],
+            "rows": [
+                [r.tick, r.stamp, r.safety, r.program, r.q.tolist(), r.qd.tolist(), r.q_target.tolist(), r.commands]
+                for r in rows
+            ],
+        }
+
+    @hook
+    def reset_statistics(self) -> None:
+        """Reset the statistics of late and slipped ticks."""
+        self._controller.schedule.reset()
 
 
 class Faults:
@@ -73,3 +164,46 @@ class _Reset(HookGroup):
         """
         for group in self._groups:
             group.end()
+
+
+MAX_WAITING = 65536  # [bytes] of queued requests; a client that sends more is dropped
+
+
+class FaultSession:
+    """A client's session on the fault port.
+
+    Args:
+        sink: The client's connection.
+        faults: The hooks.
+    """
+
+    def __init__(self, sink: Sink, faults: Faults) -> None:
+        self._sink, self._faults = sink, faults
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> None:
+        """Take received bytes and answer at most one request."""
+        self._buffer += data
+        # One request per tick, since some take milliseconds.
+        if (end := self._buffer.find(b"\n")) >= 0:
+            line = bytes(self._buffer[:end])
+            del self._buffer[: end + 1]
+            if line.strip():
+                self._sink.send(json.dumps(self._answer(line)).encode() + b"\n")
+        if len(self._buffer) > MAX_WAITING:
+            self._sink.close()
+
+    def tick(self) -> None:
+        """Answer the next queued request."""
+        if self._buffer:
+            self.feed(b"")
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _answer(self, line: bytes) -> dict[str, Any]:
+        try:
+            request = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            return {"ok": False, "error": f"not JSON: {error}"}
+        return self._faults.do(request)

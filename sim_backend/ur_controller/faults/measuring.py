@@ -11,7 +11,7 @@ from pydantic import Field
 from toolee_robot.errors import UserError
 from toolee_robot.sim_backend.ur_controller.faults.hooks import HookGroup, Three, hook
 from toolee_robot.sim_backend.ur_controller.profile import EncoderNoise, ForceErrors, ServoLag, usual_lag
-from toolee_robot.sim_backend.ur_controller.robot.sensing.sensors import PayloadError
+from toolee_robot.sim_backend.ur_controller.robot.sensors import PayloadError
 
 if TYPE_CHECKING:
     from toolee_robot.sim_backend.ur_controller.controller import Controller

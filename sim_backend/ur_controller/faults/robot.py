@@ -11,8 +11,8 @@ from pydantic import Field
 from toolee_robot.sim_backend.ur_controller.faults.hooks import Count, HookGroup, Seconds, Six, Three, hook
 from toolee_robot.sim_backend.ur_controller.faults.network import NetworkFaults
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import UNLOCK_DELAY, RobotMode
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import UNLOCK_DELAY, RobotMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Identity
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import numpy as np
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import Chain, chain
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel
 from toolee_robot.types import ArmModel
 
 UPRIGHT = np.array([0.0, 0.0, 9.82])

@@ -13,7 +13,7 @@ from math import acos, asin, atan2, cos, hypot, pi, sin
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.poses import Vector
 
 WRIST_SINGULAR = 1e-9  # |sin q5| below which axes 4 and 6 count as parallel

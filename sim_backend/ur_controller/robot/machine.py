@@ -14,18 +14,13 @@ import numpy as np
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import IDEAL, Profile
 from toolee_robot.sim_backend.ur_controller.robot import poses
-from toolee_robot.sim_backend.ur_controller.robot.cartesian import tcp_twist
-from toolee_robot.sim_backend.ur_controller.robot.compliance import Compliance
+from toolee_robot.sim_backend.ur_controller.robot.cartesian import Compliance, tcp_twist
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT
-from toolee_robot.sim_backend.ur_controller.robot.events import Event, EventKind
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain, forward
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.motion import STANDSTILL, Brake, Motion, MotionError, Move
-from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
-from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
-from toolee_robot.sim_backend.ur_controller.robot.sensing.force_sensor import ForceSensor
-from toolee_robot.sim_backend.ur_controller.robot.sensing.sensors import Sensors
-from toolee_robot.sim_backend.ur_controller.robot.watchdog import Watchdogs
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel, Plant
+from toolee_robot.sim_backend.ur_controller.robot.registers import Event, EventKind, Registers, Watchdogs
+from toolee_robot.sim_backend.ur_controller.robot.sensors import ForceSensor, Sensors
 
 RATE_SLEW = 4.0  # [1/s] slew rate of the speed scaling when the slider moves or a pause begins
 HISTORY = 2.0  # [s] duration of the histories of joints and forces

@@ -14,7 +14,7 @@ import numpy as np
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel
 
 STANDSTILL = 1e-9  # [rad/s] joint speed below which a joint counts as standing
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import RobotMode
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import RobotMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
-from toolee_robot.sim_backend.ur_controller.server.link import Sink
+from toolee_robot.sim_backend.ur_controller.server.port import Sink
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
 
 GREETING = "Connected: Universal Robots Dashboard Server"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server import rtde_types as wire
-from toolee_robot.sim_backend.ur_controller.server.link import Sink
+from toolee_robot.sim_backend.ur_controller.server.port import Sink
 from toolee_robot.sim_backend.ur_controller.server.rtde_inputs import Inputs
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import Recipe
 from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Outputs

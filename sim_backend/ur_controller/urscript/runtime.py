@@ -7,9 +7,8 @@ from types import TracebackType
 from typing import Any
 
 from toolee_robot.errors import TooleeError
-from toolee_robot.sim_backend.ur_controller.robot.events import Event, EventKind
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
-from toolee_robot.sim_backend.ur_controller.robot.watchdog import Action
+from toolee_robot.sim_backend.ur_controller.robot.registers import Action, Event, EventKind
 from toolee_robot.sim_backend.ur_controller.urscript.compiler import FILE, MAIN
 from toolee_robot.sim_backend.ur_controller.urscript.compiling import compiled
 from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError

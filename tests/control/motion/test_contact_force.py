@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.control.motion.contact_force import ContactForce
-from toolee_robot.control.motion.strike_contact import strike_guard
+from toolee_robot.control.motion.contact_force import ContactForce, strike_guard
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard

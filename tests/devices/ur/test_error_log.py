@@ -16,12 +16,12 @@ from tests.devices.ur.swings import swing, wait_for_mid_swing
 from tests.errors import raises
 from tests.stand_in import PATIENT, held, patient, stand_in
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
-from toolee_robot.devices.ur.error_codes import JOINTS, explain
 from toolee_robot.devices.ur.error_log import RETRY, ErrorLog
 from toolee_robot.devices.ur.protocols.primary import ControllerError, errors_in
+from toolee_robot.devices.ur.status import JOINTS, explain
 from toolee_robot.errors import LatchedError, ProtectiveStopError
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.sim_backend.ur_controller.robot.safety import error_codes as codes
+from toolee_robot.sim_backend.ur_controller.robot import error_codes as codes
 from toolee_robot.station import ArmLimits
 from toolee_robot.types import ArmModel
 

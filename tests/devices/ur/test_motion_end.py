@@ -13,8 +13,7 @@ from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel, JointPlant
 from toolee_robot.station import ArmLimits, ServoConfig
 
 pytestmark = pytest.mark.realtime

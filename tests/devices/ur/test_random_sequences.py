@@ -35,7 +35,7 @@ from toolee_robot.sim_backend.ur_controller.faults.client import Trace
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 from toolee_robot.sim_backend.ur_controller.robot.machine import RATE_SLEW
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
 from toolee_robot.station import ArmLimits
 from toolee_robot.types import ArmModel, Trajectory

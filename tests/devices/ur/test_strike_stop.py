@@ -15,14 +15,14 @@ from tests.control.test_stop_torque import GRASP, HELD, OVER_THE_NAIL
 from tests.errors import raises
 from tests.stand_in import PATIENT, SERVO
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.dynamics.torque_room import bound_stop
+from toolee_robot.control.dynamics.arm_dynamics import bound_stop
 from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import ProtectiveStopError
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
+from toolee_robot.sim_backend.ur_controller.robot.plant import JointPlant
 from toolee_robot.station import ArmLimits, StationConfig
 from toolee_robot.types import ArmModel, Payload, Trajectory
 

@@ -25,7 +25,7 @@ from toolee_robot.errors import DeviceError, ProtectiveStopError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.types import Payload
 
 EXPECTED = "the robot stops, the driver latches and ends its program; nothing moves after release and Play"

@@ -15,7 +15,7 @@ from tests.faults.rows.arm import AT_REST
 from tests.rigs.driver_rig import OFF_PATH, Happening, Rig
 from tests.rigs.people import People
 from tests.rigs.time_bounds import PATIENT
-from toolee_robot.control.modes import Mode
+from toolee_robot.control.limits import Mode
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.supervisor import Supervisor
 from toolee_robot.errors import (

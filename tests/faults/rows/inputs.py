@@ -13,7 +13,7 @@ from tests.faults.rows.released_stops import travel
 from tests.rigs.driver_rig import Rig
 from tests.rigs.panel import TWO_CONTACTS, later
 from tests.rigs.time_bounds import PATIENT
-from toolee_robot.control.modes import Mode
+from toolee_robot.control.limits import Mode
 from toolee_robot.control.supervisor import Supervisor
 from toolee_robot.devices.person.digital_inputs import PERIOD, DigitalInputPerson
 from toolee_robot.errors import DeviceError, PersonNearError

@@ -19,8 +19,8 @@ from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.remote.world_plant import WorldPlant
 from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, profile
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel, Trajectory

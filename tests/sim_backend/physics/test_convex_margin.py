@@ -10,7 +10,7 @@ import pybullet as pb
 import pytest
 import trimesh
 
-from toolee_robot.sim_backend.physics.convex_margin import MARGIN, shrink_convex
+from toolee_robot.sim_backend.physics.bullet import MARGIN, shrink_convex
 
 
 def distance_to_probe(parts: list[trimesh.Trimesh], height: float) -> float:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.sim_backend.physics.energy_balance import driven_by
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_straight, plan_strike
-from toolee_robot.control.motion.strike_contact import strike_guard
+from toolee_robot.control.motion.contact_force import strike_guard
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.hal import MotionOutcome

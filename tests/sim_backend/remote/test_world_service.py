@@ -26,7 +26,7 @@ from toolee_robot.sim_backend.remote.world_plant import WorldPlant
 from toolee_robot.sim_backend.remote.world_service import WorldService
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
-from toolee_robot.sim_backend.ur_controller.server.service import Service
+from toolee_robot.sim_backend.ur_controller.server.port import Service
 from toolee_robot.station import StationConfig
 
 pytestmark = pytest.mark.sim

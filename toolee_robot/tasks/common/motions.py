@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.collision_shapes import Body
 from toolee_robot.control.contact import ContactVerdict
-from toolee_robot.control.modes import Mode, slowed_to
-from toolee_robot.control.motion.strike_contact import strike_guard
+from toolee_robot.control.limits import Mode, slowed_to
+from toolee_robot.control.motion.contact_force import strike_guard
 from toolee_robot.control.motion.touch_force import wrenches_at_rest
 from toolee_robot.control.planning.straight import plan_straight, rise_to_clear
 from toolee_robot.control.records import StrikePlan

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from toolee_robot.control.contact import Meeting
-from toolee_robot.control.dynamics.strike_load import StrikeLoad
+from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad
 from toolee_robot.control.dynamics.tool_weight import ToolWeight
 from toolee_robot.errors import DeviceError
 from toolee_robot.types import InHandEstimate

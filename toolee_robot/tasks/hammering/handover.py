@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from toolee_robot.control.collision import CollisionWorld
-from toolee_robot.control.modes import Mode
+from toolee_robot.control.limits import Mode
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.views import plan_handover
 from toolee_robot.control.robot_model import RobotModel

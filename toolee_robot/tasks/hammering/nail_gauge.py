@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from toolee_robot.control.contact import protrusion
 from toolee_robot.control.planning.straight import plan_over_nail
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.control.slip import protrusion
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import ContactGuard
 from toolee_robot.station import StationConfig

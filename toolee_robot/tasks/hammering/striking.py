@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from toolee_robot.control.contact import ContactVerdict
-from toolee_robot.control.dynamics.strike_load import StrikeLoad, strike_load
+from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad, strike_load
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.swing import SwingLimits, plan_swing
 from toolee_robot.control.records import StrikePlan

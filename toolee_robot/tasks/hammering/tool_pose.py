@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.control.contact import merge, slip
 from toolee_robot.control.planning.views import plan_views
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.control.slip import merge, slip
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, angle_between, inverse, transform
 from toolee_robot.hal import Station

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolee_robot.control.contact import protrusion
 from toolee_robot.control.motion.onset import SLOPE_RANGE, UNKNOWN, Course, Releases, Rise, onset
 from toolee_robot.control.motion.touch_force import (
     CONFIRM_SHARE,
@@ -26,7 +27,6 @@ from toolee_robot.control.motion.touch_force import (
 )
 from toolee_robot.control.planning.straight import plan_straight
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.control.slip import protrusion
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME, ContactGuard, MotionReport

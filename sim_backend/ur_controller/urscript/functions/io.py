@@ -6,9 +6,8 @@ from collections.abc import Generator
 from math import ceil, isfinite
 from typing import Any
 
-from toolee_robot.sim_backend.ur_controller.robot.events import Event, EventKind
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
-from toolee_robot.sim_backend.ur_controller.robot.watchdog import Action
+from toolee_robot.sim_backend.ur_controller.robot.registers import Action, Event, EventKind
 from toolee_robot.sim_backend.ur_controller.urscript.values import fitting, numbers, text
 
 CONFIGURABLE, TOOL = 8, 16

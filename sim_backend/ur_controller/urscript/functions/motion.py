@@ -10,8 +10,17 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot import poses
-from toolee_robot.sim_backend.ur_controller.robot.cartesian import Path, PathMove, ServoC, SpeedL, StopL, arc, line
-from toolee_robot.sim_backend.ur_controller.robot.compliance import FREEDRIVE_GAIN, Compliance
+from toolee_robot.sim_backend.ur_controller.robot.cartesian import (
+    FREEDRIVE_GAIN,
+    Compliance,
+    Path,
+    PathMove,
+    ServoC,
+    SpeedL,
+    StopL,
+    arc,
+    line,
+)
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward, inverse
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.motion import (
@@ -22,7 +31,7 @@ from toolee_robot.sim_backend.ur_controller.robot.motion import (
     Move,
     SpeedJ,
 )
-from toolee_robot.sim_backend.ur_controller.robot.servo.servoj import servoj
+from toolee_robot.sim_backend.ur_controller.robot.servoj import servoj
 from toolee_robot.sim_backend.ur_controller.urscript.functions.library import matrix, six
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from tests.devices.ur.wire import peer_sends, soon
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.devices.ur.kinematics import calibration_of, pose_error, tcp_error, worst_error
 from toolee_robot.devices.ur.protocols.primary import kinematics_from
+from toolee_robot.devices.ur.setup_checks import calibration_of, pose_error, tcp_error, worst_error
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 from toolee_robot.frames import Array
 from toolee_robot.robots.dh import DhParameters

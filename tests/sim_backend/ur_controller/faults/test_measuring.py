@@ -11,7 +11,7 @@ import pytest
 from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
 from toolee_robot.sim_backend.ur_controller.process import resting_joints
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 
 STREAM = """def stream():
   q = get_target_joint_positions()

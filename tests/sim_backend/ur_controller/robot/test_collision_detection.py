@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.sim_backend.ur_controller.server.wire import Recorder, robot
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.primary import StateSession
 from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Outputs

@@ -13,7 +13,7 @@ from toolee_robot.frames import Array
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain, forward, inverse, inverse_all
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS, UR10, UR10E, ControllerModel
 from toolee_robot.types import ArmModel
 
 models = st.sampled_from([UR10, UR10E])

@@ -22,8 +22,8 @@ from toolee_robot.sim_backend.ur_controller.profile import (
     StopDecelerations,
 )
 from toolee_robot.sim_backend.ur_controller.profile import profile as machine_profile
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
-from toolee_robot.sim_backend.ur_controller.robot.servo.lagging import LaggingServoJ
+from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.servoj import LaggingServoJ
 
 BOTH = [(UR10, CB3), (UR10E, E_SERIES)]
 both = pytest.mark.parametrize(("model", "profile"), BOTH, ids=["CB3", "e-Series"])

@@ -12,11 +12,10 @@ from tests.sim_backend.ur_controller.urscript.script_robot import READY, ScriptR
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
 from toolee_robot.sim_backend.ur_controller.robot import poses
-from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
-from toolee_robot.sim_backend.ur_controller.robot.sensing.sensors import PayloadError
+from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E, ControllerModel, JointPlant
+from toolee_robot.sim_backend.ur_controller.robot.registers import EventKind
+from toolee_robot.sim_backend.ur_controller.robot.sensors import PayloadError
 
 both = pytest.mark.parametrize("model", [UR10, UR10E], ids=lambda m: m.name)
 offsets = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array)

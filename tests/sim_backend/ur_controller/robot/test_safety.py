@@ -13,10 +13,9 @@ from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import Recorder, robot
 from toolee_robot.sim_backend.ur_controller.process import Q_START
 from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import RobotMode, SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import RobotMode, SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
-from toolee_robot.sim_backend.ur_controller.server.primary import StateSession
-from toolee_robot.sim_backend.ur_controller.server.script_ports import MAX_SCRIPT, ScriptReader, ScriptSession
+from toolee_robot.sim_backend.ur_controller.server.primary import MAX_SCRIPT, ScriptReader, ScriptSession, StateSession
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
 
 SWING = "def swing():\n  speedj([1.5, 0, 0, 0, 0, 0], 40, 5)\nend\n"

@@ -14,7 +14,7 @@ from tests.sim_backend.ur_controller.server.wire import robot
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, Profile
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import ArmDynamics
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 
 HARSH = [("UR10", CB3), ("UR10e", E_SERIES)]

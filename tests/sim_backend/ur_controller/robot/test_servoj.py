@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.examples import examples
 from tests.sim_backend.ur_controller.urscript.script_robot import READY, ScriptRobot
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E, ControllerModel
 
 both = pytest.mark.parametrize("model", [UR10, UR10E], ids=lambda m: m.name)
 either = st.sampled_from([UR10, UR10E])

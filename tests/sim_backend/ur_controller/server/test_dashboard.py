@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import Recorder, robot
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import UNLOCK_DELAY, RobotMode
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import UNLOCK_DELAY, RobotMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.dashboard import MAX_LINE, DashboardSession
 

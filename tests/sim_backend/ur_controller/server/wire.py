@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from toolee_robot.sim_backend.ur_controller.process import resting_joints
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.rtde import RtdeFaults, RtdeSession
 from toolee_robot.sim_backend.ur_controller.server.rtde_inputs import Inputs

@@ -16,7 +16,7 @@ from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.faults.client import Trace
 from toolee_robot.sim_backend.ur_controller.process import Q_START, ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS, ControllerModel
 
 STANDING = 1e-6  # [rad/s]
 

@@ -10,7 +10,7 @@ import sys
 import time
 from functools import lru_cache
 
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel
 
 DASHBOARD, UPLOAD, RTDE = 29999, 30003, 30004
 STATUS = ("robot_status_bits", "safety_status_bits", "runtime_state")

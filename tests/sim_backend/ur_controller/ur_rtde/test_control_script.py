@@ -11,9 +11,9 @@ from tests.sim_backend.ur_controller.ur_rtde.control_script import control_scrip
 from tests.sim_backend.ur_controller.urscript.script_robot import READY, ScriptRobot
 from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
 from toolee_robot.sim_backend.ur_controller.robot import poses
-from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.registers import EventKind
 
 pytestmark = pytest.mark.sim
 

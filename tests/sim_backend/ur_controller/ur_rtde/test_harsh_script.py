@@ -18,8 +18,8 @@ from tests.sim_backend.ur_controller.ur_rtde.test_control_script import (
     SPEEDJ,
     WATCHDOG,
 )
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
-from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.urscript.compiling import compiled
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
 

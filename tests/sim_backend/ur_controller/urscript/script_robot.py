@@ -8,11 +8,9 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
-from toolee_robot.sim_backend.ur_controller.robot.events import Event, EventKind
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10E, ControllerModel
-from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
+from toolee_robot.sim_backend.ur_controller.robot.plant import UR10E, ControllerModel, JointPlant
+from toolee_robot.sim_backend.ur_controller.robot.registers import Event, EventKind, Registers
 from toolee_robot.sim_backend.ur_controller.urscript import ScriptRuntime
 
 READY = (0.3, -1.4, 1.6, -1.8, -1.5, 0.2)

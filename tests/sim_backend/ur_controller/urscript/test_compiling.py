@@ -7,8 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10
+from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, JointPlant
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.urscript.program import WAITING, RuntimeState
 

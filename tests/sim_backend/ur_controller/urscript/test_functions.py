@@ -12,9 +12,9 @@ from tests.sim_backend.ur_controller.urscript.script_robot import READY, ScriptR
 from tests.strategies import transforms
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.ur_controller.robot import poses
-from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E
+from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E
+from toolee_robot.sim_backend.ur_controller.robot.registers import EventKind
 from toolee_robot.sim_backend.ur_controller.urscript import ScriptError
 
 

@@ -6,8 +6,8 @@ import pytest
 
 from tests.sim_backend.ur_controller.urscript.script_robot import ScriptRobot
 from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
-from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
-from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.registers import EventKind
 from toolee_robot.sim_backend.ur_controller.urscript import ScriptRuntime
 
 both = pytest.mark.parametrize("model", [UR10, UR10E], ids=lambda m: m.name)

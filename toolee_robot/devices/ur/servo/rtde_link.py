@@ -19,8 +19,7 @@ from rtde_control import RTDEControlInterface
 
 from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.protocols.rtde import RTDE_PORT
-from toolee_robot.devices.ur.servo.program_stop import ProgramStop
-from toolee_robot.devices.ur.servo.program_watch import WatchedProgram
+from toolee_robot.devices.ur.servo.program_watch import ProgramStop, WatchedProgram
 from toolee_robot.devices.ur.servo.rtde_socket import UrRtdeSocket
 from toolee_robot.devices.ur.servo.shared_memory import StateColumn
 from toolee_robot.devices.ur.servo.state_stream import Reading, StateStream

@@ -9,10 +9,10 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
+from toolee_robot.sim_backend.ur_controller.robot import error_codes as codes
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import Dynamics
-from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
-from toolee_robot.sim_backend.ur_controller.robot.safety import error_codes as codes
-from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
+from toolee_robot.sim_backend.ur_controller.robot.error_codes import ErrorCode
+from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from enum import IntEnum
 import numpy as np
 
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
-from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
-from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import (
+from toolee_robot.sim_backend.ur_controller.robot.collision_detection import (
     CollisionDetection,
     Measured,
     Planned,
 )
-from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
+from toolee_robot.sim_backend.ur_controller.robot.error_codes import ErrorCode
+from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 
 UNLOCK_DELAY = 5.0  # [s] after a protective stop during which it cannot be unlocked, as on a real robot
 SETTLE_SPEED = 1e-3  # [rad/s] below which the arm counts as standing and is powered off after an emergency stop

@@ -1,1 +1,0 @@
-"""What the controller measures: joints and forces, with the errors of a profile."""

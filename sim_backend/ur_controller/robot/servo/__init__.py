@@ -1,1 +1,0 @@
-"""The motion of `servoj`: exact, or with the lag of a real controller."""
