@@ -59,6 +59,43 @@ def test_a_job_loads_nothing_that_trains_or_scores() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+_OPEN_LAB = """
+import sys
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from toolee_robot.errors import TooleeError
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import load_lab_station, load_station
+from toolee_robot.stations.lab import LabStation
+from toolee_robot.stations.hand import open_hand
+from toolee_robot.stations.ur import ur_driver
+
+config, clock = load_lab_station(Path(sys.argv[1])), HostClock()
+with suppress(TooleeError), LabStation(config, print):  # its first device is not there
+    sys.exit("a device answers")
+for hand in sys.argv[2:]:
+    with suppress(TooleeError), open_hand(load_station(Path(hand)).hand, clock):
+        pass
+arm = replace(config, arm=replace(config.arm, host="127.0.0.254"))
+with suppress(TooleeError), ur_driver(arm, "127.0.0.254"):
+    pass
+bad = [m for m in sys.modules if m == "pybullet" or m.startswith("toolee_robot.sim_backend")]
+if bad:
+    sys.exit(f"a lab's station loads {bad}")
+"""
+
+
+def test_opening_a_labs_station_loads_no_module_of_the_simulation() -> None:
+    """Each of its drivers is opened, up to the device that does not answer."""
+    examples = _ROOT.parent / "examples"
+    files = [examples / f"{name}.yaml" for name in ("lab", "mount", "inspire", "ability", "shadow")]
+    done = subprocess.run(
+        [sys.executable, "-c", _OPEN_LAB, *map(str, files)], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @pytest.mark.parametrize("package", _BLIND)
 def test_no_blind_package_names_the_simulation_even_in_a_string(package: str) -> None:
     """Closes the way around the import rules: importlib, __import__, sys.modules with a name put together elsewhere."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from toolee_robot.robots.hands.ability import joints_of_closures
 from toolee_robot.sim_backend.ability_hand.hand import NAMES, Hand
 from toolee_robot.sim_backend.ability_hand.messages import MessageParser, foreign
 from toolee_robot.sim_backend.hand_wire import Frame, HandTime, LineEmulator, LineFaults, PseudoTerminal
@@ -24,6 +25,7 @@ class AbilityEmulator(LineEmulator[Hand]):
 
     label = "PSYONIC Ability Hand"
     motors, thumb = NAMES, "thumb_flexor"
+    joints = staticmethod(joints_of_closures)
     events = "heat MOTOR DEGREES, heat DEGREES, jam MOTOR, free MOTOR, pads off, pads on"
 
     def __init__(self, address: int = 0x50, seed: int = 0, pace: float = 1.0) -> None:

@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, Protocol, Self, TypeVar
 
+from toolee_robot.frames import Array
 from toolee_robot.sim_backend.hand_wire.hand_time import HandTime
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFaults
 
@@ -76,6 +77,8 @@ class HandEmulator(ABC, Generic[HandT]):
     """Name of the motor that bends the thumb."""
     events: str
     """What can happen to it and to nothing else, for people."""
+    joints: Callable[[Array], Array]
+    """Converts its motors' angles to the positions of the model's joints [rad]."""
     port: str
     time: HandTime
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from toolee_robot.robots.hands.inspire import joints_of_counts
 from toolee_robot.sim_backend.hand_wire import (
     ACKNOWLEDGE,
     Frame,
@@ -36,6 +37,7 @@ GRACE = 0.3
 class _Emulator(LineEmulator[Hand]):
     label = "Inspire RH56"
     motors, thumb = NAMES, "thumb_bend"
+    joints = staticmethod(joints_of_counts)
     events = "heat MOTOR DEGREES, jam MOTOR, free MOTOR, error MOTOR BITS"
     line_events = (*LineEmulator.line_events, *WriteFault, ACKNOWLEDGE)
 

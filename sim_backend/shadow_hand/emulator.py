@@ -9,6 +9,7 @@ import select
 import time
 from typing import Any
 
+from toolee_robot.robots.hands.shadow import joints_of_motors
 from toolee_robot.sim_backend.hand_wire import HandEmulator, HandTime, LineFaults, listener
 from toolee_robot.sim_backend.shadow_hand import ros
 from toolee_robot.sim_backend.shadow_hand.bridge import Client
@@ -33,6 +34,7 @@ class ShadowEmulator(HandEmulator[Hand]):
 
     label = "Shadow Dexterous Hand (right) behind a rosbridge"
     motors, thumb = NAMES, "THJ5"
+    joints = staticmethod(joints_of_motors)
     events = (
         "heat MOTOR DEGREES, heat DEGREES, jam MOTOR, free MOTOR, break MOTOR, repair MOTOR, "
         "controllers off, controllers on, diagnostics off, diagnostics on"

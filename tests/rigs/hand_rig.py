@@ -18,9 +18,10 @@ from toolee_robot.hal import HandState
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.hand import TICK, SimHand
 from toolee_robot.sim_backend.hand_wire import HandEmulator
+from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.station import HandConfig
 from toolee_robot.stations.driven_hand import SWITCH_INTERVAL, HandPace
-from toolee_robot.stations.hand import emulated_hand, open_hand
+from toolee_robot.stations.hand import open_hand
 from toolee_robot.types import HandEfforts, HandMounting
 
 MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))

@@ -54,8 +54,8 @@ class HandEmulator:
     def run(self) -> int:
         from toolee_robot.devices.hands.inspire.tcp_port import tcp_address
         from toolee_robot.sim_backend.hand_wire import happen
+        from toolee_robot.sim_backend.hands import LOOPBACK, emulated_hand
         from toolee_robot.station import HandConfig
-        from toolee_robot.stations.hand import LOOPBACK, emulated_hand
 
         if self.hand_id is not None and not 1 <= self.hand_id <= 254:
             raise UserError(f"--hand-id {self.hand_id}: a hand's number is 1 to 254", code="user.option")

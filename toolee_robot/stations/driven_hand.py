@@ -15,10 +15,11 @@ from toolee_robot.hal import Clock, Hand, Station
 from toolee_robot.sim_backend.devices.driven_hand import DrivenHand
 from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.hand_wire import HandEmulator
+from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.station import StationConfig
-from toolee_robot.stations.hand import emulated_hand, open_hand
+from toolee_robot.stations.hand import open_hand
 from toolee_robot.tools import Tool
 
 SWITCH_INTERVAL = 0.0005

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Any
 
 from toolee_robot.devices.hands.ability import AbilityHand
 from toolee_robot.devices.hands.inspire import InspireHand
@@ -21,30 +20,20 @@ from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
 from toolee_robot.robots import MOUNT, HandModel, hand_model
-from toolee_robot.robots.hands.ability import ABILITY, joints_of_closures
-from toolee_robot.robots.hands.inspire import INSPIRE, joints_of_counts
-from toolee_robot.robots.hands.shadow import SHADOW, joints_of_motors
+from toolee_robot.robots.hands.ability import ABILITY
+from toolee_robot.robots.hands.inspire import INSPIRE
+from toolee_robot.robots.hands.shadow import SHADOW
 from toolee_robot.runtime.device_plugins import installed, load
-from toolee_robot.sim_backend.ability_hand import AbilityEmulator
-from toolee_robot.sim_backend.hand_wire import HandEmulator
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
-from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
 from toolee_robot.station import HandConfig
 from toolee_robot.types import HandEfforts
-
-Address = tuple[str, int]
-"""Host and port."""
 
 
 @dataclass(frozen=True)
 class WiredHandKind:
-    """A kind of hand on a wire: its driver, and what stands in for the hand at the other end.
+    """A kind of hand on a wire: its driver, and where it is found.
 
     Attributes:
         driver: Builds the driver from model, port, the station file's `hand`, and clock.
-        emulator: Builds the emulated hand from the station file's `hand`, host and port at which it listens if it is on
-            TCP, a seed of its noise, and the rate of its motors' time.
-        joints: Converts the emulated motors' angles to the positions of the model's joints [rad].
         ports: What its port may be, for people.
         scheme: Scheme of its port if that is an address, such as tcp; None for a serial port only.
         hand_id: Number with which its maker delivers it; None for a hand without one.
@@ -52,8 +41,6 @@ class WiredHandKind:
     """
 
     driver: Callable[[HandModel, str, HandConfig, Clock], Hand]
-    emulator: Callable[[HandConfig, Address, int, float], HandEmulator[Any]]
-    joints: Callable[[Array], Array]
     ports: str
     scheme: str | None = None
     hand_id: int | None = None
@@ -71,18 +58,8 @@ def _inspire(model: HandModel, port: str, config: HandConfig, clock: Clock) -> H
     return InspireHand(model, port, clock, _number(config))
 
 
-def _emulated_inspire(config: HandConfig, listen: Address, seed: int, pace: float) -> HandEmulator[Any]:
-    if config.port is not None and is_tcp(config.port):
-        return ModbusEmulator(listen, _number(config), seed, pace)
-    return InspireEmulator(_number(config), seed, pace)
-
-
 def _ability(model: HandModel, port: str, config: HandConfig, clock: Clock) -> Hand:
     return AbilityHand(model, port, clock, _number(config))
-
-
-def _emulated_ability(config: HandConfig, _: Address, seed: int, pace: float) -> HandEmulator[Any]:
-    return AbilityEmulator(_number(config), seed, pace)
 
 
 def _shadow(model: HandModel, port: str, config: HandConfig, clock: Clock) -> Hand:
@@ -93,30 +70,15 @@ def _shadow(model: HandModel, port: str, config: HandConfig, clock: Clock) -> Ha
     return ShadowHand(model, port, config.efforts, clock)
 
 
-def _emulated_shadow(_: HandConfig, listen: Address, seed: int, pace: float) -> HandEmulator[Any]:
-    return ShadowEmulator(seed, pace, listen)
-
-
 _SERIAL = "the serial port, such as /dev/ttyUSB0"
 WIRED_HANDS: dict[str, WiredHandKind] = {
-    INSPIRE: WiredHandKind(
-        _inspire, _emulated_inspire, joints_of_counts, f"{_SERIAL}, or tcp://HOST:PORT of one with Ethernet", "tcp", 1
-    ),
-    ABILITY: WiredHandKind(_ability, _emulated_ability, joints_of_closures, _SERIAL, hand_id=0x50),
-    SHADOW: WiredHandKind(
-        _shadow,
-        _emulated_shadow,
-        joints_of_motors,
-        "the address of its rosbridge, such as ws://HOST:9090",
-        "ws",
-        measured_efforts=True,
-    ),
+    INSPIRE: WiredHandKind(_inspire, f"{_SERIAL}, or tcp://HOST:PORT of one with Ethernet", "tcp", 1),
+    ABILITY: WiredHandKind(_ability, _SERIAL, hand_id=0x50),
+    SHADOW: WiredHandKind(_shadow, "the address of its rosbridge, such as ws://HOST:9090", "ws", measured_efforts=True),
 }
 """Name in the station file -> hand on a wire."""
 _ENTRIES = "hand"
 """Kind of the entry points by which packages bring drivers."""
-LOOPBACK: Address = ("127.0.0.1", 0)
-"""Where an emulated hand on TCP listens if nobody says otherwise."""
 
 
 def wired_hand(model: str) -> WiredHandKind | None:
@@ -142,8 +104,8 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     """Build the driver of a station's hand.
 
     A package of a lab may bring one: an entry point `hand.NAME` of the group `toolee_robot.devices` for the hand that a
-    station file calls NAME. It names a `WiredHandKind`, whose emulator then stands in for the hand in rehearsals; or
-    what takes model, station file's `hand` and clock, and builds the driver. Its model is `hand_model.NAME`.
+    station file calls NAME. It names a `WiredHandKind`; or what takes model, station file's `hand` and clock, and
+    builds the driver. Its model is `hand_model.NAME`, its emulator for rehearsals `hand_emulator.NAME`.
 
     Args:
         config: What the station file says of the hand.
@@ -192,32 +154,6 @@ def efforts_of(config: HandConfig, clock: Clock) -> Generator[Array]:
         raise UserError(message, code="user.no_efforts")
     _check_address(config, kind)
     return read_efforts(_port(config, kind), clock)
-
-
-def emulated_hand(
-    config: HandConfig, seed: int = 0, pace: float = 1.0, listen: Address = LOOPBACK
-) -> HandEmulator[Any]:
-    """Build the emulated hand that stands in for a station's.
-
-    Args:
-        config: What the station file says of the hand; `port` tells a serial line from TCP.
-        seed: Seed of its noise.
-        pace: Rate of its motors' time relative to the host's.
-        listen: Host and port at which it listens on TCP; port 0 for a free one.
-
-    Returns:
-        The emulated hand, not yet entered.
-
-    Raises:
-        ConfigError: The hand has no emulator.
-        UserError: It cannot listen there.
-    """
-    kind = wired_hand(config.model)
-    if kind is None:
-        known = ", ".join(WIRED_HANDS)
-        raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.hand_driver")
-    _check_address(config, kind)
-    return kind.emulator(config, listen, seed, pace)
 
 
 def _port(config: HandConfig, kind: WiredHandKind) -> str:

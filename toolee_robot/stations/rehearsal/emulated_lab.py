@@ -26,13 +26,13 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.runtime.cpu_load import CpuLoad
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
+from toolee_robot.sim_backend.hands import EMULATORS, emulated_hand, find_emulator
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.station import SIMULATED, HandConfig, StationConfig
 from toolee_robot.stations.driven_hand import SWITCH_INTERVAL
-from toolee_robot.stations.hand import WIRED_HANDS, emulated_hand, wired_hand
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal.camera import SeenScene, emulated_stream
 from toolee_robot.stations.rehearsal.hand import FingerCoupling
@@ -101,10 +101,10 @@ class EmulatedLab:
     ) -> None:
         LabStation(cell.measured, tell, purpose=purpose)  # refuses what is missing
         hand = cell.measured.hand.model
-        if hand != MOUNT and wired_hand(hand) is None:
+        if hand != MOUNT and find_emulator(hand) is None:
             raise ConfigError(
                 f"the hand {hand!r} has no emulator, so that it cannot be rehearsed: those with one are "
-                f"{', '.join(WIRED_HANDS)}, and a {MOUNT} needs none",
+                f"{', '.join(EMULATORS)}, and a {MOUNT} needs none",
                 code="config.no_emulator",
             )
         self._cell, self._tell, self._purpose, self._doing = cell, tell, purpose, doing
@@ -202,9 +202,7 @@ class EmulatedLab:
             return hand
         model = RobotModel.of_station(self._cell.measured).description
         emulator = stack.enter_context(emulated_hand(hand, self._cell.seed, self._clock.real_time_factor))
-        kind = wired_hand(hand.model)
-        assert kind is not None, "checked at the construction"
-        stack.enter_context(FingerCoupling(world, emulator, kind.joints, model.hand_open))
+        stack.enter_context(FingerCoupling(world, emulator, model.hand_open))
         return replace(hand, port=emulator.port)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Self
 
@@ -38,14 +37,11 @@ class FingerCoupling:
     Args:
         world: Sends requests to the world.
         emulator: The emulated hand.
-        joints: Converts its motors' angles to the positions of the model's joints [rad].
         q_open: Positions of the joints of the open hand [rad].
     """
 
-    def __init__(
-        self, world: Caller, emulator: HandEmulator[Any], joints: Callable[[Array], Array], q_open: Array
-    ) -> None:
-        self._world, self._emulator, self._joints, self._q_open = world, emulator, joints, q_open
+    def __init__(self, world: Caller, emulator: HandEmulator[Any], q_open: Array) -> None:
+        self._world, self._emulator, self._q_open = world, emulator, q_open
         self._over = threading.Event()
         self._recent: deque[Array] = deque(maxlen=STANDS_FOR)
         self._met: set[str] = set()
@@ -67,7 +63,7 @@ class FingerCoupling:
 
     def _couple(self) -> None:
         while not self._over.wait(PERIOD):
-            q = self._joints(np.array(self._emulator.angles))
+            q = self._emulator.joints(np.array(self._emulator.angles))
             self._recent.append(q)
             touched: Touched = self._world.call("fingers.follow", q)
             if self._gripped_at is None:
