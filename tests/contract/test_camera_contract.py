@@ -15,6 +15,7 @@ import pytest
 from tests.contract.lab import station_of
 from tests.errors import raises
 from tests.rigs.camera_devices import CameraEvent, OrbbecDevice
+from tests.rigs.software_airo import SoftwareAiroCamera
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.airo import AiroStream
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
@@ -24,7 +25,6 @@ from toolee_robot.hal import Clock, RgbdCamera
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.camera import SimCamera
-from toolee_robot.sim_backend.devices.software_airo import SoftwareAiroCamera
 from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
 from toolee_robot.station import CameraConfig, StationConfig
 from toolee_robot.stations.camera import open_camera

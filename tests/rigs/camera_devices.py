@@ -16,15 +16,15 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.rigs import orbbec_recording
+from tests.rigs.orbbec_recording import write_recording
+from tests.rigs.software_airo import SoftwareAiroCamera
 from toolee_robot.devices.cameras import CameraStream, orbbec, realsense
 from toolee_robot.devices.cameras.airo import AiroStream
 from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.devices.cameras.recording import RecordedStream, RecordingWriter
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.devices import orbbec_recording
-from toolee_robot.sim_backend.devices.orbbec_recording import write_recording
-from toolee_robot.sim_backend.devices.software_airo import SoftwareAiroCamera
 from toolee_robot.sim_backend.devices.software_realsense import SoftwareRealSense
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
+from tests.rigs import software_airo
 from tests.rigs.camera_devices import (
     COLOR,
     AiroDevice,
@@ -26,7 +27,6 @@ from toolee_robot.devices.cameras import StreamedCamera, orbbec, realsense
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
-from toolee_robot.sim_backend.devices import software_airo
 from toolee_robot.station import CameraConfig, CameraDevice
 from toolee_robot.stations.camera import ORBBEC, REALSENSE, RECORDED, open_camera
 from toolee_robot.types import CameraIntrinsics, RgbdFrame

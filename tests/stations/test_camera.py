@@ -102,7 +102,7 @@ def test_a_class_is_told_camera_and_mode(kind: str, given: tuple[object, ...], m
         (f"{airo_cameras.HERE}.LikeReceiver", "takes no resolution, serial_number"),
         (f"{airo_cameras.HERE}.NoSuchCamera", "NoSuchCamera"),
         (f"{airo_cameras.HERE}.installed", "is no RGB-D camera"),
-        ("toolee_robot.sim_backend.devices.software_airo.SoftwareAiroCamera", "is no RGB-D camera"),
+        ("tests.rigs.software_airo.SoftwareAiroCamera", "is no RGB-D camera"),
         ("no_such_package.cameras.Camera", "no_such_package"),
         ("Zed", "cannot be imported"),
     ],

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from toolee_robot.sim_backend.devices.software_airo import SoftwareAiroCamera
+from tests.rigs.software_airo import SoftwareAiroCamera
 
 INTERFACES = "airo_camera_toolkit.interfaces"
 HERE = __name__

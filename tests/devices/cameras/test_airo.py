@@ -9,11 +9,11 @@ import pytest
 
 from tests.devices.cameras.airo_cameras import OnTheirBase
 from tests.errors import raises
+from tests.rigs.software_airo import SoftwareAiroCamera
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.airo import AiroStream
 from toolee_robot.errors import NoAnswerError, StaleDataError
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.devices.software_airo import SoftwareAiroCamera
 
 
 @pytest.mark.realtime(light=True)

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
+from tests.rigs.orbbec_recording import COLOR, DEPTH, SERIAL, TRANSLATION_MM, write_recording
 from toolee_robot.devices.cameras import LensModel, StreamedCamera
 from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream, sdk
 from toolee_robot.devices.cameras.registration import DepthRegistration
 from toolee_robot.errors import NoAnswerError, NotReadyError
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.devices.orbbec_recording import COLOR, DEPTH, SERIAL, TRANSLATION_MM, write_recording
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pyorbbecsdk") is None, reason="needs pyorbbecsdk2, installed with --no-deps"
