@@ -28,6 +28,7 @@ HEAVY = [
     "ray",
     "embreex",
     "manifold3d",
+    "foxglove",
     "mcap",
 ]
 

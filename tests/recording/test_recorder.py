@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -15,7 +16,6 @@ import cv2
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -27,9 +27,8 @@ from tests.recording import small_run
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionReport
-from toolee_robot.recording import mcap_file
 from toolee_robot.recording.reading import finish_copy, read_history
-from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.recording.recorder import FLUSH_PERIOD, RunRecorder
 from toolee_robot.recording.series import SeenStatus
 from toolee_robot.types import RgbdFrame
 
@@ -208,28 +207,6 @@ def test_what_was_not_commanded_is_not_recorded_as_a_command(tmp_path: Path) -> 
     assert found["/arm/measured"][-1][2].joints[0].position == q[-1, 0]
 
 
-def test_schemas_are_foxgloves_own(tmp_path: Path) -> None:
-    """What the file says of a `foxglove.` message is what Foxglove's SDK says of it: same fields, numbers, types."""
-    from foxglove import messages as sdk
-
-    path = small_run.write(tmp_path / "run.mcap")
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    compared = 0
-    for schema in summary.schemas.values():
-        package, _, name = schema.name.partition(".")
-        if package == "foxglove":
-            assert _fields(schema.data, name) == _fields(getattr(sdk, name).get_schema().data, name), name
-            compared += 1
-    assert compared == 8
-
-
-def _fields(data: bytes, name: str) -> dict[str, tuple[int, int, str]]:
-    (message,) = [m for file in FileDescriptorSet.FromString(data).file for m in file.message_type if m.name == name]
-    return {field.name: (field.number, field.type, field.type_name) for field in message.field}
-
-
 _WRITES_UNTIL_KILLED = """
 import itertools, sys, time
 from pathlib import Path
@@ -259,7 +236,7 @@ def test_after_a_kill_all_but_the_last_second_can_be_read(tmp_path: Path) -> Non
     assert not history.complete
     assert history.station().work.nail_protrusion == 0.020
     ticks = [d.reason for _, d in history.decisions if d.name == "tick"]
-    assert killed - float(ticks[-1].split()[1]) < mcap_file.FLUSH_PERIOD + 0.5
+    assert killed - float(ticks[-1].split()[1]) < FLUSH_PERIOD + 0.5
     assert finish_copy(path, finished) > len(ticks)
     assert len(messages(finished)["/decisions"]) == len(history.decisions)
     assert read_history(finished).complete
@@ -312,14 +289,49 @@ def test_an_exception_leaves_a_complete_file(tmp_path: Path) -> None:
     assert len(messages(path)["/decisions"]) == 1
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is Linux's")
-def test_a_full_disk_is_reported_and_does_not_stop_the_job() -> None:
-    recorder = RunRecorder(Path("/dev/full"))
-    recorder.__enter__()
-    for i in range(200):
-        recorder.record_decision(float(i), "noise", np.random.default_rng(i).bytes(9000).hex())
-    with raises(UserError, code="user.recording_not_writable"):
-        recorder.__exit__(None, None, None)
+_FILLS_THE_DISK = """
+import json, resource, sys
+from pathlib import Path
+import numpy as np
+from toolee_robot.recording.recorder import RunRecorder
+from tests.recording import small_run
+folder, told = Path(sys.argv[1]), []
+resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
+with RunRecorder(folder / "run.mcap", {"seed": 7}, told.append) as recorder:
+    small_run.record(recorder)
+    for i in range(100):
+        recorder.record_decision(5.0 + i, "noise", np.random.default_rng(i).bytes(20_000).hex())
+        if i % 5 == 0:
+            recorder._queue.put(recorder._file.flush)
+assert recorder.stopped
+print(json.dumps(told))
+"""
+
+
+def test_a_full_disk_ends_the_recording_but_not_the_job(tmp_path: Path) -> None:
+    """It is said once and at once, what was recorded stays, and there is room for the summary."""
+    command = [sys.executable, "-c", _FILLS_THE_DISK, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    (told,) = json.loads(done.stdout)
+    assert "recording has stopped, the job goes on: File too large" in told
+    assert "run.mcap" in told
+    assert (tmp_path / "run.mcap").stat().st_size < 1_000_000 - 64 * 1024
+    history = read_history(tmp_path / "run.mcap")
+    assert not history.complete
+    assert history.station().work.nail_protrusion == 0.020
+    assert len(history.joints) == 252
+
+
+def test_an_error_in_a_message_ends_the_recording_but_not_the_job(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with RunRecorder(tmp_path / "run.mcap", {"seed": 7}) as recorder:
+        recorder.record_decision(0.0, "before", "")
+        recorder.record_joints(1.0, ("a", "b"), np.zeros(1))
+        recorder.record_decision(2.0, "after", "")
+    assert "recording has stopped" in recorder.stopped
+    assert recorder.stopped in caplog.text
+    assert [d.name for _, d in read_history(tmp_path / "run.mcap").decisions] == ["before"]
 
 
 def test_unwritable_place_bad_stamp_and_no_recording_are_refused(tmp_path: Path) -> None:
@@ -329,6 +341,3 @@ def test_unwritable_place_bad_stamp_and_no_recording_are_refused(tmp_path: Path)
         recorder.record_decision(float("nan"), "started", "")
     with pytest.raises(RuntimeError, match="with"):
         recorder.record_decision(0.0, "late", "")
-    (tmp_path / "text.mcap").write_text("this is no recording, whatever its name says")
-    with raises(UserError, code="user.recording_unreadable"):
-        read_history(tmp_path / "text.mcap")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,6 +22,9 @@ from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.station import ONLY_NAIL, StationConfig
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
+LARGEST_IMAGE = 50_000_000
+"""Most pixels of an image that is decoded."""
+
 
 @dataclass(eq=False)
 class RunHistory:
@@ -32,6 +36,8 @@ class RunHistory:
     """Attached files by name."""
     complete: bool = True
     """Whether the file was finished: a killed run's is not."""
+    damage: str = ""
+    """What is wrong with the file; empty if nothing is, other than that it was not finished."""
     joints: Series[Array] = field(default_factory=Series)
     """Measured joint positions of the arm, (6,) [rad]."""
     commanded: Series[Array] = field(default_factory=Series)
@@ -102,8 +108,13 @@ class RunHistory:
 
     def rgb(self, index: int) -> NDArray[np.uint8]:
         """A colour image, (H, W, 3), by its index."""
-        bgr = cv2.imdecode(np.frombuffer(self.images.values[index], np.uint8), cv2.IMREAD_COLOR)
-        assert bgr is not None
+        png = self.images.values[index]
+        width, height = struct.unpack(">II", png[16:24]) if len(png) >= 24 else (0, 0)
+        bgr = None
+        if 0 < width * height <= LARGEST_IMAGE:
+            bgr = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+        if bgr is None:
+            raise UserError(f"image {index + 1} of the recording cannot be decoded", code="user.recording_unreadable")
         return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
 
     def frame(self, index: int) -> RgbdFrame:
@@ -213,25 +224,3 @@ _HANDLERS: dict[str, Callable[[RunHistory, float, Any], None]] = {
     "/decisions": _decision,
     "/log": lambda h, t, m: h.logs.add(t, m.message),
 }
-
-
-def thinned(series: Series[Array], count: int) -> tuple[Array, Array]:
-    """Reduce a series to about `count` values, of each interval the one of the greatest force, so that peaks stay.
-
-    Args:
-        series: Wrenches, (6,) each.
-        count: Number of values wanted.
-
-    Returns:
-        Their stamps [s] and norms of the force [N].
-    """
-    n = len(series)
-    if n == 0:
-        return np.zeros(0), np.zeros(0)
-    stamps = np.array(series.stamps[:n])
-    forces = np.linalg.norm(np.array(series.values[:n])[:, :3], axis=1)
-    if n <= count:
-        return stamps, forces
-    edges = np.linspace(0, n, count + 1).astype(int)[:-1]
-    peaks = [int(a + np.argmax(forces[a:b])) for a, b in zip(edges, [*edges[1:], n], strict=True) if b > a]
-    return stamps[peaks], forces[peaks]

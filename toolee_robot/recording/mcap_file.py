@@ -1,71 +1,52 @@
-"""An MCAP file that a thread of its own writes, so that who records waits for neither encoding nor disk."""
+"""An MCAP file, written with Foxglove's SDK. A full disk ends it, and nothing else."""
 
 from __future__ import annotations
 
-import queue
-import threading
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
+from io import FileIO
 from pathlib import Path
-from typing import Any
 
-from google.protobuf.message import Message
-from mcap.well_known import MessageEncoding
-from mcap.writer import Writer
-from mcap_protobuf.schema import register_schema
+from foxglove import Channel, Context, Schema, open_mcap
+from foxglove.mcap import MCAPWriteOptions
 
-import toolee_robot
 from toolee_robot.errors import UserError, words_of
-from toolee_robot.recording.messages import nanoseconds
 
-FLUSH_PERIOD = 1.0
-"""Longest time that a message waits in memory [s]; what a killed process loses."""
 CHUNK_SIZE = 256 * 1024
 """Size at which a chunk is compressed and written [bytes]."""
-
-Item = tuple[str, float, Message]
-"""Topic, stamp [s] on the station's clock, message."""
-
-
-class _ChunkWriter(Writer):
-    def end_chunk(self) -> None:
-        """Write the messages so far; mcap's writer itself does so by size only."""
-        self._Writer__finalize_chunk()  # type: ignore[attr-defined]
+ROOM_LEFT = 64 * 1024
+"""What is given back when the disk is full, for the run's summary [bytes]."""
 
 
 class McapFile:
-    """Writes messages in the background until it is closed.
+    """Writes an MCAP file until it is closed.
 
     Args:
-        path: The file; its folder exists.
+        path: The file.
 
     Raises:
-        UserError: It cannot be written; code `user.recording_not_writable`.
+        UserError: It cannot be opened; code `user.recording_not_writable`.
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
         try:
-            self._file = path.open("wb")
+            self._sink = _Sink(path)
         except OSError as error:
-            raise self._not_writable(error) from error
-        self._writer = _ChunkWriter(self._file, chunk_size=CHUNK_SIZE)
-        self._writer.start(profile="", library=f"toolee_robot {toolee_robot.__version__}")
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._failure: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
-        self._thread.start()
+            message = f"cannot write the recording {path}: {words_of(error)}"
+            raise UserError(message, code="user.recording_not_writable") from error
+        self._context = Context()
+        options = MCAPWriteOptions(chunk_size=CHUNK_SIZE, disable_seeking=True)
+        self._writer = open_mcap(self._sink, context=self._context, writer_options=options)
+        self._channels: dict[str, Channel] = {}
+
+    @property
+    def failure(self) -> OSError | None:
+        """Why nothing is written any more; None as long as all is."""
+        return self._sink.failure
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write metadata.
-
-        Args:
-            name: Name of the record.
-            values: Text by name.
-        """
-        self._queue.put(lambda: self._writer.add_metadata(name, dict(values)))
+        """Write text by name."""
+        self._writer.write_metadata(name, dict(values))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment.
@@ -75,77 +56,68 @@ class McapFile:
             media_type: Its media type.
             data: Its content.
         """
-        self._queue.put(lambda: self._writer.add_attachment(0, 0, name, media_type, data))
+        self._writer.attach(log_time=0, create_time=0, name=name, media_type=media_type, data=data)
 
-    def write(self, build: Callable[[], list[Item]], then: Callable[[Item], None]) -> None:
-        """Write messages.
+    def write(self, topic: str, time_ns: int, schema: Schema, data: bytes) -> None:
+        """Write a message.
 
         Args:
-            build: Makes the messages, on the writing thread.
-            then: Called with each message after it was written, on the writing thread.
+            topic: Its topic.
+            time_ns: Its time [ns].
+            schema: Its schema, which the topic has had since its first message.
+            data: The message, by Protocol Buffers.
         """
-
-        def write() -> None:
-            for item in build():
-                self._add(*item)
-                then(item)
-
-        self._queue.put(write)
-
-    def close(self) -> None:
-        """Write what waits, the index, and close.
-
-        Raises:
-            UserError: Something could not be written; code `user.recording_not_writable`.
-        """
-        self._queue.put(None)
-        self._thread.join()
-        try:
-            with self._file:
-                if self._failure is not None:
-                    raise self._failure
-                self._writer.finish()  # type: ignore[no-untyped-call]
-        except OSError as error:
-            raise self._not_writable(error) from error
-
-    def _run(self) -> None:
-        pending, flushed = False, time.monotonic()
-        while True:
-            wait = max(FLUSH_PERIOD - (time.monotonic() - flushed), 0.0) if pending else None
-            try:
-                action = self._queue.get(timeout=wait)
-                if action is None:
-                    return
-                pending = True
-            except queue.Empty:
-                action = _nothing
-            if self._failure is not None:
-                continue  # the queue is emptied nevertheless: a full disk must not fill the memory, too
-            try:
-                action()
-                if pending and time.monotonic() - flushed >= FLUSH_PERIOD:
-                    self._writer.end_chunk()
-                    self._file.flush()
-                    pending, flushed = False, time.monotonic()
-            except BaseException as error:  # noqa: BLE001  (reported by `close`)
-                self._failure = error
-
-    def _add(self, topic: str, stamp: float, message: Message) -> None:
         channel = self._channels.get(topic)
         if channel is None:
-            name = message.DESCRIPTOR.full_name
-            if name not in self._schemas:
-                self._schemas[name] = register_schema(self._writer, type(message))
-            channel = self._writer.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
+            channel = Channel(topic, message_encoding="protobuf", schema=schema, context=self._context)
             self._channels[topic] = channel
-        time_ns = nanoseconds(stamp)
-        self._writer.add_message(channel, log_time=time_ns, data=message.SerializeToString(), publish_time=time_ns)
+        channel.log(data, log_time=time_ns)
 
-    def _not_writable(self, error: OSError) -> UserError:
-        return UserError(
-            f"cannot write the recording {self._path}: {words_of(error)}", code="user.recording_not_writable"
-        )
+    def flush(self) -> None:
+        """End the chunk: all so far can be read after a kill."""
+        self._writer.flush()
+        self._sink.mark()
+
+    def close(self) -> None:
+        """Write index and checksums."""
+        self._writer.close()
+        self._sink.close()
 
 
-def _nothing() -> Any:
-    """What is done where only time has passed."""
+class _Sink:
+    """The file as the SDK sees it: never fails. What cannot be written any more is dropped."""
+
+    def __init__(self, path: Path) -> None:
+        self.failure: OSError | None = None
+        self._file = FileIO(path, "w")
+        self._size, self._marks = 0, [0]
+
+    def write(self, data: bytes | bytearray) -> int:
+        if self.failure is None:
+            try:
+                rest = memoryview(data)
+                while rest:
+                    rest = rest[self._file.write(rest) :]
+            except OSError as error:
+                self.failure = error
+                keep = max((mark for mark in self._marks if mark <= self._size - ROOM_LEFT), default=0)
+                with suppress(OSError):
+                    self._file.truncate(keep)
+        self._size += len(data)
+        return len(data)
+
+    def seek(self, *_: int) -> int:
+        """The present position, all that the SDK asks for with `disable_seeking`."""
+        return self._size
+
+    def flush(self) -> None:
+        """Nothing is buffered."""
+
+    def mark(self) -> None:
+        """Remember that the file is whole up to here."""
+        if self.failure is None:
+            self._marks.append(self._size)
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._file.close()

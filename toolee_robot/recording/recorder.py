@@ -1,16 +1,16 @@
-"""The recording of a run: one MCAP file of images, frames, poses, joints, contacts and decisions.
+"""Writes everything that happens during a job to an MCAP file.
 
-    with RunRecorder(folder / "run.mcap", {"seed": 7}) as recorder:
-        recorder.record_frame(frame)
-        recorder.record_pose(stamp, "base", "ee", X_base_ee)
-
-Messages are Protocol Buffers, Foxglove's published ones where there is one, so that Foxglove and Rerun show them
-without configuration. A thread of its own encodes and writes them; after a kill the file can be read up to its last
-second. Stamps are seconds on the station's clock.
+Whoever records hands over, and goes on: a thread of its own encodes and writes. After a kill the file can be read up to
+its last second. If the disk is full, recording stops and says so, and the job goes on. Stamps are seconds on the
+station's clock.
 """
 
 from __future__ import annotations
 
+import logging
+import queue
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -18,14 +18,19 @@ from typing import Any, Self
 import cv2
 import numpy as np
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, MotionReport
 from toolee_robot.recording import messages
 from toolee_robot.recording.history import RunHistory
-from toolee_robot.recording.mcap_file import Item, McapFile
-from toolee_robot.recording.own_messages import Contact, SafetyBits, StopRatios, Wrench
+from toolee_robot.recording.mcap_file import McapFile
+from toolee_robot.recording.messages import Packed
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
+
+FLUSH_PERIOD = 1.0
+"""Longest time that a message waits in memory [s]; what a killed process loses."""
+Item = tuple[str, float, Packed]
+"""Topic, stamp [s] on the station's clock, message."""
 
 
 class RunRecorder:
@@ -34,29 +39,39 @@ class RunRecorder:
     Args:
         path: The file; its folder exists.
         metadata: Metadata of the file by name: text, or JSON values.
+        tell: Told at once, from another thread, why recording has stopped; None: the program's log is told.
 
     Attributes:
         path: The file.
         metadata: Metadata of the file, text by name.
         history: Receives all that is recorded from now on, as the file does; None for none.
+        stopped: Why recording has stopped; empty as long as it goes on.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, path: Path, metadata: Mapping[str, Any] | None = None, tell: Callable[[str], None] | None = None
+    ) -> None:
         self.path = path
         self.history: RunHistory | None = None
         self.metadata = {name: messages.as_text(value) for name, value in (metadata or {}).items()}
+        self.stopped = ""
+        self._tell = tell or logging.getLogger(__name__).error
+        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._decoders: dict[str, Callable[[bytes], Any]] = {}
         self._file: McapFile | None = None
 
     def __enter__(self) -> Self:
-        """Open the file; raises UserError where it cannot be written."""
-        self._file = McapFile(self.path)
-        self._file.metadata("run", self.metadata)
+        """Open the file; raises UserError if it cannot be written."""
+        self._file = file = McapFile(self.path)
+        file.metadata("run", self.metadata)
+        self._thread = threading.Thread(target=self._run, args=(file,), name="recording", daemon=True)
+        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        assert self._file is not None
-        file, self._file = self._file, None
-        file.close()
+        self._file = None
+        self._queue.put(None)
+        self._thread.join()
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file to the recording.
@@ -66,7 +81,8 @@ class RunRecorder:
             media_type: Its media type, such as "application/json".
             data: Its content.
         """
-        self._opened(name).attach(name, media_type, data)
+        file = self._opened(name)
+        self._queue.put(lambda: file.attach(name, media_type, data))
         if self.history is not None:
             self.history.attachments[name] = data
 
@@ -189,8 +205,7 @@ class RunRecorder:
             force: Sensed force [N].
             X_base_ee: Estimated pose of the end effector in `base`, (4, 4).
         """
-        position = messages.vector(X_base_ee[:3, 3])
-        message = Contact(timestamp=messages.timestamp(stamp), force=float(force), position=position)
+        message = messages.contact(stamp, force, X_base_ee[:3, 3])
         self._one("/contacts", stamp, lambda: message)
 
     def record_decision(self, stamp: float, name: str, reason: str, data: Mapping[str, Any] | None = None) -> None:
@@ -215,21 +230,62 @@ class RunRecorder:
         """
         self._one("/log", stamp, lambda: messages.log(stamp, text, level))
 
-    def _one(self, topic: str, stamp: float, build: Callable[[], Any]) -> None:
+    def _one(self, topic: str, stamp: float, build: Callable[[], Packed]) -> None:
         self._write(topic, stamp, lambda: [(topic, stamp, build())])
 
     def _write(self, topic: str, stamp: float, build: Callable[[], list[Item]]) -> None:
         messages.nanoseconds(stamp)  # refuses a bad one here, where it comes from
-        self._opened(topic).write(build, self._told)
+        file = self._opened(topic)
+
+        def write() -> None:
+            for name, at, packed in build():
+                file.write(name, messages.nanoseconds(at), packed.schema, packed.data)
+                if self.history is not None:
+                    if name not in self._decoders:
+                        self._decoders[name] = messages.decoder(packed.schema)
+                    self.history.add(name, at, self._decoders[name](packed.data))
+
+        self._queue.put(write)
 
     def _opened(self, what: str) -> McapFile:
         if self._file is None:
             raise RuntimeError(f"nothing can be recorded on {what}: use RunRecorder in a `with` block")
         return self._file
 
-    def _told(self, item: Item) -> None:
-        if self.history is not None:
-            self.history.add(*item)
+    def _run(self, file: McapFile) -> None:
+        """Write what is handed over until None comes; a failure ends the recording only."""
+        pending, flushed = False, time.monotonic()
+        while True:
+            wait = max(FLUSH_PERIOD - (time.monotonic() - flushed), 0.0) if pending else None
+            action: Callable[[], None] | None = _nothing
+            try:
+                action = self._queue.get(timeout=wait)
+                pending = True
+            except queue.Empty:
+                pass
+            try:
+                if action is None:
+                    file.close()
+                elif not self.stopped:  # the queue is emptied nevertheless: a full disk must not fill the memory, too
+                    action()
+                    if pending and time.monotonic() - flushed >= FLUSH_PERIOD:
+                        file.flush()
+                        pending, flushed = False, time.monotonic()
+            except Exception as error:  # noqa: BLE001 - a recording must never end a job
+                self._stop(f"{type(error).__name__}: {error}")
+            if file.failure is not None:
+                self._stop(words_of(file.failure))
+            if action is None:
+                return
+
+    def _stop(self, why: str) -> None:
+        if not self.stopped:
+            self.stopped = f"recording has stopped, the job goes on: {why} ({self.path})"
+            self._tell(self.stopped)
+
+
+def _nothing() -> None:
+    """What is done when only time has passed."""
 
 
 def _motion(report: MotionReport, names: Sequence[str]) -> list[Item]:
@@ -238,20 +294,16 @@ def _motion(report: MotionReport, names: Sequence[str]) -> list[Item]:
     qd, torques, currents, bits = report.qd_measured, report.torques, report.currents, report.safety_bits
     items: list[Item] = []
     for i, t in enumerate(map(float, report.stamps)):
-        velocity, torque_row = (None if rows is None else rows[i] for rows in (qd, torques))
+        velocity, torque = (None if rows is None else rows[i] for rows in (qd, torques))
         items.append(("/arm/measured", t, messages.joint_states(t, names, report.q_measured[i], velocity)))
         if i < sent:
-            commanded = messages.joint_states(t, names, report.q_commanded[i], effort=torque_row)
+            commanded = messages.joint_states(t, names, report.q_commanded[i], effort=torque)
             items.append(("/arm/commanded", t, commanded))
         if currents is not None:
             items.append(("/arm/currents", t, messages.joint_currents(t, currents[i])))
         if bits is not None and (i == 0 or bits[i] != bits[i - 1]):
-            changed = SafetyBits(timestamp=messages.timestamp(t), bits=int(bits[i]))
-            items.append(("/arm/safety_bits", t, changed))
-        force, torque = messages.vector(report.wrenches[i, :3]), messages.vector(report.wrenches[i, 3:])
-        items.append(("/arm/wrench", t, Wrench(timestamp=messages.timestamp(t), force=force, torque=torque)))
+            items.append(("/arm/safety_bits", t, messages.safety_bits(t, bits[i])))
+        items.append(("/arm/wrench", t, messages.wrench(t, report.wrenches[i])))
         if deviation is not None and collision is not None:
-            ratios = StopRatios(position_deviation=float(deviation[i]), collision=float(collision[i]))
-            ratios.timestamp.CopyFrom(messages.timestamp(t))
-            items.append(("/arm/stop_ratios", t, ratios))
+            items.append(("/arm/stop_ratios", t, messages.stop_ratios(t, deviation[i], collision[i])))
     return items

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from toolee_robot.recording.file_names import PICTURE, RECORDING
+from toolee_robot.recording import PICTURE, RECORDING
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.html_page import Page
 from toolee_robot.tasks.common.outcome import Stage

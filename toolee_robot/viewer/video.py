@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, frame_from_axes
-from toolee_robot.recording.history import RunHistory, thinned
+from toolee_robot.recording.history import RunHistory
+from toolee_robot.recording.series import Series
 from toolee_robot.recording.tool_file import read_tool_model
 from toolee_robot.render.material import Material
 from toolee_robot.render.mesh import Mesh, box
@@ -188,3 +189,25 @@ def _shifted(z: float) -> Array:
     X = np.eye(4)
     X[2, 3] = z
     return X
+
+
+def thinned(series: Series[Array], count: int) -> tuple[Array, Array]:
+    """Reduce a series to about `count` values, of each interval the one of the greatest force, so that peaks stay.
+
+    Args:
+        series: Wrenches, (6,) each.
+        count: Number of values wanted.
+
+    Returns:
+        Their stamps [s] and norms of the force [N].
+    """
+    n = len(series)
+    if n == 0:
+        return np.zeros(0), np.zeros(0)
+    stamps = np.array(series.stamps[:n])
+    forces = np.linalg.norm(np.array(series.values[:n])[:, :3], axis=1)
+    if n <= count:
+        return stamps, forces
+    edges = np.linspace(0, n, count + 1).astype(int)[:-1]
+    peaks = [int(a + np.argmax(forces[a:b])) for a, b in zip(edges, [*edges[1:], n], strict=True) if b > a]
+    return stamps[peaks], forces[peaks]

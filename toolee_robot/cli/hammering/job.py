@@ -22,7 +22,7 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.control.dynamics.tool_weight import ToolWeight
 from toolee_robot.end_effectors import Category
 from toolee_robot.perception.weight_files import weights_hash
-from toolee_robot.recording.file_names import PICTURE, RECORDING
+from toolee_robot.recording import PICTURE, RECORDING
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.recording.tool_file import tool_model
@@ -111,7 +111,7 @@ class HammerJob:
             self.source.open(
                 lambda text: _prompt(text, screen, page), lambda text: console.print(f"[dim]{escape(text)}[/dim]")
             ) as opened,
-            RunRecorder(folder / RECORDING, self._metadata(opened)) as recorder,
+            RunRecorder(folder / RECORDING, self._metadata(opened), _warner(console)) as recorder,
         ):
             console.print(f"[bold]{escape(opened.words)}[/bold]  [dim]{escape(self._mode())}[/dim]")
             station = opened.station
@@ -327,6 +327,10 @@ def _nail_figures(nail: NailResult, verdict: Verdict | None) -> dict[str, Any]:
         "nail": None if truth is None else truth.outcome,
         "nail_seconds": round(nail.seconds, 3),
     }
+
+
+def _warner(console: Console) -> Callable[[str], None]:
+    return lambda text: console.print(f"[yellow]{escape(text)}[/yellow]", soft_wrap=True)
 
 
 def _prompt(text: str, screen: ConsoleObserver, page: LivePage | None) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.errors import UserError
-from toolee_robot.recording.file_names import RECORDING
+from toolee_robot.recording import RECORDING
 
 UNFINISHED = "unfinished"
 """Outcome of a run without a summary: it goes on, or was killed."""
