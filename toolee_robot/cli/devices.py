@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
-from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
+from toolee_robot.cli.options import JsonOption
 
 
 @dataclass(frozen=True)
-class Devices:
+class Devices(JsonOption):
     """List the drivers that a station file may name, and where each is from.
 
     Example: toolee devices list
@@ -24,8 +22,6 @@ class Devices:
 
     action: Annotated[Literal["list"], tyro.conf.Positional]
     """What to do."""
-    json: Flag = False
-    """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
         from toolee_robot.stations.camera import camera_drivers
@@ -36,9 +32,8 @@ class Devices:
         for kind, drivers in found.items():
             for name, source in drivers.items():
                 table.add_row(kind, name, source)
-        Console(stderr=self.json, highlight=False).print(table)
-        if self.json:
-            print(json_line(found), flush=True)
+        self.console.print(table)
+        self.tell(found)
         return 0
 
 

@@ -14,8 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
+from toolee_robot.cli.options import Flag, JsonOption
 from toolee_robot.devices.person.digital_inputs import check_wired
 from toolee_robot.errors import UserError
 from toolee_robot.findings import Finding, Level, worst
@@ -27,7 +26,7 @@ _STYLE = {Level.OK: "none", Level.WARN: "yellow", Level.FAIL: "red"}
 
 
 @dataclass(frozen=True)
-class Doctor:
+class Doctor(JsonOption):
     """Check a station before any motion: robot, devices, station file, this computer. Nothing is moved.
 
     Example: toolee doctor
@@ -59,8 +58,6 @@ class Doctor:
     to see each change once. The robot's program is started; nothing is moved."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Folder for recordings, whose free space is checked."""
-    json: Flag = False
-    """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
         config = StationConfig() if self.config is None else load_station(self.config)
@@ -82,9 +79,9 @@ class Doctor:
             config = self._of_robot()
         if self.inputs:
             check_wired(config)
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         with console.status("loading"):
-            from toolee_robot.cli.doctor_sections import DoctorReport
+            from toolee_robot.app.doctor import DoctorReport
 
         point = None if self.jogged_point is None else 1e-3 * np.array(self.jogged_point)
         tell = (lambda prompt: console.print(f"  [bold]{escape(prompt)}[/bold]")) if self.inputs else None
@@ -100,10 +97,8 @@ class Doctor:
             console.print(findings_table(findings))
         level = worst(finding for _, finding in found)
         console.print(f"\n{self._verdict(host, [finding for _, finding in found])}")
-        if self.json:
-            told = [{"section": section, **asdict(finding)} for section, finding in found]
-            facts = {"robot_host": host, **report.facts}
-            print(json_line({"worst": level, **facts, "findings": told}), flush=True)
+        told = [{"section": section, **asdict(finding)} for section, finding in found]
+        self.tell({"worst": level, "robot_host": host, **report.facts, "findings": told})
         return int(level is Level.FAIL)
 
     def _of_robot(self) -> StationConfig:

@@ -1,0 +1,285 @@
+"""Read, open or close the hand of a station file, or clear its faults, without a job.
+
+The arm is neither asked nor moved.
+
+Example: toolee hand state --station lab.yaml
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+
+from toolee_robot.cli.options import Flag, JsonOption
+from toolee_robot.cli.terminal import confirm_typed, require_terminal
+from toolee_robot.errors import DeviceError, UserError
+
+if TYPE_CHECKING:
+    from toolee_robot.frames import Array
+    from toolee_robot.hal import Hand, HandState
+    from toolee_robot.station import HandConfig
+
+_SETTLED = 0.2
+"""Time after which the hand's judgement whether it holds something is averaged over enough readings [s]."""
+_MAX_AGE = 0.5
+"""Largest age of the reading that is shown [s]."""
+_PERIOD = 0.2
+"""Time between two tables of efforts [s]."""
+_TOUCH_RATIO = 2.0
+"""A motor touches when its effort is so many times the largest of the empty hand's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandOptions(JsonOption):
+    """Which hand."""
+
+    station: Annotated[Path, tyro.conf.arg(metavar="YAML")]
+    """The station file, whose hand is meant; of the rest nothing is needed."""
+    port: Annotated[str | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="(default: hand.port)")] = None
+    """Where the hand is instead, such as the port that `toolee hand-emulator` prints."""
+
+    def hand(self) -> HandConfig:
+        """What the station file says of the hand, at the port that is meant; a tool mount is refused."""
+        from toolee_robot.robots import MOUNT
+        from toolee_robot.station import load_station
+
+        hand = load_station(self.station).hand
+        if hand.model == MOUNT:
+            raise UserError(
+                f"the hand of {self.station} is a tool mount, which has neither motors nor sensors: fix a tool in it, "
+                "and take it out, by hand",
+                code="user.no_fingers",
+            )
+        return hand if self.port is None else replace(hand, port=self.port)
+
+    @contextmanager
+    def connected(self, config: HandConfig, console: Console) -> Iterator[Hand]:
+        """Context with the hand; connecting moves nothing, and leaving it stops the fingers."""
+        from toolee_robot.runtime.clock import HostClock
+        from toolee_robot.stations.hand import open_hand
+
+        console.print(f"[dim]asking the hand at {escape(str(config.port))}[/dim]")
+        with open_hand(config, HostClock()) as hand:
+            time.sleep(_SETTLED)
+            yield hand
+
+    def show(self, hand: Hand, state: HandState, console: Console) -> None:
+        """Show a state: joints [deg], forces [N], hold, temperature, fault; JSON has radians."""
+        table = Table("part", "value", box=None, pad_edge=False)
+        table.columns[1].justify = "right"
+        for name, angle in zip(hand.joint_names, np.rad2deg(state.joints.q), strict=True):
+            table.add_row(escape(name), f"{angle:.1f} deg")
+        for finger, force in state.contact_forces.items():
+            table.add_row(f"force, {escape(finger)}", f"{force:.1f} N")
+        table.add_row("holds something", "yes" if state.holding else "no")
+        table.add_row("temperature", "not told" if state.temperature is None else f"{state.temperature:.0f} °C")
+        table.add_row("fault", f"[red]{escape(state.fault)}[/red]" if state.fault else "none")
+        console.print(table)
+        figures = {
+            "joints": dict(zip(hand.joint_names, state.joints.q.tolist(), strict=True)),
+            "contact_forces": state.contact_forces,
+            "holding": state.holding,
+            "temperature": state.temperature,
+            "fault": state.fault,
+        }
+        self.tell(figures)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandMotionOptions(HandOptions):
+    """Which hand, and who answers for what it does."""
+
+    yes: Flag = False
+    """Ask nobody: for scripts, with an emulated hand, or where nobody and nothing is in the hand."""
+
+    def move(
+        self,
+        question: str,
+        done: str,
+        move: Callable[[Hand], None],
+        check: Callable[[Hand], object] = lambda _: None,
+    ) -> int:
+        """Check the hand, ask a person, move the fingers, and show the state."""
+        console = self.console
+        config = self.hand()  # a mount is refused before anybody is asked for a terminal
+        if not self.yes:
+            require_terminal("a person confirms each motion of the hand", "--yes asks nobody")
+        with self.connected(config, console) as hand:
+            check(hand)
+            if hand.state(_MAX_AGE).holding:
+                console.print("The hand holds something.")
+            if not self.yes:
+                confirm_typed(console, question)
+            move(hand)
+            time.sleep(_SETTLED)
+            state = hand.state(_MAX_AGE)
+            console.print(done)
+            self.show(hand, state, console)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class State(HandOptions):
+    """Show the hand's joints, forces, hold, temperature and fault.
+
+    Example: toolee hand state --station lab.yaml
+
+    Nothing is moved. Exit code 1: the hand has a fault, or does not answer. Angles in --json are in radians.
+    """
+
+    def run(self) -> int:
+        console = self.console
+        with self.connected(self.hand(), console) as hand:
+            state = hand.state(_MAX_AGE)
+            self.show(hand, state, console)
+        return int(bool(state.fault))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Open(HandMotionOptions):
+    """Open the hand, for instance to take the tool out.
+
+    Example: toolee hand open --station lab.yaml
+
+    A person takes hold of the tool and confirms it first: what the hand holds falls. The arm is not moved. Ctrl-C stops
+    the fingers where they are.
+    """
+
+    def run(self) -> int:
+        return self.move(
+            "What the hand holds falls when it opens. Take hold of the tool, your fingers out of the hand's way. Open?",
+            "The hand is open.",
+            lambda hand: hand.open(),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Close(HandMotionOptions):
+    """Close the hand until it holds something or is shut.
+
+    Example: toolee hand close --station lab.yaml --port hand.port
+
+    A person confirms it first. The arm is not moved. Ctrl-C stops the fingers, which keep what they hold. An Ability
+    Hand may let go when the command ends.
+    """
+
+    def run(self) -> int:
+        return self.move(
+            "The fingers close until they hold something or are shut. Your fingers out of the hand. Close?",
+            "The hand is closed.",
+            lambda hand: hand.close(),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClearFaults(HandMotionOptions):
+    """Clear the hand's faults, such as a stall.
+
+    Example: toolee hand clear-faults --station lab.yaml
+
+    A person looks for the cause and confirms it first. Of this project's hands only the Inspire RH56 keeps such faults.
+    Exit code 1: a fault is left, such as heat. The arm is not moved, and no finger is given a target; one that comes
+    free may go on to its last one.
+    """
+
+    def run(self) -> int:
+        return self.move(
+            "Look why the hand has a fault, and take away what blocks it. A finger that comes free may move: your "
+            "fingers out of the hand. Clear the faults?",
+            "The hand has no fault.",
+            _clear_faults,
+            _clearing,
+        )
+
+
+def _clearing(hand: Hand) -> Callable[[], None]:
+    """How a hand's faults are cleared; one that clears none is refused before a person is asked."""
+    from toolee_robot.hal import ClearsFaults
+
+    if not isinstance(hand, ClearsFaults):
+        raise UserError(
+            "the driver of this hand clears no faults: look what `toolee hand state` says, take away the cause, and "
+            "switch the hand off and on if the fault stays",
+            code="user.no_clear_faults",
+        )
+    return hand.clear_faults
+
+
+def _clear_faults(hand: Hand) -> None:
+    _clearing(hand)()
+    time.sleep(_SETTLED)
+    if fault := hand.state(_MAX_AGE).fault:
+        raise DeviceError(
+            f"the hand still has a fault ({fault}): heat has to go by itself, and what blocks a finger has to be taken "
+            "away first, then clear again; a motor that has failed is for the hand's maker",
+            code="device.hand_fault_left",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Efforts(HandOptions):
+    """Show the efforts of a Shadow Hand's motors, now and at most.
+
+    Example: toolee hand efforts --station lab.yaml --seconds 60
+
+    Nothing is moved. Open and close the empty hand meanwhile with the maker's software: `touch` of `hand.efforts` is
+    twice the largest effort. Then close it on the handle for `grip`, and pull at the first finger's tip with a spring
+    balance for `newtons_per_unit`.
+    """
+
+    seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 30.0
+    """How long to watch."""
+
+    def run(self) -> int:
+        if not 0.0 < self.seconds < np.inf:
+            raise UserError("--seconds must be more than 0, and finite", code="user.option")
+        from toolee_robot.robots.hands.shadow import MOTORS
+        from toolee_robot.runtime.clock import HostClock
+        from toolee_robot.stations.hand import efforts_of
+
+        console = self.console
+        now = largest = np.zeros(len(MOTORS))
+        end, shown = time.monotonic() + self.seconds, -np.inf
+        with (
+            closing(efforts_of(self.hand(), HostClock())) as readings,
+            Live(console=console, auto_refresh=False) as live,
+        ):
+            for now in readings:
+                largest = np.maximum(largest, now)
+                if time.monotonic() - shown >= _PERIOD:
+                    live.update(_effort_table(MOTORS, now, largest), refresh=True)
+                    shown = time.monotonic()
+                if time.monotonic() >= end:
+                    break
+            live.update(_effort_table(MOTORS, now, largest), refresh=True)
+        motor = MOTORS[int(np.argmax(largest))]
+        console.print(
+            f"\nThe largest effort was {largest.max():.0f}, of {motor}. Of a hand that was empty and moved freely: "
+            f"hand.efforts.touch is {_TOUCH_RATIO * largest.max():.0f}."
+        )
+        both = {"now": now, "largest": largest}
+        self.tell({name: dict(zip(MOTORS, values.tolist(), strict=True)) for name, values in both.items()})
+        return 0
+
+
+COMMANDS = {"state": State, "open": Open, "close": Close, "clear-faults": ClearFaults, "efforts": Efforts}
+
+
+def _effort_table(motors: tuple[str, ...], now: Array, largest: Array) -> Table:
+    table = Table("motor", "now", "largest", box=None, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for motor, *values in zip(motors, now, largest, strict=True):
+        table.add_row(motor, *(f"{value:.0f}" for value in values))
+    return table

@@ -1,1 +1,0 @@
-"""Command `toolee hand`: the hand alone, without a job."""
