@@ -1,4 +1,4 @@
-"""`toolee hand-emulator`: the path of its port, and what is told to happen."""
+"""`toolee emulate hand`: the path of its port, and what is told to happen."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_driver_finds_it_at_the_path_that_it_prints(
 
     driver = threading.Thread(target=drive)
     driver.start()
-    assert run(["hand-emulator", "inspire", "--hand-id", "3", "--link", str(link)]) == 0
+    assert run(["emulate", "hand", "inspire", "--hand-id", "3", "--link", str(link)]) == 0
     driver.join()
     said = capsys.readouterr()
     assert said.out.startswith("/dev/")
@@ -66,7 +66,7 @@ def test_the_ability_hand_answers_at_its_address_as_delivered(
 
     driver = threading.Thread(target=drive)
     driver.start()
-    assert run(["hand-emulator", "ability", "--handle", "55", "--link", str(link)]) == 0
+    assert run(["emulate", "hand", "ability", "--handle", "55", "--link", str(link)]) == 0
     driver.join()
     said = capsys.readouterr()
     assert "Ability Hand" in said.err
@@ -93,7 +93,7 @@ def test_the_inspire_hand_on_tcp_answers_where_it_is_told_to_listen(
 
     driver = threading.Thread(target=drive)
     driver.start()
-    assert run(["hand-emulator", "inspire", "--hand-id", "3", "--tcp", address]) == 0
+    assert run(["emulate", "hand", "inspire", "--hand-id", "3", "--tcp", address]) == 0
     driver.join()
     said = capsys.readouterr()
     assert said.out == f"tcp://{address}\n"
@@ -104,8 +104,8 @@ def test_the_inspire_hand_on_tcp_answers_where_it_is_told_to_listen(
 
 def test_an_ability_hand_is_not_on_tcp(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
-    assert run(["hand-emulator", "ability", "--tcp", "127.0.0.1:0"]) == EXIT_USER
-    assert run(["hand-emulator", "inspire", "--tcp", "127.0.0.1:0"]) == 0
+    assert run(["emulate", "hand", "ability", "--tcp", "127.0.0.1:0"]) == EXIT_USER
+    assert run(["emulate", "hand", "inspire", "--tcp", "127.0.0.1:0"]) == 0
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_an_ability_hand_is_not_on_tcp(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_options_that_make_no_sense(options: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
-    assert run(["hand-emulator", "inspire", *options]) == EXIT_USER
+    assert run(["emulate", "hand", "inspire", *options]) == EXIT_USER
 
 
 def test_events() -> None:
@@ -161,7 +161,7 @@ def test_events() -> None:
 @pytest.mark.parametrize("handle", ["-1", "101"])
 def test_a_handle_where_no_finger_gets(handle: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
-    assert run(["hand-emulator", "ability", "--handle", handle]) == EXIT_USER
+    assert run(["emulate", "hand", "ability", "--handle", handle]) == EXIT_USER
 
 
 def test_the_shadow_hand_is_behind_the_address_that_it_prints(
@@ -170,7 +170,7 @@ def test_the_shadow_hand_is_behind_the_address_that_it_prints(
     monkeypatch.setattr("sys.stdin", io.StringIO("show\nheat FFJ0 41\njam nose\nunplug\n"))
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = f"127.0.0.1:{free.getsockname()[1]}"
-    assert run(["hand-emulator", "shadow", "--handle", "55", "--tcp", address]) == 0
+    assert run(["emulate", "hand", "shadow", "--handle", "55", "--tcp", address]) == 0
     said = capsys.readouterr()
     assert said.out == f"ws://{address}\n"
     assert "FFJ3 0" in said.err
@@ -184,4 +184,4 @@ def test_the_shadow_hand_is_behind_the_address_that_it_prints(
 )  # fmt: skip
 def test_options_of_another_hand(hand: str, options: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
-    assert run(["hand-emulator", hand, *options]) == EXIT_USER
+    assert run(["emulate", "hand", hand, *options]) == EXIT_USER

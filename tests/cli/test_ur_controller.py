@@ -1,4 +1,4 @@
-"""`toolee ur-controller` as a person meets it."""
+"""`toolee emulate ur` as a person meets it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = pytest.mark.sim
 
-COMMAND = [sys.executable, "-c", "from toolee_robot.cli import main; main()", "ur-controller"]
+COMMAND = [sys.executable, "-c", "from toolee_robot.cli import main; main()", "emulate", "ur"]
 
 
 def test_says_what_listens_where_and_ends_cleanly_with_ctrl_c() -> None:
@@ -43,5 +43,5 @@ def test_says_what_listens_where_and_ends_cleanly_with_ctrl_c() -> None:
 def test_says_what_to_change(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     from toolee_robot.cli.app import run
 
-    assert run(["ur-controller", *arguments]) == 2
+    assert run(["emulate", "ur", *arguments]) == 2
     assert message in capsys.readouterr().err

@@ -36,7 +36,7 @@ pytestmark = [pytest.mark.realtime, pytest.mark.nightly]
 PAGE = ROOT / "docs" / "how-to" / "bring_up_a_ur.md"
 TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
 HOSTS = {ArmModel.UR10: "127.0.0.58", ArmModel.UR10E: "127.0.0.59"}
-LEFT_OUT = ("--inputs", "toolee hammer", "toolee ur-controller", "python -m")
+LEFT_OUT = ("--inputs", "toolee hammer", "toolee emulate ur", "python -m")
 """Of the commands: what needs more than a robot, and what is not of the walk."""
 TIMEOUT = 300.0
 
@@ -74,7 +74,7 @@ class Robot:
 @pytest.fixture(scope="module", params=list(HOSTS), ids=[model.value for model in HOSTS])
 def robot(request: pytest.FixtureRequest) -> Iterator[Robot]:
     model, host = request.param, HOSTS[request.param]
-    command = [*TOOLEE, "ur-controller", "--model", model.value, "--host", host, "--profile", "harsh"]
+    command = [*TOOLEE, "emulate", "ur", "--model", model.value, "--host", host, "--profile", "harsh"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         while not (line := process.stdout.readline()).startswith("Ctrl-C ends it"):

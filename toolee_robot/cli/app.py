@@ -40,8 +40,7 @@ GROUPS: dict[str, tuple[str, str]] = {
     "train": ("train.command", "Train the perception's networks"),
     "evaluate": ("evaluate", "Measure the perception on a data set"),
     "devices": ("devices", "List the drivers that a station file may name"),
-    "hand-emulator": ("hand_emulator", "Emulate a hand for its driver"),
-    "ur-controller": ("ur_controller", "Stand in for a UR controller"),
+    "emulate": ("emulate", "Emulate a UR controller, or a hand, for a driver to talk to"),
 }
 """Name of a group -> its module in this package, and one line for `toolee --help`."""
 

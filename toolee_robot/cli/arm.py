@@ -24,12 +24,12 @@ from rich.text import Text
 from toolee_robot.cli.options import Flag, JsonOption
 from toolee_robot.cli.terminal import TerminalPerson
 from toolee_robot.errors import UserError
-from toolee_robot.frames import Array, BaseFrame, inverse
 from toolee_robot.runtime.clock import is_loopback
-from toolee_robot.station import StationConfig, load_lab_station, load_station
 
 if TYPE_CHECKING:
     from toolee_robot.app.bring_up import BringUp
+    from toolee_robot.frames import Array
+    from toolee_robot.station import StationConfig
     from toolee_robot.tasks.bring_up.caps import Caps
     from toolee_robot.tasks.bring_up.servo_tuning import Trial
     from toolee_robot.types import Trajectory
@@ -52,7 +52,7 @@ class ArmOptions(JsonOption):
     robot_host: Annotated[
         str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: arm.host of the station file)")
     ] = None
-    """Address of the UR controller: a robot's, or the loopback address of `toolee ur-controller`."""
+    """Address of the UR controller: a robot's, or the loopback address of `toolee emulate ur`."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """The station file, whose limits hold; a stand-in may do without."""
     yes: Flag = False
@@ -60,6 +60,8 @@ class ArmOptions(JsonOption):
 
     def load(self) -> tuple[StationConfig, str]:
         """The station, and the address of its controller."""
+        from toolee_robot.station import StationConfig, load_lab_station, load_station
+
         station = StationConfig() if self.config is None else load_station(self.config)
         host = self.robot_host or station.arm.host
         if host is None:
@@ -374,8 +376,10 @@ def _place_figures(X_base_flange: Array) -> dict[str, object]:
     return {f"flange_{frame}": place.tolist() for frame, place in _places(X_base_flange)}
 
 
-def _places(X_base_flange: Array) -> list[tuple[BaseFrame, Array]]:
+def _places(X_base_flange: Array) -> list[tuple[str, Array]]:
     """The flange's position in both frames of the base [m]."""
+    from toolee_robot.frames import BaseFrame, inverse
+
     frames = (BaseFrame.PENDANT_BASE, BaseFrame.BASE_LINK)
     return [(frame, (inverse(frame.X_base_this) @ X_base_flange)[:3, 3]) for frame in frames]
 

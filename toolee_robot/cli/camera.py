@@ -18,7 +18,6 @@ from toolee_robot.cli.doctor import findings_table
 from toolee_robot.cli.options import Flag, JsonOption
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.findings import Finding, Level, warn, worst
-from toolee_robot.station import CameraConfig, CameraDevice, load_station
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from toolee_robot.devices.cameras import CameraProfile, StreamedCamera
     from toolee_robot.devices.cameras.lens_choice import ChosenLens
     from toolee_robot.hal import Clock
+    from toolee_robot.station import CameraConfig
     from toolee_robot.types import RgbdFrame
 
 _UNKNOWN_RANGE = 1e-3
@@ -56,6 +56,8 @@ class CameraOptions(JsonOption):
 
     def camera(self) -> CameraConfig:
         """What the station file, or the options, say of the camera."""
+        from toolee_robot.station import CameraConfig, CameraDevice, load_station
+
         given = [self.config is not None, self.recording is not None, self.driver is not None]
         if sum(given) != 1:
             message = "which camera? give one of --config YAML, --recording DIR, or --driver NAME with --serial NUMBER"
@@ -276,6 +278,7 @@ class CheckCamera(CameraOptions):
             sample_stream,
         )
         from toolee_robot.runtime.clock import HostClock
+        from toolee_robot.station import load_station
 
         if self.seconds <= 0:
             raise UserError(f"--seconds {self.seconds:g}: give a time above 0", code="user.option")

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import tyro
@@ -15,11 +15,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from toolee_robot.cli.options import Flag, JsonOption
-from toolee_robot.devices.person.digital_inputs import check_wired
 from toolee_robot.errors import UserError
 from toolee_robot.findings import Finding, Level, worst
-from toolee_robot.frames import Array
-from toolee_robot.station import StationConfig, load_lab_station, load_station
+
+if TYPE_CHECKING:
+    from toolee_robot.frames import Array
+    from toolee_robot.station import StationConfig
 
 _MARK = {Level.OK: "[green]✓[/green]", Level.WARN: "[yellow]![/yellow]", Level.FAIL: "[bold red]✗[/bold red]"}
 _STYLE = {Level.OK: "none", Level.WARN: "yellow", Level.FAIL: "red"}
@@ -41,7 +42,7 @@ class Doctor(JsonOption):
     robot_host: Annotated[
         str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: arm.host of the station file)")
     ] = None
-    """Address of the UR controller: a robot's, or that of `toolee ur-controller`. Without any the simulated station is
+    """Address of the UR controller: a robot's, or that of `toolee emulate ur`. Without any the simulated station is
     checked."""
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
     """A rehearsal: a controller stand-in is started at that loopback address, the simulated station behind it."""
@@ -60,6 +61,8 @@ class Doctor(JsonOption):
     """Folder for recordings, whose free space is checked."""
 
     def run(self) -> int:
+        from toolee_robot.station import StationConfig, load_station
+
         config = StationConfig() if self.config is None else load_station(self.config)
         host = self.robot_host or config.arm.host
         options = (("--world", self.world), ("--jogged-point", self.jogged_point), ("--inputs", self.inputs))
@@ -78,6 +81,8 @@ class Doctor(JsonOption):
         if host is not None and self.world is None:
             config = self._of_robot()
         if self.inputs:
+            from toolee_robot.devices.person.digital_inputs import check_wired
+
             check_wired(config)
         console = self.console
         with console.status("loading"):
@@ -103,6 +108,8 @@ class Doctor(JsonOption):
 
     def _of_robot(self) -> StationConfig:
         """Load the station of a robot, which never has the simulation's calibration."""
+        from toolee_robot.station import StationConfig, load_lab_station
+
         if self.config is None:
             return replace(StationConfig(), calibration=None)
         return load_lab_station(self.config, complete=False)

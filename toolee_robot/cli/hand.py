@@ -47,7 +47,7 @@ class HandOptions(JsonOption):
     station: Annotated[Path, tyro.conf.arg(metavar="YAML")]
     """The station file, whose hand is meant; of the rest nothing is needed."""
     port: Annotated[str | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="(default: hand.port)")] = None
-    """Where the hand is instead, such as the port that `toolee hand-emulator` prints."""
+    """Where the hand is instead, such as the port that `toolee emulate hand` prints."""
 
     def hand(self) -> HandConfig:
         """What the station file says of the hand, at the port that is meant; a tool mount is refused."""

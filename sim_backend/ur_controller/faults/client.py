@@ -59,7 +59,7 @@ class FaultClient:
         except OSError as error:
             raise DeviceError(
                 f"no controller stand-in answers on {self._address} ({words_of(error)}): start one with "
-                f"`toolee ur-controller --host {host}`",
+                f"`toolee emulate ur --host {host}`",
                 code="device.no_controller",
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -24,5 +24,5 @@ def test_clients_are_closed_before_the_controller() -> None:
     with ControllerProcess(host="127.0.0.17") as controller:
         controller.on_exit(lambda: order.append(controller.state()["model"]))
     assert order == ["UR10"]
-    with pytest.raises(DeviceError, match="toolee ur-controller --host"):
+    with pytest.raises(DeviceError, match="toolee emulate ur --host"):
         FaultClient("127.0.0.17", timeout=1.0)

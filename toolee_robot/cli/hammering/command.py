@@ -110,7 +110,7 @@ class Hammer:
     """The hand of the station file by its own driver, over its wire; an emulated hand, which feels what the
     simulated one touches, is at its other end. Needs a --config with that hand."""
     hand_port: Annotated[str | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
-    """With --hand: the port of a hand that `toolee hand-emulator` emulates, which feels its own --handle instead."""
+    """With --hand: the port of a hand that `toolee emulate hand` emulates, which feels its own --handle instead."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """Changes of the simulated station: any subset of the fields in docs/reference/station_file.md."""
     setup: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None

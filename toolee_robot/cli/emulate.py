@@ -1,0 +1,232 @@
+"""Emulate a UR controller, or a hand, for a driver to talk to.
+
+Example: toolee emulate ur --model UR10e --host 127.0.0.3
+
+Example: toolee emulate hand inspire --link hand.port
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+
+from toolee_robot.cli.options import Flag
+from toolee_robot.errors import UserError, words_of
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
+
+_HANDS = {"inspire": ("inspire_rh56", 1000.0), "ability": ("ability_hand", 100.0), "shadow": ("shadow_right", 90.0)}
+"""What is emulated -> what a station file calls it, largest angle."""
+
+
+@dataclass(frozen=True)
+class EmulateHand:
+    """Emulate a hand on a pseudo-terminal or on TCP.
+
+    Example: toolee emulate hand inspire --handle 400 --link hand.port
+
+    Example: toolee emulate hand inspire --handle 400 --tcp 127.0.0.1:6000
+
+    A driver opens it as it opens the hand's port. Ctrl-C ends it.
+
+    The first line of standard output is the port: the path of a pseudo-terminal, or an address. Each line of standard
+    input is an event: handle ANGLE, drop, slip ANGLE, heat MOTOR DEGREES, jam MOTOR, free MOTOR, mute, unmute, echo,
+    unplug, show, of an Inspire hand error MOTOR BITS, deaf, unacknowledged and acknowledge (writes), or a fault of the
+    next replies and their number: garbage, corrupt, short, late, doubled, foreign, lost. Another line is answered by
+    those that there are. docs/how-to/inspire_hand.md, ability_hand.md and shadow_hand.md say what is emulated.
+    """
+
+    hand: Annotated[Literal["inspire", "ability", "shadow"], tyro.conf.Positional]
+    """The hand: an Inspire RH56 on RS-485 or Modbus-TCP, a PSYONIC Ability Hand on a UART with byte stuffing, or a
+    right Shadow Hand behind a rosbridge."""
+    hand_id: Annotated[
+        int | None, tyro.conf.arg(metavar="1..254", help_behavior_hint="(default: as delivered, 1 and 80)")
+    ] = None
+    """Its number on the line, of Modbus its unit identifier."""
+    tcp: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None
+    """Where it listens (port 0: at a free one): the Shadow Hand's rosbridge, by default on this computer, or an Inspire
+    RH56 on Modbus-TCP instead of the pseudo-terminal."""
+    handle: Annotated[float | None, tyro.conf.arg(metavar="ANGLE", help_behavior_hint="")] = None
+    """Something lies in the hand, met by fingers and thumb at this angle: 0 to 1000 as the Inspire counts, where 1000
+    is open; 0 to 100 deg of the Ability Hand and 0 to 90 deg of the Shadow Hand's knuckles, where 0 is open."""
+    link: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """A symbolic link to the pseudo-terminal, made for the time being."""
+    seed: int = 0
+    """Seed of the line's noise."""
+
+    def run(self) -> int:
+        from toolee_robot.devices.hands.inspire.tcp_port import tcp_address
+        from toolee_robot.sim_backend.hand_wire import happen
+        from toolee_robot.sim_backend.hands import LOOPBACK, emulated_hand
+        from toolee_robot.station import HandConfig
+
+        if self.hand_id is not None and not 1 <= self.hand_id <= 254:
+            raise UserError(f"--hand-id {self.hand_id}: a hand's number is 1 to 254", code="user.option")
+        model, most = _HANDS[self.hand]
+        if self.handle is not None and not 0 <= self.handle <= most:
+            raise UserError(f"--handle {self.handle}: give 0 to {most:.0f}", code="user.option")
+        console = Console(stderr=True, highlight=False)
+        on_terminal = self.tcp is None and self.hand != "shadow"
+        if self.link is not None and not on_terminal:
+            raise UserError("--link is for a pseudo-terminal: leave it out with --tcp and shadow", code="user.option")
+        address = None if self.tcp is None else f"tcp://{self.tcp}"
+        config = HandConfig(model, port=None if self.hand == "shadow" else address, hand_id=self.hand_id)
+        listen = LOOPBACK if address is None else tcp_address(address)
+        with emulated_hand(config, self.seed, listen=listen) as emulator, self._linked(emulator.port):
+            emulator.hold(self.handle)
+            print(emulator.port, flush=True)
+            console.print(f"[bold]{emulator.label}[/bold]. [dim]Ctrl-C ends it.[/dim]")
+            with contextlib.suppress(KeyboardInterrupt):
+                for line in sys.stdin:
+                    if not line.split():
+                        continue
+                    try:
+                        told = happen(emulator, line)
+                    except UserError as error:
+                        told = f"[red]{error}[/red]"
+                    console.print(told, soft_wrap=True)
+                    if not emulator.plugged:
+                        return 0
+                signal.pause()
+        return 0
+
+    @contextlib.contextmanager
+    def _linked(self, port: str) -> Iterator[None]:
+        if self.link is None:
+            yield
+            return
+        if self.link.is_symlink():
+            self.link.unlink()
+        try:
+            self.link.symlink_to(port)
+        except OSError as error:
+            raise UserError(f"--link {self.link}: {words_of(error)}", code="user.option") from error
+        try:
+            yield
+        finally:
+            if self.link.is_symlink() and self.link.readlink() == Path(port):
+                self.link.unlink()
+
+
+_METRES_PER_SECOND, _NEWTONS, _RADIANS, _WATTS, _MOMENTUM, _SECONDS, _DECELERATION = (
+    tyro.conf.arg(metavar=unit, help_behavior_hint="") for unit in ("M/S", "N", "RAD", "W", "KG*M/S", "S", "RAD/S2")
+)
+
+
+@dataclass(frozen=True)
+class EmulateUr:
+    """Stand in for a UR controller.
+
+    Example: toolee emulate ur --model UR10e --host 127.0.0.3
+
+    ur_rtde and other clients connect to it as to a robot. Ctrl-C ends it. Serves RTDE (30004), the dashboard (29999),
+    the script ports (30001 to 30003), and a fault port; runs the control script that clients upload. Behind it are
+    ideal joints. Only loopback addresses; docs/reference/ur_controller.md.
+    """
+
+    model: Literal["UR10", "UR10e"] = "UR10"
+    """UR10: CB3, PolyScope 3.15, 125 Hz. UR10e: e-Series, PolyScope 5.11, 500 Hz."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.2"
+    """A loopback address; every robot on this machine needs its own (127.0.0.2, 127.0.0.3, ...)."""
+    fault_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 30020
+    """Port for fault injection: one JSON object per line."""
+    speed_slider: Annotated[float, tyro.conf.arg(metavar="0..1")] = 1.0
+    """Position of the speed slider."""
+    local: Flag = False
+    """Local control instead of remote control (e-Series)."""
+    safeguard_resumes: Flag = False
+    """Closing the safeguard resumes the program that it paused, as on a CB3 without a safeguard reset input."""
+    off: Flag = False
+    """Start with the arm switched off: clients must power it on and release the brakes."""
+    profile: Annotated[ProfileName, tyro.conf.arg(metavar="ideal|harsh")] = "ideal"
+    """How the controller follows, measures and stops: exactly, or as one of the model's generation."""
+    seed: int = 0
+    """Seed of the sensors' noise in the harsh profile."""
+    force_limit: Annotated[float | None, _NEWTONS] = None
+    """Force on the flange, smoothed over 20 ms, that triggers a protective stop, instead of the profile's."""
+    following_error: Annotated[float | None, _RADIANS] = None
+    """Deviation of a joint from its set-point that triggers a protective stop, instead of the profile's."""
+    tcp_speed_limit: Annotated[float | None, _METRES_PER_SECOND] = None
+    """Speed of the TCP that triggers a protective stop, instead of the profile's."""
+    power_limit: Annotated[float | None, _WATTS] = None
+    """Power on the environment that triggers a protective stop, instead of the profile's."""
+    momentum_limit: Annotated[float | None, _MOMENTUM] = None
+    """Momentum of the arm that triggers a protective stop, instead of the profile's."""
+    lag: Annotated[float | None, _SECONDS] = None
+    """Lag of servoj behind its targets at a gain of 1200 and a lookahead of 0.03 s, instead of the profile's."""
+    stop_deceleration: Annotated[float | None, _DECELERATION] = None
+    """Deceleration of the fastest joint in protective, safeguard and emergency stops, instead of the profile's."""
+    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 1.0
+    """Rate of the robot's time relative to wall-clock time; clients must use the same."""
+
+    def run(self) -> int:
+        from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
+        from toolee_robot.sim_backend.ur_controller.process import resting_joints
+        from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
+
+        console = Console(highlight=False)
+        begin = time.monotonic()
+
+        def log(line: str) -> None:
+            console.print(f"[dim]{time.monotonic() - begin:9.3f}[/dim]  {escape(line)}", soft_wrap=True)
+
+        given: dict[str, Any] = {
+            "force": self.force_limit,
+            "following_error": self.following_error,
+            "tcp_speed": self.tcp_speed_limit,
+            "power": self.power_limit,
+            "momentum": self.momentum_limit,
+        }
+        chosen = profile(self.profile, MODELS[self.model].e_series)
+        limits = replace(chosen.limits, **{name: value for name, value in given.items() if value is not None})
+        stops = chosen.stops
+        if (given_stop := self.stop_deceleration) is not None:
+            stops = replace(stops, protective=given_stop, safeguard=given_stop, emergency=given_stop)
+        options = ControllerOptions(
+            model=self.model,
+            host=self.host,
+            fault_port=self.fault_port,
+            speed_slider=self.speed_slider,
+            remote=not self.local,
+            safeguard_resumes=self.safeguard_resumes or None,
+            powered=not self.off,
+            profile=self.profile,
+            seed=self.seed,
+            limits=limits,
+            lag=self.lag,
+            stops=stops,
+            real_time_factor=self.real_time_factor,
+        )
+        controller = Controller(options, resting_joints, log)
+        try:
+            controller.listen()
+            model = controller.robot.model
+            version = ".".join(str(number) for number in controller.robot.identity.version)
+            console.print(
+                f"[bold]{model.name}[/bold], controller software {version}, {model.rate:.0f} Hz, "
+                f"{self.profile} profile, on {self.host}"
+            )
+            for port in (*controller.ports.values(), controller.fault_port):
+                console.print(f"  {port.number}  {port.name}")
+            console.print("[dim]Ctrl-C ends it; end its clients first.[/dim]")
+            controller.run(realtime=True)
+        except KeyboardInterrupt:
+            statistics = controller.schedule.statistics
+            console.print(
+                f"\nEnded after {statistics.ticks} ticks: {statistics.late} late, at worst "
+                f"{1e3 * statistics.worst_late:.1f} ms; {statistics.slipped} slipped; "
+                f"{1e3 * statistics.busy / max(1, statistics.ticks):.2f} ms of work a tick"
+            )
+        return 0
+
+
+COMMANDS = {"ur": EmulateUr, "hand": EmulateHand}
