@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from benchmarks.calibration import LARGEST_ERROR, measure
 from tests.calibration.pictures import BOARD, CAMERA
-from toolee_robot.calibration.hand_eye.benchmark import LARGEST_ERROR, measure
 from toolee_robot.calibration.hand_eye.diagnosis import check_depths
 from toolee_robot.calibration.hand_eye.reprojection import Estimate, Views
 from toolee_robot.calibration.hand_eye.solve import calibrate
@@ -33,7 +33,7 @@ def _draw(protocol: Protocol, seed: int = 1) -> SyntheticSet:
 def test_the_error_that_is_asked_for_is_met_and_the_region_has_the_truth(protocol: str) -> None:
     figures = measure(protocol, BOARD, CAMERA.intrinsics, X_BASE_CAMERA, runs=30)
     assert figures.error <= LARGEST_ERROR[protocol]
-    assert figures.error < min(figures.closed_forms.values()), "the refinement is worth it"
+    assert figures.error < figures.closed_form, "the refinement is worth it"
     assert figures.covered >= 0.8  # 95 % asked; `benchmarks.calibration` measures it on 200 runs
     assert figures.refused == 0
 
@@ -80,7 +80,7 @@ def test_a_clean_set_has_small_held_out_errors_and_a_board_of_its_size() -> None
     assert calibration.leave_one_out.shifts.max() < 1e-3
     scale, sigma = calibration.scale
     assert abs(scale - 1.0) < 4 * sigma < 0.01
-    assert set(calibration.methods) >= {"Tsai", "Park", "Daniilidis", "Shah"}
+    assert calibration.methods["Park"] < 0.05
 
 
 def _transposed(X: Array) -> Array:

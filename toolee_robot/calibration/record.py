@@ -100,7 +100,7 @@ class CalibrationRecord:
         largest_shift: Largest displacement of the target when one pose is left out [m].
         target: The point at which errors are told, camera frame, (3,) [m].
         target_radius: Largest half axis of the region that has the target's true place with a probability of 95 % [m].
-        methods: Displacement of the target by each closed form [m].
+        methods: Displacement of the target by the closed form [m].
         rotations: Largest rotation between two poses, and that about an axis across its own [rad].
         board_scale: Factor on the square that the poses themselves tell, and its standard deviation.
         poses: The poses.

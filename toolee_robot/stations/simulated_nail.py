@@ -13,12 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board, Sheet
 from toolee_robot.calibration.board_sight import KnownCamera
-from toolee_robot.calibration.hand_eye.benchmark import PROTOCOLS
-from toolee_robot.calibration.hand_eye.closed_form import closed_forms
 from toolee_robot.calibration.hand_eye.refinement import refine
 from toolee_robot.calibration.hand_eye.reprojection import Views
-from toolee_robot.calibration.hand_eye.solve import best_start
-from toolee_robot.calibration.hand_eye.synthetic import draw
+from toolee_robot.calibration.hand_eye.solve import start
+from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.nail import LocatedNail, OnWood
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.frames import Array, transform
@@ -27,8 +25,6 @@ from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.station import StationConfig
 from toolee_robot.stations.simulated_board import PRINT_SCALE, RULE
 
-PROTOCOL = "15 poses"
-"""Protocol of the camera's calibration."""
 MOVED = 0.03
 """Largest distance of the block from where the station file has it, along each axis of the table [m]."""
 RAISED = 0.005
@@ -157,11 +153,7 @@ def simulated_nail_board(config: StationConfig, sheet: Sheet, seed: int, tilt: f
 def _calibrated(config: StationConfig, sheet: Sheet, rng: np.random.Generator) -> KnownCamera:
     """The camera by a calibration with drawn poses and noise."""
     k = config.camera.intrinsics
-    drawn = draw(PROTOCOLS[PROTOCOL], sheet.board, k, config.camera.X_base_camera, rng)
-    found = closed_forms(
-        [o.X_base_flange for o in drawn.observations],
-        [camera_board(o.view, sheet.board, k)[0] for o in drawn.observations],
-    )
-    views = Views(drawn.observations, sheet.board, k)
-    refined = refine(views, best_start(views, found))
+    drawn = draw(Protocol(), sheet.board, k, config.camera.X_base_camera, rng)
+    Xs_camera_board = [camera_board(o.view, sheet.board, k)[0] for o in drawn.observations]
+    refined = refine(Views(drawn.observations, sheet.board, k), start(drawn.observations, Xs_camera_board))
     return KnownCamera(refined.estimate.X_base_camera, refined.covariance[:6, :6], k, refined.noise.pixel)

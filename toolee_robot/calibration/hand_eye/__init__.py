@@ -1,1 +1,1 @@
-"""The fixed camera calibrated to the robot: closed forms, joint refinement, checks, and their benchmark."""
+"""The fixed camera calibrated to the robot: closed form, joint refinement, checks."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.hand_eye.closed_form import closed_forms
+from toolee_robot.calibration.hand_eye.closed_form import closed_form
 from toolee_robot.calibration.hand_eye.refinement import Refined
 from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart
 from toolee_robot.errors import UserError
@@ -201,13 +201,12 @@ def _other_reading(flange: Sequence[Array], board: Sequence[Array]) -> str:
 
 
 def _misfit(flange: Sequence[Array], board: Sequence[Array]) -> float:
-    """Median distance of the board in the flange from its mean, over the best closed form [m]."""
-    best = np.inf
-    for form in closed_forms(flange, board):
-        expected = inverse(np.asarray(flange)) @ form.X_base_camera @ np.asarray(board)
-        off = np.linalg.norm(expected[:, :3, 3] - np.median(expected[:, :3, 3], axis=0), axis=1)
-        best = min(best, float(np.median(off)))
-    return best
+    """Median distance of the board in the flange from its mean, in closed form [m]."""
+    found = closed_form(flange, board)
+    if found is None:
+        return np.inf
+    expected = inverse(np.asarray(flange)) @ found.X_base_camera @ np.asarray(board)
+    return float(np.median(np.linalg.norm(expected[:, :3, 3] - np.median(expected[:, :3, 3], axis=0), axis=1)))
 
 
 def _transposed(X: Array) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.hand_eye.closed_form import ClosedForm, closed_forms
+from toolee_robot.calibration.hand_eye.closed_form import METHOD, closed_form
 from toolee_robot.calibration.hand_eye.diagnosis import check_fit, check_place, check_poses, check_scale
 from toolee_robot.calibration.hand_eye.motion_spread import MotionSpread, check_motion
 from toolee_robot.calibration.hand_eye.refinement import Refined, refine
@@ -52,7 +52,7 @@ class CameraCalibration:
         refined: The refined calibration.
         target: A point in the camera's frame at which errors are told, (3,) [m].
         spread: Rotations between the poses.
-        methods: Displacement of the target by each closed form from the refined calibration [m], by method.
+        methods: Displacement of the target by the closed form from the refined calibration [m], by method.
         leave_one_out: What changes without one pose.
         scale: Factor on the board's square that the poses themselves tell, and its standard deviation.
         reprojection: Root mean square reprojection error of each view, with the flange where the arm says, (N,) [px].
@@ -94,7 +94,7 @@ def calibrate(
 ) -> CameraCalibration:
     """Calibrate a fixed camera to the robot from views of a board on the flange.
 
-    Closed forms give the start, `refine` the result. What is implausible is refused with its probable cause.
+    A closed form gives the start, `refine` the result. What is implausible is refused with its probable cause.
 
     Args:
         observations: Poses of the flange, and the corners seen there.
@@ -117,9 +117,8 @@ def calibrate(
     target = np.array([0.0, 0.0, TARGET_DISTANCE]) if target is None else target
     views = Views(observations, board, intrinsics)
     Xs_camera_board = [camera_board(o.view, board, intrinsics)[0] for o in observations]
-    forms = closed_forms([o.X_base_flange for o in observations], Xs_camera_board)
-    start = best_start(views, forms)
-    refined = refine(views, start)
+    begin = start(observations, Xs_camera_board)
+    refined = refine(views, begin)
     own = [o.view.reprojection(X, board, intrinsics) for o, X in zip(observations, Xs_camera_board, strict=True)]
     flange = [o.X_base_flange for o in observations]
     check_fit(refined, flange, Xs_camera_board, np.array(own), board, intrinsics)
@@ -135,40 +134,33 @@ def calibrate(
         refined=refined,
         target=target,
         spread=spread,
-        methods={
-            f.method: float(np.linalg.norm((f.X_base_camera @ [*target, 1.0])[:3] - at)) for f in forms
-        },
+        methods={METHOD: float(np.linalg.norm(_point(begin, target) - at))},
         leave_one_out=_leave_one_out(observations, board, intrinsics, refined, target),
         scale=scale,
         reprojection=np.sqrt(np.sum(residuals**2, axis=1) / views.count),
-    )  # fmt: skip
+    )
 
 
-def best_start(views: Views, forms: Sequence[ClosedForm]) -> Estimate:
-    """Choose the closed form with the least median reprojection error.
+def start(observations: Sequence[Observation], Xs_camera_board: Sequence[Array]) -> Estimate:
+    """Calibrate in closed form, for the refinement to start from.
 
     Args:
-        views: The observations.
-        forms: Results of the closed forms.
+        observations: Poses of the flange.
+        Xs_camera_board: Poses of the board as the images show it, (4, 4) each.
 
     Returns:
-        It.
+        The estimate.
 
     Raises:
-        UserError: There is none.
+        UserError: There is none (`user.calibration_no_solution`).
     """
-    if not forms:
+    found = closed_form([o.X_base_flange for o in observations], Xs_camera_board)
+    if found is None:
         raise UserError(
-            "no method of OpenCV finds any calibration for these poses: are they of this robot and this board?",
+            "OpenCV finds no calibration for these poses: are they of this robot and this board?",
             code="user.calibration_no_solution",
         )
-    estimates = [Estimate(form.X_base_camera, form.X_flange_board) for form in forms]
-
-    def misfit(estimate: Estimate) -> float:
-        residuals = views.project(estimate).residuals
-        return float(np.median(np.sum(residuals**2, axis=1) / views.count))
-
-    return min(estimates, key=misfit)
+    return found
 
 
 def _leave_one_out(
