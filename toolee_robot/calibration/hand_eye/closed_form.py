@@ -30,11 +30,13 @@ def closed_form(Xs_base_flange: Sequence[Array], Xs_camera_board: Sequence[Array
     """
     flange, board = np.asarray(Xs_base_flange), np.asarray(Xs_camera_board)
     back = inverse(flange)
-    parts = [list(X[:, :3, part]) for X in (back, board) for part in (slice(3), 3)]
+    rotations, positions = [list(X[:, :3, :3]) for X in (back, board)], [list(X[:, :3, 3]) for X in (back, board)]
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        R, p = cv2.calibrateHandEye(*parts, method=cv2.CALIB_HAND_EYE_PARK)
+        R, p = cv2.calibrateHandEye(
+            rotations[0], positions[0], rotations[1], positions[1], method=cv2.CALIB_HAND_EYE_PARK
+        )
     except cv2.error:
         return None
     finally:
