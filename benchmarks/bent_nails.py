@@ -22,7 +22,7 @@ from toolee_robot.perception.nail.appearance import NailPose
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.station import StationConfig, load_station
+from toolee_robot.station import StationConfig, load_station, sim_station
 from toolee_robot.tasks.hammering.nail_watch import is_aside, is_bent, leans
 from toolee_robot.types import RgbdFrame
 
@@ -75,7 +75,7 @@ def look_at_nails(seed: int, config: StationConfig | None = None) -> Iterator[Se
     rng = np.random.default_rng([seed, 28])
     off = transform(Rotation.from_rotvec(rng.normal(0.0, CAMERA_ANGLE, 3)), rng.normal(0.0, CAMERA, 3))
     lean = rng.normal(0.0, LEAN, 2)
-    config = StationConfig() if config is None else config
+    config = sim_station() if config is None else config
     yield from _looks(seed, config, off, lean, "set", rng)
     direction, size = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*LEANS)
     lean = size * np.array([np.cos(direction), np.sin(direction)])

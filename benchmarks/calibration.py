@@ -21,7 +21,7 @@ from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.station import CameraConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import CameraIntrinsics
 
 COARSE = Protocol(position=1e-3, rotation=float(np.deg2rad(0.1)))
@@ -133,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--sheet", choices=list(SHEETS), default="a4")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
-    camera, met = CameraConfig(), True
+    camera, met = sim_station().camera, True
     for name in PROTOCOLS:
         board = SHEETS[asked.sheet].board
         f = measure(name, board, camera.intrinsics, camera.X_base_camera, asked.runs, asked.seed)

@@ -29,7 +29,7 @@ from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.station import StationConfig
+from toolee_robot.station import StationConfig, sim_station
 from toolee_robot.tasks.common.held_region import held_region
 from toolee_robot.tasks.common.look import largest_displacement
 from toolee_robot.tasks.common.observer import TaskObserver
@@ -109,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--repeats", type=int, default=20, help="calls per measurement")
     repeats = parser.parse_args(arguments).repeats
     print(f"torch on {torch.get_num_threads()} threads, {torch.backends.cpu.get_cpu_capability()}")
-    config, observer = StationConfig(), _FirstFrame()
+    config, observer = sim_station(), _FirstFrame()
     with SimStation.build(config, SEED) as sim:
         grasp = nominal_grasp(sim.tool, config)
         with suppress(_SeenEnough):

@@ -20,7 +20,7 @@ from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.nail import combine, see_nail
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import angle_between
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.stations.simulated_nail import simulated_nail_board
 from toolee_robot.tasks.calibration.still_frame import mean_frame
 
@@ -31,7 +31,7 @@ NAMES = (*ASKED, "beside, touched too [mm]", "height, touched too [mm]")
 
 def errors(sheet: str, seed: int) -> tuple[tuple[float, ...], bool]:
     """Errors of one lab, as `NAMES`, and whether the 95 % region of the sight has the truth."""
-    lab = simulated_nail_board(StationConfig(), SHEETS[sheet], seed)
+    lab = simulated_nail_board(sim_station(), SHEETS[sheet], seed)
     with lab.build() as simulation:
         rgb, depth = mean_frame(simulation.station.camera)
     nail = see_nail(lab.camera, lab.board, lab.on_wood, rgb, depth)

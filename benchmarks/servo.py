@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -30,7 +30,7 @@ from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
-from toolee_robot.station import ArmLimits, SceneConfig, ServoConfig
+from toolee_robot.station import ServoConfig, sim_station
 from toolee_robot.types import ArmModel, Trajectory
 
 AMPLITUDE: Final = 0.1  # [rad]
@@ -193,11 +193,11 @@ def run(model: ArmModel, seconds: float, host: str) -> Measured:
         ControllerProcess(
             model=model.value,
             host=host,
-            plant=partial(RecordedJoints, q=np.array(SceneConfig().home), fd=memory.fd),
+            plant=partial(RecordedJoints, q=np.array(sim_station().scene.home), fd=memory.fd),
             inherit=(memory.fd,),
             realtime=True,
         ),
-        UnsupervisedUrArm(config, ArmLimits(model=model)) as arm,
+        UnsupervisedUrArm(config, replace(sim_station().arm, model=model)) as arm,
         CpuKeepalive(),
         LatencyMonitor(_MONITOR_PAUSE) as latency,
     ):

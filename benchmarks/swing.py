@@ -24,7 +24,7 @@ from toolee_robot.errors import PlanningError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.options import InHandOffset
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tools import ToolKind, make_tool, test_seeds
 from toolee_robot.types import ArmModel
@@ -74,7 +74,7 @@ def compare(
     model: ArmModel, draws: int, seed: int, acceleration: float, jerk: float, station_speed: float
 ) -> list[Strike]:
     """Plan every kind of strike for random nails, each with its own in-hand offset of one claw hammer."""
-    base = StationConfig()
+    base = sim_station()
     base = replace(
         base,
         arm=replace(base.arm, model=model, acceleration=acceleration, jerk=jerk),
@@ -149,7 +149,7 @@ def _bound_speed(plan: StrikePlan, face: Face) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare and print: medians, and of speed and energy the 5th percentile."""
-    limits = StationConfig()
+    limits = sim_station()
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.swing", description="Compare swings with straight lines."
     )

@@ -12,7 +12,7 @@ from toolee_robot.control.kinematics import ArmKinematics
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, inverse, is_rigid
 from toolee_robot.robots import SHADOW_HAND, HandChoice, RobotDescription, load_robot
-from toolee_robot.station import ArmLimits, StationConfig
+from toolee_robot.station import UPRIGHT, StationConfig, gravity_below
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 
@@ -35,13 +35,13 @@ class RobotModel:
         AssetError: Pinocchio cannot read the URDF, or it is no UR arm (`asset.kinematics`).
     """
 
-    def __init__(self, description: RobotDescription, up: tuple[float, float, float] = ArmLimits.up) -> None:
+    def __init__(self, description: RobotDescription, up: tuple[float, float, float] = UPRIGHT) -> None:
         self.description = description
         try:
             self.model = pin.buildModelFromUrdf(str(description.urdf_path))
         except ValueError as error:
             raise AssetError(f"Pinocchio cannot read {description.urdf_path}: {error}", code="asset.urdf") from error
-        self.model.gravity.linear = ArmLimits(up=up).gravity
+        self.model.gravity.linear = gravity_below(up)
         self._data = self.model.createData()
         self._flange = self.model.getFrameId(description.flange_frame)
         self._hand = self.model.getFrameId(description.hand_frame)
@@ -57,7 +57,7 @@ class RobotModel:
         model: ArmModel = ArmModel.UR10,
         calibration: DhCalibration | None = None,
         hand: str | HandChoice = SHADOW_HAND.name,
-        up: tuple[float, float, float] = ArmLimits.up,
+        up: tuple[float, float, float] = UPRIGHT,
     ) -> RobotModel:
         """Load the model of an arm with a hand; the result is cached.
 

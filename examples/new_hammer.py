@@ -7,6 +7,7 @@ from toolee_robot.frames import frame_from_axes
 from toolee_robot.hal import Station
 from toolee_robot.robots import hand_model
 from toolee_robot.sim_backend import SimOptions
+from toolee_robot.station import sim_station
 from toolee_robot.tasks.common.outcome import HammerResult
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tools import ToolKind, make_tool
@@ -27,7 +28,7 @@ def drive_nail(station: Station, perception: ToolPerception, config: StationConf
 
 
 if __name__ == "__main__":
-    config = StationConfig()
+    config = sim_station()
     hammer = make_tool(ToolKind.BALL_PEEN_HAMMER, 9)  # what the simulated person hands over
     with open_station(config, options=SimOptions(tool=hammer)) as simulated:
         print(drive_nail(simulated.station, ToolPerception.load(), config).reason)

@@ -15,7 +15,7 @@ from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.hand_eye.solve import calibrate
 from toolee_robot.calibration.session import observe
 from toolee_robot.control import RobotModel
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.stations.simulated_board import simulated_board
 from toolee_robot.tasks.calibration.collect import Collector, save, session_of
 from toolee_robot.tasks.calibration.views import plan_views
@@ -29,7 +29,7 @@ def main(seed: int = 0, poses: int = 15, sheet: str = "a3") -> None:
         poses: Number of views.
         sheet: Size of the printed board's sheet.
     """
-    lab = simulated_board(StationConfig(), SHEETS[sheet], distance=0.12, mass=1.2, seed=seed)
+    lab = simulated_board(sim_station(), SHEETS[sheet], distance=0.12, mass=1.2, seed=seed)
     robot, board = RobotModel.of_station(lab.measured), lab.plate.board
     with TemporaryDirectory() as folder, lab.build(seed) as sim:
         views = plan_views(robot, lab.measured, lab.plate, poses, seed)

@@ -12,7 +12,7 @@ import numpy as np
 
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import HALF_TURN
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 
 mpl.use("svg")
 import matplotlib.pyplot as plt
@@ -28,7 +28,7 @@ def draw(path: Path) -> None:
     Args:
         path: The SVG file.
     """
-    config = StationConfig()
+    config = sim_station()
     arm = RobotModel.of_station(config).arm
     q = np.zeros(6)
     q[1:] = config.scene.home[1:]

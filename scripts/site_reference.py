@@ -14,15 +14,14 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, fields
 from enum import Enum
 from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, get_origin, get_type_hints
 
 from toolee_robot import errors
-from toolee_robot.runtime.yaml_files import name_in_file
 from toolee_robot.station import StationConfig
-from toolee_robot.station.field_docs import field_docs
+from toolee_robot.station.schema import StationField, record_fields, record_in
 
 MARKER = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
 COMMAND_WIDTH = 80
@@ -47,63 +46,31 @@ def records(config: type[Any]) -> Iterator[type[Any]]:
     """The dataclass `config` and all that its fields hold."""
     yield config
     for field in fields(config):
-        if (kind := _record(config, field)) is not None:
+        if (kind := record_in(get_type_hints(config)[field.name])) is not None:
             yield from records(kind)
 
 
 def _section(config: type[Any], name: str) -> Iterator[str]:
-    nested = [
-        (f"{field.name}[]" if get_origin(get_type_hints(config)[field.name]) is tuple else field.name, kind)
-        for field in fields(config)
-        if (kind := _record(config, field)) is not None
-    ]
-    plain = [field for field in fields(config) if _record(config, field) is None and name_in_file(field)]
+    path = tuple(name.split(".")) if name else ()
     if name:
-        rows = "\n".join(_row(config, field) for field in plain)
+        own = [field for field in record_fields(config, path) if len(field.path) == len(path) + 1]
+        rows = "\n".join(map(_row, own))
         yield f"## `{name}`\n\n{_summary(config)}\n\n| field | type | default | meaning |\n|---|---|---|---|\n{rows}"
-    for child, kind in nested:
-        yield from _section(kind, f"{name}.{child}" if name else child)
+    for field in fields(config):
+        hint = get_type_hints(config)[field.name]
+        if (kind := record_in(hint)) is not None:
+            child = f"{field.name}[]" if get_origin(hint) is tuple else field.name
+            yield from _section(kind, f"{name}.{child}" if name else child)
 
 
-def _record(config: type[Any], field: Field[Any]) -> type[Any] | None:
-    """The dataclass that a field holds, if it holds one."""
-    hint = get_type_hints(config)[field.name]
-    return next((kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)), None)
+def _row(field: StationField) -> str:
+    return f"| `{field.path[-1]}` | {field.kind} | {_default(field.default)} | {field.text} |"
 
 
-def _row(config: type[Any], field: Field[Any]) -> str:
-    kind = str(field.type).replace("|", "\\|").replace("Annotated[", "").replace("'", "")
-    meaning = field_docs(config).get(field.name, "")
-    return f"| `{name_in_file(field)}` | {_kind(config, field, kind)} | {_default(field)} | {meaning} |"
-
-
-def _kind(config: type[Any], field: Field[Any], text: str) -> str:
-    hint = get_type_hints(config)[field.name]
-    if isinstance(hint, type) and issubclass(hint, Enum):
-        return ", ".join(f"`{member.value}`" for member in hint)
-    words = {
-        "Positive": "number > 0",
-        "NotNegative": "number >= 0",
-        "Count": "whole number >= 1",
-        "InputNumber": "0 to 17",
-        "Rows": "4 x 4 matrix",
-    }
-    if text.startswith("tuple["):
-        parts = text.removeprefix("tuple[").removesuffix("]").split(", ")
-        return f"list of {len(parts)} numbers" + (" > 0" if parts[0] == "Positive" else "")
-    if text.startswith("str, Field("):
-        return "text"
-    if match := re.match(r"float, Field\((.*)\)\]", text):
-        bounds = match[1].replace("gt=", "> ").replace("lt=", "< ").replace("ge=", ">= ").replace("le=", "<= ")
-        return f"number {bounds}"
-    names = {"float": "number", "int": "whole number", "str": "text", "bool": "yes or no", "None": "null"}
-    return " or ".join(words.get(part, names.get(part, part)) for part in text.replace("\\", "").split(" | "))
-
-
-def _default(field: Field[Any]) -> str:
-    if field.default is MISSING:
+def _default(value: Any) -> str:
+    if value is MISSING:
         return "*required*"
-    value = field.default.value if isinstance(field.default, Enum) else field.default
+    value = value.value if isinstance(value, Enum) else value
     if isinstance(value, tuple):
         return f"`[{', '.join(f'{number:g}' for number in value)}]`"
     return f"`{value:.4g}`" if isinstance(value, float) else "`null`" if value is None else f"`{str(value).lower()}`"

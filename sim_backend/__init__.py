@@ -1,7 +1,7 @@
 """The simulated station in pybullet: UR10 and Shadow Hand, work and nail, camera, the person who hands the tool over.
 
     from toolee_robot.sim_backend import SimOptions, SimStation
-    with SimStation.build(StationConfig(), seed=0) as simulation:
+    with SimStation.build(sim_station(), seed=0) as simulation:
         task(simulation.station)         # the hardware abstraction: all that a task may touch
         simulation.judge.verdict()       # ground truth, for the report and the tests
 
@@ -10,6 +10,7 @@ Import it as `toolee_robot.sim_backend`.
 
 if __name__ != "toolee_robot.sim_backend":
     raise ImportError("import toolee_robot.sim_backend: the short name would create a second copy of every module")
+
 
 from importlib import import_module
 from typing import TYPE_CHECKING

@@ -108,7 +108,7 @@ def simulated_hand(world: SimWorld, options: SimOptions) -> SimHand | SimMount:
 class SimStation:
     """A simulated station; create it with `SimStation.build`.
 
-        with SimStation.build(StationConfig(), seed=0) as simulation:
+        with SimStation.build(sim_station(), seed=0) as simulation:
             task(simulation.station)
 
     Args:

@@ -20,13 +20,13 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.frames import HALF_TURN, Array, is_rigid, rotation_angle, transform
 from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.sim_backend.cell_errors import NOMINAL, draw_errors
-from toolee_robot.station import CameraConfig, StationConfig, load_lab_station, load_station, unmeasured
+from toolee_robot.station import StationConfig, load_lab_station, load_station, sim_station, unmeasured
 from toolee_robot.stations.interview import contradiction, questions
 from toolee_robot.stations.open_fields import open_fields, told
 from toolee_robot.stations.simulated_board import TAPE, simulated_board
 
 LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
-LOOK_AT = CameraConfig().X_base_camera
+LOOK_AT = sim_station().camera.X_base_camera
 DOWN = transform(Rotation.from_rotvec([np.pi, 0.0, 0.0]), [0.60, -0.15, 1.50])
 """A camera that looks straight down, the top of its image towards +y."""
 _coordinate = st.floats(-3.0, 3.0)
@@ -149,7 +149,7 @@ def test_the_norm_of_a_quaternion_may_be_off_by_a_thousandth(tmp_path: Path, err
 
 def test_a_pose_beside_position_and_target_is_refused_with_the_names_of_both(tmp_path: Path) -> None:
     for given_too in (("position",), ("target",), ("position", "target")):
-        camera = {name: list(getattr(CameraConfig(), name)) for name in given_too}
+        camera = {name: list(getattr(sim_station().camera, name)) for name in given_too}
         with raises(ConfigError, "config.camera_pose_twice") as caught:
             _load(tmp_path, {"X_base_camera": _matrix(DOWN), **camera})
         assert all(f"camera.{name}" in str(caught.value) for name in ("X_base_camera", *given_too))
@@ -194,7 +194,7 @@ def _in_base(said: dict[str, Any], X: Array) -> Array:
 
 def test_a_recording_s_station_is_read_back() -> None:
     """A recording holds the record's own fields, not those of a station file."""
-    config = StationConfig()
+    config = sim_station()
     config = replace(config, camera=replace(config.camera, measured_pose=tuple(map(tuple, DOWN.tolist()))))
     assert to_record(asdict(config), Path("station.json"), StationConfig, "station") == config
 

@@ -25,6 +25,7 @@ from toolee_robot.station import (
     load_lab_station,
     load_station,
     servo_lag,
+    sim_station,
     unmeasured,
 )
 
@@ -43,11 +44,11 @@ def test_a_subset_of_the_fields_is_enough(tmp_path: Path) -> None:
     )
     assert config.work.nail_xy == (0.6, 0.2)
     assert config.task.max_strikes == 7
-    assert config.camera == StationConfig().camera
+    assert config.camera == sim_station().camera
 
 
 def test_the_servo_is_universal_robots_own_until_the_file_says_otherwise(tmp_path: Path) -> None:
-    assert (StationConfig().servo.gain, StationConfig().servo.lookahead) == (300.0, 0.1)
+    assert (sim_station().servo.gain, sim_station().servo.lookahead) == (300.0, 0.1)
     servo = load_station(_write(tmp_path, "servo: {gain: 1200, lookahead: 0.03, lag: 0.034}\n")).servo
     assert (servo.gain, servo.lookahead, servo_lag(servo, 500.0)) == (1200.0, 0.03, 0.034)
 
@@ -64,7 +65,7 @@ def test_the_assumed_lag_bounds_what_was_measured_elsewhere(rate: float, measure
 
 
 def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
-    assert load_station(_write(tmp_path, "")) == StationConfig()
+    assert load_station(_write(tmp_path, "")) == sim_station()
 
 
 @pytest.mark.parametrize(
@@ -106,9 +107,11 @@ def test_a_missing_file_and_a_binary_one_are_the_users_fault(tmp_path: Path) -> 
 
 
 def test_the_cameras_pose_looks_at_its_target_with_the_image_upright() -> None:
-    camera = StationConfig().camera
+    camera = sim_station().camera
     X = camera.X_base_camera
     assert is_rigid(X)
+    assert camera.target is not None
+    assert camera.position is not None
     away = np.subtract(camera.target, camera.position)
     np.testing.assert_allclose(X[:3, 2], away / np.linalg.norm(away), atol=1e-12)
     assert X[2, 0] == pytest.approx(0.0), "the image's rows are level"
@@ -116,7 +119,7 @@ def test_the_cameras_pose_looks_at_its_target_with_the_image_upright() -> None:
 
 
 def test_the_nails_frame_points_into_the_wood_and_sinks_with_it() -> None:
-    work = StationConfig().work
+    work = sim_station().work
     X0, X1 = work.X_base_nail(), work.X_base_nail(0.0)
     np.testing.assert_allclose(X0[:3, 2], [0, 0, -1])
     assert X0[2, 3] - X1[2, 3] == pytest.approx(work.nail_protrusion)
@@ -148,7 +151,7 @@ def test_a_calibration_is_for_one_robot_one_camera_and_some_weeks(
 
 
 def test_the_default_station_is_calibrated_for_the_simulated_devices_and_no_others(tmp_path: Path) -> None:
-    calibration = StationConfig().calibration
+    calibration = sim_station().calibration
     assert calibration is not None
     assert calibration.problems(SIMULATED, SIMULATED, date(2040, 1, 1)) == []
     assert len(calibration.problems("20235012345", "F1370001", date(2026, 11, 20))) == 2
@@ -198,7 +201,7 @@ def test_a_size_in_another_unit_is_noticed(tmp_path: Path, section: str, name: s
     data[section][name] = value
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(data))
-    with raises(ConfigError, "config.unit") as caught:
+    with raises(ConfigError, "config.invalid") as caught:
         load_lab_station(path)
     assert f"{section}.{name}" in str(caught.value)
     assert f"looks like {unit}" in str(caught.value)
@@ -223,7 +226,7 @@ def test_a_value_that_nothing_has_is_noticed(tmp_path: Path, section: str, name:
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(data))
     for load in (load_station, load_lab_station):
-        with raises(ConfigError, "config.unit") as caught:
+        with raises(ConfigError, "config.invalid") as caught:
             load(path)
         assert words in str(caught.value)
 
@@ -299,7 +302,7 @@ def test_the_lines_of_what_a_lab_must_measure_and_of_other_units_are_said(tmp_pa
     assert f"(line {at})" in str(caught.value)
     data["camera"]["fx"] = 0.4
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    with raises(ConfigError, "config.unit") as caught:
+    with raises(ConfigError, "config.invalid") as caught:
         load_lab_station(path)
     assert f"image (line {at})" in str(caught.value)
     del data["scene"]
@@ -349,5 +352,5 @@ def test_a_calibration_by_another_program_is_written_into_the_file(tmp_path: Pat
 
 def test_every_measured_field_is_one_of_the_station_file() -> None:
     for section, names in MEASURED.items():
-        record = getattr(StationConfig(), section)
+        record = getattr(sim_station(), section)
         assert set(names) <= {field.name for field in fields(record)}

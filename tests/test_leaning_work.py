@@ -19,10 +19,12 @@ from toolee_robot.frames import angle_between, inverse, is_rigid, transform_poin
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.station import NailConfig, SceneConfig, StationConfig, WorkConfig, load_station
+from toolee_robot.station import NailConfig, load_station, sim_station
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
+
+WORK = sim_station().work
 
 Z = np.array([0.0, 0.0, 1.0])
 _slope = st.floats(-0.06, 0.06)
@@ -34,7 +36,7 @@ _slopes = st.tuples(_slope, _slope)
 def test_the_nail_is_on_the_wood_and_along_its_axis(
     rise: tuple[float, float], lean: tuple[float, float], height: float
 ) -> None:
-    work = WorkConfig(nail_xy=(0.76, 0.09), block_xy=(0.75, 0.1), wood_rise=rise, nail_lean=lean)
+    work = replace(WORK, nail_xy=(0.76, 0.09), block_xy=(0.75, 0.1), wood_rise=rise, nail_lean=lean)
     X, entry = work.X_base_nail(height), work.p_base_entry
     assert is_rigid(X)
     np.testing.assert_allclose(X[:3, 3] - entry, -height * X[:3, 2], atol=1e-12)
@@ -44,12 +46,12 @@ def test_the_nail_is_on_the_wood_and_along_its_axis(
     np.testing.assert_allclose(X[:2, 2] / X[2, 2], np.subtract(lean, rise), atol=1e-12)
     if lean == (0.0, 0.0):
         assert angle_between(-X[:3, 2], work.wood_normal) < 1e-9
-    upright = WorkConfig(nail_xy=(0.76, 0.09), block_xy=(0.75, 0.1)).X_base_nail(height)
+    upright = replace(WORK, nail_xy=(0.76, 0.09), block_xy=(0.75, 0.1)).X_base_nail(height)
     np.testing.assert_array_equal(upright[:3, :3], np.diag([1.0, -1.0, -1.0]))
 
 
 def test_several_nails_lean_each_for_itself_and_stand_at_the_height_of_the_wood_there() -> None:
-    work = WorkConfig(block_size=(0.08, 0.14, 0.06), wood_rise=(0.0, 0.05), nail_lean=(0.02, 0.0)).with_nails(
+    work = replace(WORK, block_size=(0.08, 0.14, 0.06), wood_rise=(0.0, 0.05), nail_lean=(0.02, 0.0)).with_nails(
         NailConfig("left", (0.75, 0.14)), NailConfig("right", (0.75, 0.06), lean=(0.0, 0.0))
     )
     left, right = (work.only(name) for name in ("left", "right"))
@@ -85,7 +87,7 @@ def test_a_list_of_nails_that_lean_is_the_same_in_either_frame(tmp_path: Path) -
 
 
 def test_the_block_is_tilted_where_collisions_are_looked_for() -> None:
-    config = StationConfig(work=WorkConfig(wood_rise=(0.15, 0.0)))
+    config = replace(sim_station(), work=replace(WORK, wood_rise=(0.15, 0.0)))
     block = next(body for body in station_bodies(config) if body.name == "block")
     top = inverse(block.X_joint_shape) @ [*config.work.block_center, config.work.wood_height, 1.0]
     np.testing.assert_allclose(top[:3], [0.0, 0.0, config.work.block_size[2] / 2], atol=1e-9)
@@ -97,9 +99,9 @@ def test_the_block_is_tilted_where_collisions_are_looked_for() -> None:
 def test_block_and_stand_are_turned_and_the_stand_is_between_table_and_block(
     turn: float, table: float, height: float
 ) -> None:
-    work = WorkConfig(block_xy=(0.75, 0.1), block_turn=turn, stand_height=table + height, stand_size=(0.07, 0.03))
-    scene = SceneConfig(table_center=(0.5, 0.2), table_height=table)
-    bodies = {body.name: body for body in station_bodies(StationConfig(work=work, scene=scene))}
+    work = replace(WORK, block_xy=(0.75, 0.1), block_turn=turn, stand_height=table + height, stand_size=(0.07, 0.03))
+    scene = replace(sim_station().scene, table_center=(0.5, 0.2), table_height=table)
+    bodies = {body.name: body for body in station_bodies(replace(sim_station(), work=work, scene=scene))}
     X, size = work.stand_box(table)
     top, foot = (X @ [0.0, 0.0, sign * size[2] / 2, 1.0] for sign in (1, -1))
     np.testing.assert_allclose(top[:3], [0.75, 0.1, table + height], atol=1e-9)
@@ -113,7 +115,7 @@ def test_block_and_stand_are_turned_and_the_stand_is_between_table_and_block(
 
 def test_a_nail_is_in_the_wood_of_the_turned_block() -> None:
     """In the corner of a block of 80 mm that is turned by 45 degrees, which reaches 57 mm along x."""
-    corner = WorkConfig(block_xy=(0.75, 0.1), nail_xy=(0.80, 0.1), block_turn=np.pi / 4)
+    corner = replace(WORK, block_xy=(0.75, 0.1), nail_xy=(0.80, 0.1), block_turn=np.pi / 4)
     assert inverse(corner.X_base_block)[:3, :3] @ [1.0, 0.0, 0.0] == pytest.approx([0.5**0.5, -(0.5**0.5), 0.0])
     with pytest.raises(ValueError, match="outside of the block"):
         replace(corner, block_turn=0.0)
@@ -136,7 +138,7 @@ def test_a_block_under_the_table_and_a_turn_in_degrees_are_refused(tmp_path: Pat
 @pytest.mark.sim(seconds=60)
 def test_a_job_strikes_below_the_base_of_a_robot_on_a_pedestal() -> None:
     """The wood is 90 mm under the base plane, on a block that is turned."""
-    config = StationConfig()
+    config = sim_station()
     scene = replace(config.scene, table_height=-0.35, workspace_lower=(-1.0, -1.2, -0.30))
     work = replace(config.work, stand_height=-0.15, block_turn=0.5, nail_protrusion=0.006)
     config = replace(config, scene=scene, work=work)
@@ -158,8 +160,8 @@ def test_a_job_strikes_below_the_base_of_a_robot_on_a_pedestal() -> None:
 @pytest.mark.nightly
 @pytest.mark.sim(seconds=60)
 def test_a_job_strikes_along_a_nail_that_leans_in_wood_that_is_not_level() -> None:
-    work = WorkConfig(nail_protrusion=0.006, wood_rise=(0.04, -0.03), nail_lean=(-0.05, 0.04))
-    config = StationConfig(work=work)
+    work = replace(WORK, nail_protrusion=0.006, wood_rise=(0.04, -0.03), nail_lean=(-0.05, 0.04))
+    config = replace(sim_station(), work=work)
     with SimStation.build(config, 100, SimOptions()) as simulation:
         task = HammeringTask(
             simulation.station, PerfectPerception(simulation.judge), config, nominal_grasp(simulation.tool, config)

@@ -29,13 +29,13 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.station import ArmLimits, StationConfig, load_lab_station, load_station
+from toolee_robot.station import StationConfig, load_lab_station, load_station, sim_station
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.types import Payload
 
 LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
 CEILING = (0.0, 0.0, -1.0)
-Q = np.array(StationConfig().scene.home)
+Q = np.array(sim_station().scene.home)
 _angles = st.tuples(st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi))
 _joints = st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6).map(np.array)
 
@@ -47,7 +47,7 @@ def _up(tilt: float, turn: float) -> tuple[float, float, float]:
 
 
 def _mounted(up: tuple[float, float, float]) -> StationConfig:
-    config = StationConfig()
+    config = sim_station()
     return replace(config, arm=replace(config.arm, up=up))
 
 
@@ -55,7 +55,7 @@ def _mounted(up: tuple[float, float, float]) -> StationConfig:
 @given(_angles, st.floats(0.01, 20.0))
 def test_gravity_is_against_up_and_the_tilt_is_that_of_the_base(angles: tuple[float, float], length: float) -> None:
     up = _up(*angles)
-    arm = ArmLimits(up=(up[0] * length, up[1] * length, up[2] * length))
+    arm = replace(sim_station().arm, up=(up[0] * length, up[1] * length, up[2] * length))
     np.testing.assert_allclose(arm.gravity, -9.81 * np.array(up), atol=1e-9)
     assert np.cos(arm.tilt) == pytest.approx(np.cos(angles[0]), abs=1e-9)
 
@@ -73,7 +73,7 @@ def test_joint_torques_at_rest_carry_the_weight_along_gravity_in_the_base(
 
     def energy(q: Array) -> float:
         com = pin.centerOfMass(model, data, q)
-        return float(-pin.computeTotalMass(model) * ArmLimits(up=_up(*angles)).gravity @ com)
+        return float(-pin.computeTotalMass(model) * replace(sim_station().arm, up=_up(*angles)).gravity @ com)
 
     step = 1e-6 * np.eye(6)
     expected = [(energy(q + d) - energy(q - d)) / 2e-6 for d in step]
@@ -97,7 +97,7 @@ def _state(q: Array, felt: Array | None) -> UrState:
 
 def _felt(q: Array, up: tuple[float, float, float]) -> Array:
     """What the tool's accelerometer reads in a base that stands so."""
-    R_base_flange = (HALF_TURN @ DhParameters.of(StationConfig().arm.model).fk(q))[:3, :3]
+    R_base_flange = (HALF_TURN @ DhParameters.of(sim_station().arm.model).fk(q))[:3, :3]
     return 9.82 * R_base_flange.T @ np.array(up)
 
 

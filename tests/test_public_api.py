@@ -16,7 +16,7 @@ from toolee_robot import errors
 
 NAMES = {
     "CameraIntrinsics", "Category", "HammeringTask", "RgbdFrame", "RunRecorder", "StationConfig", "ToolPerception",
-    "TooleeError", "load_station", "nominal_grasp", "open_station",
+    "TooleeError", "load_station", "nominal_grasp", "open_station", "sim_station",
 }  # fmt: skip
 HEAVY = [
     "pybullet",

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.errors import raises
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import inverse
-from toolee_robot.station import StationConfig, ToolData, load_lab_station, load_station, with_setup
+from toolee_robot.station import ToolData, load_lab_station, load_station, sim_station, with_setup
 from toolee_robot.station.tool_enclosure import check_enclosed
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -64,7 +64,7 @@ def test_what_passes_lies_within_the_cylinder(
 ) -> None:
     """By points around the handle where the hand holds it, in the frame of `ToolEnvelope`."""
     tool = ToolData("hammer", grip, (depth, side, length), (np.cos(tilt), 0.0, np.sin(tilt)), 0.6, (0.0, 0.0, 0.1))
-    config = StationConfig(tool=tool)
+    config = replace(sim_station(), tool=tool)
     X_face_tool = inverse(tool.X_tool_face)  # type: ignore[arg-type]
     turns = np.linspace(0.0, 2.0 * np.pi, 60)
     around = np.stack([grip * np.cos(turns), grip * np.sin(turns), 0.0 * turns], axis=-1)
@@ -85,7 +85,7 @@ def test_what_passes_lies_within_the_cylinder(
         ("tool: {name: ball peen, mass: 0.6}", "config.invalid", "grip_radius"),
         ("work: {nail_xy: [0.1, 0.2]}", "config.invalid", "nail_xy"),
         ("work: {nail_protrusion: 0.05}", "config.invalid", "nail_length"),
-        ("work: {nail_diameter: 3.1, nail_length: 65}", "config.unit", "nail_length"),
+        ("work: {nail_diameter: 3.1, nail_length: 65}", "config.invalid", "nail_length"),
         ("camera: {fx: 3}", "config.invalid", "camera"),
     ],
 )
@@ -102,4 +102,4 @@ def test_of_several_nails_it_gives_the_wood_alone(tmp_path: Path) -> None:
     assert made.work.nails == several.work.nails
     with raises(ConfigError, code="config.invalid"):
         with_setup(several, _written(tmp_path, "work: {nail_diameter: 0.003}"))
-    assert with_setup(StationConfig(), _written(tmp_path, "work: {nail_diameter: 0.003}")).work.nail_diameter == 0.003
+    assert with_setup(sim_station(), _written(tmp_path, "work: {nail_diameter: 0.003}")).work.nail_diameter == 0.003

@@ -11,7 +11,7 @@ import yaml
 from tests.errors import raises
 from toolee_robot.control.collision_shapes import nail_bodies
 from toolee_robot.errors import ConfigError
-from toolee_robot.station import NailConfig, StationConfig, load_station
+from toolee_robot.station import NailConfig, StationConfig, load_station, sim_station
 
 BLOCK = [0.08, 0.14, 0.06]
 LEFT = {"name": "left", "xy": [0.75, 0.14]}
@@ -73,7 +73,7 @@ def test_nails_without_a_frame_are_refused(tmp_path: Path) -> None:
 
 
 def test_the_wood_moves_with_its_nails() -> None:
-    work = StationConfig().work
+    work = sim_station().work
     work = work.with_nails(NailConfig("a", (0.74, 0.10)), NailConfig("b", (0.78, 0.10)))
     moved = work.moved(0.01, -0.02, 0.003)
     for name in work.names:

@@ -26,8 +26,9 @@ from toolee_robot.station import (
     StationConfig,
     WorkConfig,
     load_station,
+    sim_station,
 )
-from toolee_robot.station.field_docs import field_docs
+from toolee_robot.station.schema import field_docs
 from toolee_robot.station.station_frame import BOX, OBSTACLES, POINTS, POSE
 
 SECTIONS = {"arm": ArmLimits, "camera": CameraConfig, "work": WorkConfig, "scene": SceneConfig}
@@ -132,7 +133,7 @@ def test_an_obstacle_that_is_none_is_refused_by_name(tmp_path: Path, obstacle: d
 
 @pytest.mark.parametrize(("section", "name"), [*POINTS, *((BOX[0], corner) for corner in BOX[1:])])
 def test_a_position_without_a_frame_is_refused(tmp_path: Path, section: str, name: str) -> None:
-    value = getattr(getattr(StationConfig(), section), name)
+    value = getattr(getattr(sim_station(), section), name)
     with raises(ConfigError, code="config.no_frame") as refused:
         _load(tmp_path, {section: {name: value}})
     assert f"{section}.{name}" in str(refused.value)
@@ -142,7 +143,7 @@ def test_an_unknown_frame_is_refused_and_none_is_needed_without_positions(tmp_pa
     with raises(ConfigError, code="config.frame"):
         _load(tmp_path, {"frame": "base", "work": {"nail_xy": (0.7, 0.1)}})
     assert _load(tmp_path, {"work": {"nail_length": 0.04}}).work.nail_length == 0.04
-    assert _load(tmp_path, {"frame": "pendant_base"}) == StationConfig()
+    assert _load(tmp_path, {"frame": "pendant_base"}) == sim_station()
 
 
 def test_every_field_in_base_is_converted() -> None:

@@ -16,7 +16,7 @@ from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.planning.views import plan_handover
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import ConfigError
-from toolee_robot.station import StationConfig, ToolData, load_lab_station, with_setup
+from toolee_robot.station import ToolData, load_lab_station, sim_station, with_setup
 from toolee_robot.stations.interview import NONE, put, questions
 from toolee_robot.stations.lab import check_purpose
 from toolee_robot.stations.rehearsal import job_cell
@@ -97,12 +97,12 @@ def test_a_rehearsal_leaves_untold_what_the_file_does(tmp_path: Path) -> None:
     assert whole is not None
     assert (told.mass, told.center_of_mass) == (None, None)
     assert told == replace(whole, mass=None, center_of_mass=None)
-    assert StationConfig().tool is None
+    assert sim_station().tool is None
 
 
 def test_the_handover_leaves_room_for_a_tool_of_which_nothing_is_known() -> None:
     """10 cm lower than usual the forearm stands where such a tool may be, were nothing allowed for it."""
-    usual = StationConfig()
+    usual = sim_station()
     x, y, z = usual.scene.handover_position
     config = replace(usual, scene=replace(usual.scene, handover_position=(x, y, z - 0.1)))
     robot = RobotModel.of_station(config)

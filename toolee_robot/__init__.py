@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from toolee_robot.errors import TooleeError
     from toolee_robot.perception.pipeline import ToolPerception
     from toolee_robot.recording.recorder import RunRecorder
-    from toolee_robot.station import StationConfig, load_station
+    from toolee_robot.station import StationConfig, load_station, sim_station
     from toolee_robot.stations.simulated import open_station
     from toolee_robot.tasks.hammering.grasp import nominal_grasp
     from toolee_robot.tasks.hammering.task import HammeringTask
@@ -41,6 +41,7 @@ __all__ = [
     "load_station",
     "nominal_grasp",
     "open_station",
+    "sim_station",
 ]
 
 _MODULES = {
@@ -54,6 +55,7 @@ _MODULES = {
     "TooleeError": "toolee_robot.errors",
     "load_station": "toolee_robot.station",
     "open_station": "toolee_robot.stations.simulated",
+    "sim_station": "toolee_robot.station",
     "nominal_grasp": "toolee_robot.tasks.hammering.grasp",
 }
 

@@ -8,12 +8,12 @@ import re
 import pytest
 
 from benchmarks.swing import KINDS, STRAIGHT_BOUND, SWING_BOUND, compare
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
 
 def test_a_swing_is_faster_where_the_command_turns_back() -> None:
-    limits = StationConfig()
+    limits = sim_station()
     strikes = compare(ArmModel.UR10, 3, 1, limits.arm.acceleration, limits.arm.jerk, limits.supervisor.unattended_speed)
     assert {s.kind for s in strikes} == set(KINDS)
     speeds = {(s.kind, s.nail): s.speed for s in strikes if s.speed > 0}

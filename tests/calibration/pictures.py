@@ -15,9 +15,9 @@ from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.record import rows
 from toolee_robot.calibration.session import Session, SessionPose, write_session
 from toolee_robot.frames import Array, BaseFrame, inverse
-from toolee_robot.station import CameraConfig
+from toolee_robot.station import CameraConfig, sim_station
 
-CAMERA = CameraConfig()
+CAMERA = sim_station().camera
 BOARD = SHEETS["a3"].board
 _PIXELS = 64
 

@@ -19,11 +19,11 @@ from toolee_robot.errors import ConfigError, NotReadyError, UserError
 from toolee_robot.frames import angle_between
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.station import SIMULATED_CALIBRATION, StationConfig
+from toolee_robot.station import SIMULATED_CALIBRATION, sim_station
 from toolee_robot.stations.simulated_nail import SimulatedNailBoard, place_board, simulated_nail_board
 from toolee_robot.tasks.calibration.still_frame import mean_frame
 
-CONFIG = StationConfig()
+CONFIG = sim_station()
 SHEET = SHEETS["a3"]
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -19,7 +19,7 @@ from toolee_robot.cli.app import run
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.station import StationConfig, load_station
+from toolee_robot.station import load_station, sim_station
 
 POINT = np.array([0.6, 0.1, 0.3])
 TIP = np.array([0.004, -0.002, 0.15])
@@ -62,9 +62,9 @@ def test_touches_that_tell_nothing_are_refused() -> None:
 
 
 def test_mount_and_nail_from_joint_positions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    robot = RobotModel.of_station(StationConfig())
-    home = np.array(StationConfig().scene.home)
-    X_base_nail = StationConfig().work.X_base_nail()
+    robot = RobotModel.of_station(sim_station())
+    home = np.array(sim_station().scene.home)
+    X_base_nail = sim_station().work.X_base_nail()
     rng, joints = np.random.default_rng(1), []
     for _ in range(8):
         R = (Rotation.from_rotvec(rng.uniform(-0.6, 0.6, 3)) * DOWN).as_matrix()

@@ -8,7 +8,7 @@ import pytest
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import inverse
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.stations.simulated_board import simulated_board
 from toolee_robot.tasks.calibration.views import plan_views
 
@@ -17,7 +17,7 @@ from toolee_robot.tasks.calibration.views import plan_views
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_first_view_has_the_board_nearest_to_the_middle_of_the_image(seed: int) -> None:
     """The others may all be lost if the camera is not quite where it was measured."""
-    printed = simulated_board(StationConfig(), SHEETS["a3"], 0.12, 1.2, seed)
+    printed = simulated_board(sim_station(), SHEETS["a3"], 0.12, 1.2, seed)
     config, plate = printed.measured, printed.plate
     robot, camera = RobotModel.of_station(config), config.camera
     off = []

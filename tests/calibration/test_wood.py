@@ -24,7 +24,9 @@ from toolee_robot.cli.calibrate.nail_checks import check_near
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array, angle_between, transform
-from toolee_robot.station import StationConfig, WorkConfig, load_station
+from toolee_robot.station import WorkConfig, load_station, sim_station
+
+WORK = sim_station().work
 
 AT = np.array([0.75, 0.1])
 TRIANGLE = np.array([[0.032, 0.0], [-0.016, 0.028], [-0.016, -0.028]])
@@ -113,7 +115,7 @@ def test_a_list_of_touches_grows_and_another_file_is_not_added_to(tmp_path: Path
 
 def _joints(points: Sequence[Array], rng: np.random.Generator) -> list[list[float]]:
     """Joint positions with the tip at each of the points, from different sides."""
-    robot, home = RobotModel.of_station(StationConfig()), np.array(StationConfig().scene.home)
+    robot, home = RobotModel.of_station(sim_station()), np.array(sim_station().scene.home)
     found = []
     for p in points:
         R = (Rotation.from_rotvec(rng.uniform(-0.3, 0.3, 3)) * DOWN).as_matrix()
@@ -136,7 +138,7 @@ def _touched(folder: Path, true: WorkConfig, head: Array) -> list[str]:
 def test_touches_of_wood_and_head_are_entered_in_the_station_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: str
 ) -> None:
-    true = WorkConfig(nail_xy=(0.752, 0.099), stand_height=0.203, wood_rise=(0.02, -0.03), nail_lean=(0.01, 0.02))
+    true = replace(WORK, nail_xy=(0.752, 0.099), stand_height=0.203, wood_rise=(0.02, -0.03), nail_lean=(0.01, 0.02))
     options, sign = _touched(tmp_path, true, true.X_base_nail()[:3, 3]), 1 if frame == "base_link" else -1
     lab = tmp_path / "lab.yaml"
     lean = f"[{sign * 0.01}, {sign * 0.02}]  # a set square"
@@ -167,7 +169,7 @@ def test_touches_of_wood_and_head_are_entered_in_the_station_file(
 def test_a_nail_that_was_typed_in_wrongly_is_named_where_it_is_found(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], typed: str, words: str | None
 ) -> None:
-    true, lab = WorkConfig(), tmp_path / "lab.yaml"
+    true, lab = WORK, tmp_path / "lab.yaml"
     options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])
     lab.write_text(f"{ARM}work:\n  nail_xy: {typed}\n")
     assert run(["calibrate", "nail", *options, "--config", str(lab), "--write"]) == 0
@@ -177,7 +179,7 @@ def test_a_nail_that_was_typed_in_wrongly_is_named_where_it_is_found(
 
 
 def test_the_wood_alone_leaves_the_nail_where_it_is_and_counts_from_the_middle_of_the_block(tmp_path: Path) -> None:
-    true = WorkConfig(nail_xy=(0.75, 0.1), block_xy=(0.76, 0.11), stand_height=0.203, wood_rise=(0.05, 0.0))
+    true = replace(WORK, nail_xy=(0.75, 0.1), block_xy=(0.76, 0.11), stand_height=0.203, wood_rise=(0.05, 0.0))
     options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])
     lab = tmp_path / "lab.yaml"
     lab.write_text(f"{ARM}work:\n  nail_xy: [0.75, 0.1]\n  block_xy: [0.76, 0.11]  # a rule\n")
@@ -194,7 +196,7 @@ def test_wood_that_is_too_steep_and_a_head_at_another_height_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "lab.yaml").write_text(f"{ARM}work: {{nail_xy: [0.75, 0.1]}}\n")
-    level = WorkConfig()
+    level = WORK
     options = _touched(tmp_path, level, level.X_base_nail(0.016)[:3, 3])
     assert run(["calibrate", "nail", *options, "--config", str(tmp_path / "lab.yaml")]) == 2
     assert "the nail stands 16.0 mm over the wood" in " ".join(capsys.readouterr().err.split())
@@ -212,7 +214,7 @@ def _refusal(command: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 def test_the_plane_is_not_carried_to_a_nail_that_nobody_measured_or_that_is_far_away(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    true, lab = WorkConfig(nail_xy=(0.45, 0.40), wood_rise=(0.035, -0.035)), tmp_path / "lab.yaml"
+    true, lab = replace(WORK, nail_xy=(0.45, 0.40), wood_rise=(0.035, -0.035)), tmp_path / "lab.yaml"
     options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])
     wood_only = [*options[:2], *options[4:], "--config", str(lab)]
     lab.write_text(ARM)
@@ -251,7 +253,10 @@ def test_a_nail_may_be_50_mm_outside_of_the_touches(direction: float, distance: 
 def test_a_lab_that_does_not_say_which_arm_it_has_and_how_it_stands_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, reason: str
 ) -> None:
-    options, lab = _touched(tmp_path, WorkConfig(), WorkConfig().X_base_nail()[:3, 3]), tmp_path / "lab.yaml"
+    options, lab = (
+        _touched(tmp_path, WORK, WORK.X_base_nail()[:3, 3]),
+        tmp_path / "lab.yaml",
+    )
     lab.write_text(f"{text}work: {{nail_xy: [0.75, 0.1]}}\n")
     assert reason in _refusal([*options, "--config", str(lab), "--write"], capsys)
 
@@ -267,7 +272,7 @@ def test_a_lab_that_does_not_say_which_arm_it_has_and_how_it_stands_is_refused(
 def test_what_the_file_would_not_load_with_is_not_entered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], work: str, reason: str
 ) -> None:
-    true = WorkConfig(wood_rise=(-0.12, 0.0))
+    true = replace(WORK, wood_rise=(-0.12, 0.0))
     lean = np.array([0.12 + (0.1 if "nail_lean" in work else 0.0), 0.0, 1.0])
     head = true.p_base_entry + true.nail_protrusion * lean / np.linalg.norm(lean)
     options, lab = _touched(tmp_path, true, head), tmp_path / "lab.yaml"

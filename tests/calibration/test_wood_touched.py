@@ -16,15 +16,15 @@ from toolee_robot.control.planning.straight import plan_over_nail
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.frames import angle_between, inverse, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.station import ArmLimits, StationConfig, WorkConfig, load_station
+from toolee_robot.station import load_station, sim_station
 from toolee_robot.tasks.bring_up.caps import SlowStation
 from toolee_robot.tasks.bring_up.jog import MotionFrame, plan_line
 from toolee_robot.tasks.bring_up.touch import approach, measured_settings
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 
-FAST = ArmLimits(transfer_velocity_scale=0.7, transfer_acceleration=5.0)
-TOLD = StationConfig(arm=FAST)
-TRUE = replace(TOLD, work=replace(WorkConfig(), stand_height=0.202, wood_rise=(0.03, -0.02)))
+FAST = replace(sim_station().arm, transfer_velocity_scale=0.7, transfer_acceleration=5.0)
+TOLD = replace(sim_station(), arm=FAST)
+TRUE = replace(TOLD, work=replace(sim_station().work, stand_height=0.202, wood_rise=(0.03, -0.02)))
 PLACES = ((0.032, 0.0), (-0.016, 0.028), (-0.016, -0.028), (-0.032, 0.0))
 OVER = 0.03
 """Height over the wood at which an approach begins [m]: over the nail's head."""

@@ -27,7 +27,7 @@ from toolee_robot.control import RobotModel
 from toolee_robot.errors import PersonNearError, UserError
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.tasks.bring_up.caps import ACCELERATION, SPEED
 from toolee_robot.types import ArmModel
 
@@ -38,7 +38,7 @@ LAB = "# a busy machine\nversion: 2\nsupervisor: {data_cycles: 50, overruns: 50}
 @pytest.fixture(scope="module")
 def robot() -> Iterator[ControllerProcess]:
     with stand_in(ArmModel.UR10, HOST) as process:
-        hand = RobotModel.of_station(StationConfig()).description
+        hand = RobotModel.of_station(sim_station()).description
         payload = hand.hand_payload(hand.hand_open)
         process.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
         yield process
@@ -152,7 +152,7 @@ def test_a_touch_with_a_cb3s_force_ends_at_what_it_meets_and_not_in_the_air(
     host = "127.0.0.36"
     way = ("touch", "--along", "0", "0", "-0.012", "--frame", "base_link")
     with stand_in(ArmModel.UR10, host, profile="harsh") as robot:
-        model = RobotModel.of_station(StationConfig()).description
+        model = RobotModel.of_station(sim_station()).description
         hand = model.hand_payload(model.hand_open)
         robot.fault("payload", mass=hand.mass, cog=hand.center_of_mass.tolist())
         code, told = _arm(capsys, lab, *way, host=host)

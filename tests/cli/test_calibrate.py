@@ -16,10 +16,10 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.frames import inverse
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.station import StationConfig, load_station
+from toolee_robot.station import load_station, sim_station
 
 pytestmark = pytest.mark.sim(seconds=30)
-TRUTH = StationConfig().camera.X_base_camera
+TRUTH = sim_station().camera.X_base_camera
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_the_task_believes_the_record_and_the_simulated_camera_stays(calibrated:
     config = load_station(tmp_path / "station.yaml")
     np.testing.assert_array_equal(config.camera.X_base_camera, wrong)
     images = []
-    for station in (config, StationConfig()):
+    for station in (config, sim_station()):
         with SimStation.build(station, 0, SimOptions(hands_over=False)) as simulation:
             images.append(simulation.station.camera.read().rgb)
     np.testing.assert_array_equal(images[0], images[1])

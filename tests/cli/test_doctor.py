@@ -20,7 +20,7 @@ from toolee_robot.doctor.robot import expected_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import StationConfig, load_station
+from toolee_robot.station import load_station, sim_station
 from toolee_robot.types import ArmModel
 
 _TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
@@ -43,7 +43,7 @@ person: {door_closed_input: 0, door_open_input: 1, hold_to_run_input: 2, hold_to
 @pytest.fixture(scope="module")
 def robot() -> Iterator[ControllerProcess]:
     """A stand-in that somebody has set up at the pendant as the station file wants it."""
-    payload = expected_robot(StationConfig()).payload
+    payload = expected_robot(sim_station()).payload
     assert payload is not None
     with ControllerProcess(model="UR10", host=_HOST) as process:
         process.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
@@ -115,7 +115,7 @@ def test_a_point_that_was_read_in_the_other_frame_is_found(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str], turned: bool, level: str
 ) -> None:
     """A station that is entered so lies on the far side of the robot, and all its other checks pass."""
-    x, y, z = 1e3 * DhParameters.of(StationConfig().arm.model).fk(np.array(robot.state()["q"]))[:3, 3]
+    x, y, z = 1e3 * DhParameters.of(sim_station().arm.model).fk(np.array(robot.state()["q"]))[:3, 3]
     point = [f"{-x:.1f}", f"{-y:.1f}", f"{z:.1f}"] if turned else [f"{x:.1f}", f"{y:.1f}", f"{z:.1f}"]
     args = ("--robot-host", _HOST, "--config", lab, "--jogged-point", *point)
     code, record, said = _doctor(capsys, *args)
@@ -153,7 +153,7 @@ def test_at_a_terminal_the_jogged_point_is_asked_for_and_compared(
     code: int,
     expected_text: str,
 ) -> None:
-    x, y, z = 1e3 * DhParameters.of(StationConfig().arm.model).fk(np.array(robot.state()["q"]))[:3, 3]
+    x, y, z = 1e3 * DhParameters.of(sim_station().arm.model).fk(np.array(robot.state()["q"]))[:3, 3]
     sign = -1.0 if turned else 1.0
     os.write(terminal, f"home\n{sign * x:.1f} {sign * y:.1f} {z:.1f}\n".encode())
     assert run(["doctor", "--config", lab]) == code

@@ -17,12 +17,12 @@ from toolee_robot.cli.hammering.sources import Opened, Tell
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
-from toolee_robot.station import StationConfig
+from toolee_robot.station import StationConfig, sim_station
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 
 pytestmark = pytest.mark.sim(seconds=10)
 
-CONFIG = StationConfig()
+CONFIG = sim_station()
 WHY = "data came late, because this machine is busy. Close other programs"
 
 

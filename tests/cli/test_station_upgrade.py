@@ -12,7 +12,7 @@ import yaml
 from tests.errors import raises
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError
-from toolee_robot.station import StationConfig, load_lab_station, load_station
+from toolee_robot.station import load_lab_station, load_station, sim_station
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LAB = EXAMPLES / "lab.yaml"
@@ -188,4 +188,4 @@ def test_a_few_fields_for_the_simulation_need_no_version(tmp_path: Path) -> None
     path.write_text("task: {max_strikes: 7}\n")
     assert load_station(path).task.max_strikes == 7
     path.write_text("version: 2\n")
-    assert load_station(path) == StationConfig()
+    assert load_station(path) == sim_station()

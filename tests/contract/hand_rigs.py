@@ -24,7 +24,7 @@ from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
-from toolee_robot.station import HandConfig, StationConfig
+from toolee_robot.station import HandConfig, sim_station
 from toolee_robot.stations.hand import open_hand
 from toolee_robot.types import HandEfforts, HandMounting, ToolMount
 
@@ -176,7 +176,7 @@ class LabRig(Rig):
 
 @cache
 def at_handover() -> Array:
-    config, robot = StationConfig(), RobotModel.of_station(StationConfig())
+    config, robot = sim_station(), RobotModel.of_station(sim_station())
     q_open = robot.description.hand_open
     world = CollisionWorld(robot, config, q_open)
     return plan_handover(robot, config, world, np.array(config.scene.home), q_open).q[-1]

@@ -24,7 +24,7 @@ from toolee_robot.runtime.clock import is_loopback
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits, StationConfig
+from toolee_robot.station import ArmLimits, sim_station
 from toolee_robot.types import ArmModel, Payload, Trajectory
 
 NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])
@@ -329,14 +329,14 @@ class HardwareRig(Rig):
 
 @contextmanager
 def sim_rig() -> Iterator[Rig]:
-    config = StationConfig()
+    config = sim_station()
     with SimStation.build(config, 0, SimOptions(q_start=HOME, hands_over=False)) as simulation:
         yield SimRig(simulation, config.arm)
 
 
 @contextmanager
 def stand_in_rig(model: ArmModel, host: str) -> Iterator[Rig]:
-    limits = ArmLimits(model=model)
+    limits = replace(sim_station().arm, model=model)
     with ExitStack() as stack:
         controller = stack.enter_context(stand_in(model, host))
         arm = stack.enter_context(UnsupervisedUrArm(patient(host), limits))
@@ -345,6 +345,6 @@ def stand_in_rig(model: ArmModel, host: str) -> Iterator[Rig]:
 
 @contextmanager
 def hardware_rig(model: ArmModel, host: str) -> Iterator[Rig]:
-    limits = ArmLimits(model=model, stop_acceleration=GENTLE_ACCELERATION)
+    limits = replace(sim_station().arm, model=model, stop_acceleration=GENTLE_ACCELERATION)
     with UnsupervisedUrArm(UrArmConfig(host), limits) as arm:
         yield HardwareRig(arm, limits, host)

@@ -26,7 +26,7 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
-from toolee_robot.station import CameraConfig, StationConfig
+from toolee_robot.station import CameraConfig, sim_station
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
@@ -175,7 +175,7 @@ def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
     elif request.param == "airo":
         yield AiroRig()
     else:
-        with SimStation.build(StationConfig(), 100) as simulation:
+        with SimStation.build(sim_station(), 100) as simulation:
             yield SimRig(simulation)
 
 

@@ -21,7 +21,7 @@ from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 
 TIERS = {
     "simulated": pytest.mark.sim,
@@ -60,7 +60,7 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
         with ShadowEmulator() as shadow:
             yield ShadowRig(shadow)
     else:
-        with SimStation.build(StationConfig(), 100, SimOptions(q_start=at_handover())) as simulation:
+        with SimStation.build(sim_station(), 100, SimOptions(q_start=at_handover())) as simulation:
             yield SimRig(simulation)
 
 

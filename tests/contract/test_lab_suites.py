@@ -16,7 +16,7 @@ from tests.rigs.panel import Operator, Panel
 from tests.stand_in import stand_in
 from toolee_robot.doctor.robot import expected_robot
 from toolee_robot.sim_backend.ability_hand import AbilityEmulator
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
 ROOT = Path(__file__).parents[2]
@@ -76,7 +76,7 @@ def test_a_hand_that_holds_nothing_fails(tmp_path: Path) -> None:
 
 def test_a_labs_person_is_asked_as_the_emulated_one_is(tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text(PERSON)
-    payload, panel, over = expected_robot(StationConfig()).payload, Panel(), Event()
+    payload, panel, over = expected_robot(sim_station()).payload, Panel(), Event()
     assert payload is not None
     operator = Operator(panel)
 

@@ -17,7 +17,7 @@ from toolee_robot.hal import CLEAR_TIME, Arm, Clock, Person
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.world import Sample
-from toolee_robot.station import PersonConfig, StationConfig
+from toolee_robot.station import PersonConfig, StationConfig, sim_station
 from toolee_robot.stations.ur import ur_driver
 from toolee_robot.tasks.common.motions import HOLD_SWITCH
 from toolee_robot.tasks.common.person_proof import PersonProof
@@ -159,7 +159,7 @@ class LabRig(Rig):
 
 @pytest.fixture(scope="module")
 def sim() -> Iterator[SimStation]:
-    with SimStation.build(StationConfig(), 0, SimOptions()) as sim:
+    with SimStation.build(sim_station(), 0, SimOptions()) as sim:
         yield sim
 
 

@@ -9,7 +9,7 @@ from tests.control.desk import TOOL, Desk
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.robots import SHADOW_HAND
-from toolee_robot.station import StationConfig
+from toolee_robot.station import StationConfig, sim_station
 
 
 @pytest.fixture(scope="session")
@@ -19,7 +19,7 @@ def robot() -> RobotModel:
 
 @pytest.fixture(scope="session")
 def config() -> StationConfig:
-    return StationConfig()
+    return sim_station()
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from toolee_robot.control.collision_shapes import TOOL_JOINT, Body, arm_bodies, 
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import CollisionError
 from toolee_robot.frames import Array, inverse, transform, transform_points
-from toolee_robot.station import Obstacle, StationConfig, ToolEnvelope
+from toolee_robot.station import Obstacle, StationConfig, sim_station
 from toolee_robot.tools import Family, ToolKind, kinds_of, make_tool
 from toolee_robot.tools import test_seeds as seeds_of_test_tools
 from toolee_robot.types import ArmModel
@@ -165,14 +165,14 @@ def test_a_ur10e_s_bodies_enclose_its_links() -> None:
 
 
 def test_the_station_file_sets_the_tool_s_envelope(robot: RobotModel, q_hand: Array, X_hand_ee: Array) -> None:
-    long = StationConfig(tool_envelope=ToolEnvelope(handle_length=0.6))
+    long = replace(sim_station(), tool_envelope=replace(sim_station().tool_envelope, handle_length=0.6))
     world = CollisionWorld(robot, long, q_hand, X_hand_ee)
     handle = next(body for body in world.bodies if body.name == "tool handle")
     assert 2 * handle.geometry.halfLength == pytest.approx(0.6)
 
 
 def test_the_envelope_holds_every_kind_of_hammer_for_one_hand() -> None:
-    bodies = tool_bodies(ToolEnvelope(), np.eye(4), np.eye(4))
+    bodies = tool_bodies(sim_station().tool_envelope, np.eye(4), np.eye(4))
     assert all(body.joint == TOOL_JOINT for body in bodies)
     rng = np.random.default_rng(0)
     for kind in kinds_of(Family.HAMMERS):

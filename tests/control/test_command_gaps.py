@@ -16,7 +16,7 @@ from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import profile
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.servoj import LaggingServoJ
-from toolee_robot.station import ServoConfig, StationConfig
+from toolee_robot.station import ServoConfig, sim_station
 from toolee_robot.types import ArmModel
 
 SHARP = (1200.0, 0.03)
@@ -25,7 +25,7 @@ DEFAULTS = (ServoConfig().gain, ServoConfig().lookahead)
 
 @pytest.fixture(scope="module", params=list(ArmModel))
 def struck(request: pytest.FixtureRequest) -> tuple[ArmModel, StrikePlan, ArmDynamics]:
-    config = StationConfig()
+    config = sim_station()
     config = replace(config, arm=replace(config.arm, model=request.param))
     robot = RobotModel.of_station(config)
     world = CollisionWorld(robot, config, GRASP, HELD)

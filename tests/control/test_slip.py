@@ -13,7 +13,7 @@ from toolee_robot.control import merge, protrusion, slip
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
-from toolee_robot.station import WorkConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import InHandEstimate
 
 SURE = np.eye(6) * 1e-6
@@ -33,7 +33,7 @@ def estimate(X_hand_ee: Array, category: Category = Category.HAMMER_HEAD, covari
 def test_protrusion_is_where_the_faces_plane_cuts_the_axis(
     height: float, aside: float, tilt_deg: float, spin: float
 ) -> None:
-    work = WorkConfig()
+    work = sim_station().work
     X_base_nail = work.X_base_nail(height)
     # The face touches the head's centre with a point that is `aside` of its own centre.
     X_nail_ee = transform(Rotation.from_euler("zy", [spin, np.deg2rad(tilt_deg)])) @ transform(p=[aside, 0, 0])
@@ -41,7 +41,7 @@ def test_protrusion_is_where_the_faces_plane_cuts_the_axis(
 
 
 def test_a_face_turned_away_is_no_contact() -> None:
-    work = WorkConfig()
+    work = sim_station().work
     upside_down = work.X_base_nail() @ transform(Rotation.from_euler("x", np.pi))
     with raises(UserError, code="user.face_direction"):
         protrusion(upside_down, work.X_base_nail(0.0))

@@ -31,7 +31,7 @@ from toolee_robot.control.correction import candidates, flange_targets
 from toolee_robot.errors import CollisionError, LimitError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.robots import SHADOW_HAND
-from toolee_robot.station import StationConfig, WorkConfig
+from toolee_robot.station import StationConfig, sim_station
 
 
 def offset(along: float, about_deg: float, tilt_deg: float) -> Array:
@@ -69,7 +69,7 @@ def test_any_spin_puts_the_face_onto_the_nail(
 ) -> None:
     X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ offset(along, about, tilt) @ X_tool_ee
     X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
-    X_base_nail = WorkConfig().X_base_nail()
+    X_base_nail = sim_station().work.X_base_nail()
     X_base_ee = flange_targets(X_base_nail, X_flange_ee, np.array(theta)) @ X_flange_ee
     assert np.allclose(X_base_ee[:3, 3], X_base_nail[:3, 3], atol=1e-12)
     assert np.allclose(X_base_ee[:3, 2], X_base_nail[:3, 2], atol=1e-12)

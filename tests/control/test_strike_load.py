@@ -13,10 +13,10 @@ from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad, strike_load
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
 from toolee_robot.robots import SHADOW_HAND
-from toolee_robot.station import StationConfig, StrikeConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel, JointState, Payload
 
-CONFIG = StationConfig()
+CONFIG = sim_station()
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +78,6 @@ def test_impulse_and_ratios_are_the_reports(struck: tuple[RobotModel, StrikePlan
     ],
 )
 def test_no_strike_follows_one_that_nearly_stopped_the_robot(load: StrikeLoad, says: str) -> None:
-    excess = load.excess(StrikeConfig())
+    excess = load.excess(sim_station().strike)
     assert (says in excess) if says else not excess
     assert not says or "lower" in excess

@@ -24,7 +24,7 @@ from toolee_robot.control.supervisor_checks import check_limits, check_speed
 from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.robots import SHADOW_HAND
-from toolee_robot.station import StationConfig
+from toolee_robot.station import StationConfig, sim_station
 from toolee_robot.types import ArmModel, Payload
 
 RATED = np.array([330.0, 330, 150, 56, 56, 56])
@@ -97,7 +97,7 @@ def test_any_plan_keeps_every_promise(
     model: ArmModel, home: Array, X_tool_ee: Array, x: float, y: float, along: float, about: float, tilt: float,
     deep: float, speed: float, protrusion: float,
 ) -> None:  # fmt: skip
-    config = StationConfig()
+    config = sim_station()
     config = replace(config, arm=replace(config.arm, model=model), work=replace(config.work, nail_xy=(x, y)))
     robot, limits = RobotModel.of_station(config), SwingLimits(TOOL, deepest=deep)
     q_hand = robot.description.hand_closed
@@ -121,7 +121,7 @@ def test_any_plan_keeps_every_promise(
 
 
 def test_most_nails_can_be_struck(robot: RobotModel, home: Array, q_hand: Array, X_hand_ee: Array) -> None:
-    rng, base = np.random.default_rng(3), StationConfig()
+    rng, base = np.random.default_rng(3), sim_station()
     speeds = []
     for _ in range(5):
         xy = (float(rng.uniform(0.7, 0.9)), float(rng.uniform(0.1, 0.4)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +15,7 @@ from toolee_robot.control import RobotModel, check_trajectory
 from toolee_robot.control.planning.timing import brake_profile, concatenate, joint_move, ramp_length, run_up_profile
 from toolee_robot.errors import LimitError
 from toolee_robot.frames import Array
-from toolee_robot.station import SceneConfig, StationConfig
+from toolee_robot.station import SceneConfig, StationConfig, sim_station
 from toolee_robot.types import Trajectory
 
 
@@ -102,5 +104,5 @@ def test_checker_passes_a_good_move_and_names_what_is_wrong(
     with raises(LimitError, code="limit.not_at_rest"):
         check(altered(move, qd=started))
     with raises(LimitError, code="limit.flange_position") as raised:
-        check(move, SceneConfig(workspace_upper=(1.2, 1.2, 0.3)))
+        check(move, replace(sim_station().scene, workspace_upper=(1.2, 1.2, 0.3)))
     assert "of z" in str(raised.value)

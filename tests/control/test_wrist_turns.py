@@ -13,7 +13,7 @@ from toolee_robot.control.dynamics.tool_weight import LEAST_TURN, WeighingPrior
 from toolee_robot.control.planning.views import plan_handover
 from toolee_robot.control.planning.wrist_turns import plan_wrist_turns
 from toolee_robot.frames import Array, frame_from_axes
-from toolee_robot.station import StationConfig, load_station
+from toolee_robot.station import StationConfig, load_station, sim_station
 from toolee_robot.types import Trajectory
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -43,7 +43,7 @@ def _planned(config: StationConfig, tool_off: float) -> tuple[list[Trajectory], 
 
 @pytest.mark.parametrize("name", ["", "mount", "inspire", "ability", "shadow"])
 def test_the_wrist_alone_turns_the_tool_far_enough_and_hits_nothing(name: str) -> None:
-    config = load_station(EXAMPLES / f"{name}.yaml") if name else StationConfig()
+    config = load_station(EXAMPLES / f"{name}.yaml") if name else sim_station()
     turns, q, world = _planned(config, 0.08)
     assert len(turns) == 5
     np.testing.assert_allclose(turns[0].q[0], q)
@@ -59,7 +59,7 @@ def test_the_wrist_alone_turns_the_tool_far_enough_and_hits_nothing(name: str) -
 
 
 def test_the_posture_of_the_empty_hand_comes_first() -> None:
-    config = StationConfig()
+    config = sim_station()
     turns, q, world = _planned(config, 0.08)
     goal = turns[3].q[-1]
     again = plan_wrist_turns(world.robot, config, world, q, (0.6, 0.1), PRIOR, 5, [goal])
@@ -72,4 +72,4 @@ def test_the_posture_of_the_empty_hand_comes_first() -> None:
 
 
 def test_where_nothing_is_free_there_is_no_turn() -> None:
-    assert _planned(StationConfig(), 0.6)[0] == []
+    assert _planned(sim_station(), 0.6)[0] == []

@@ -15,9 +15,9 @@ from tests.cross_checks.held_pybullet import held_in_pybullet
 from tests.sim_backend.physics.energy_balance import driven_by
 from toolee_robot.sim_backend.physics.grip import GripLimits
 from toolee_robot.sim_backend.physics.wood import NailSpec
-from toolee_robot.station import WorkConfig
+from toolee_robot.station import sim_station
 
-SPEC = NailSpec.from_config(WorkConfig())
+SPEC = NailSpec.from_config(sim_station().work)
 THICK = NailSpec(0.0031, 0.065, 0.007, 0.001, 0.045, 0.42, 0.0)
 """A nail of 3.1 x 65 mm in pine, without a hole."""
 MASSES, SPEEDS = (0.3, 0.6, 1.2), (0.6, 1.0, 1.5, 2.0)

@@ -14,7 +14,7 @@ from toolee_robot.devices.cameras.recording import RecordedStream
 from toolee_robot.doctor.camera import check_exposure, check_holes, check_range, check_stream, sample_stream
 from toolee_robot.findings import Level
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.station import CameraDevice, StationConfig
+from toolee_robot.station import CameraDevice, sim_station
 from toolee_robot.types import RgbdFrame
 
 
@@ -55,7 +55,7 @@ def test_holes_are_counted_on_the_tool_alone(share: float, level: Level) -> None
     ],
 )
 def test_the_least_range_is_compared_with_the_views(least: float, level: Level, lost: str) -> None:
-    config = StationConfig()
+    config = sim_station()
     with_device = replace(config, camera=replace(config.camera, device=CameraDevice("realsense", "1", least)))
     finding = check_range(with_device)
     assert finding.level is level

@@ -16,12 +16,12 @@ from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.hand import SimHand
-from toolee_robot.station import StationConfig
+from toolee_robot.station import StationConfig, sim_station
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 pytestmark = pytest.mark.sim
 
-_CONFIG = StationConfig()
+_CONFIG = sim_station()
 
 
 @pytest.fixture(scope="module")

@@ -17,10 +17,10 @@ from toolee_robot.doctor.frames import check_frames, parse_point
 from toolee_robot.findings import Finding, Level
 from toolee_robot.frames import HALF_TURN, Array, transform
 from toolee_robot.robots.dh import DhParameters
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
-CONFIG = StationConfig()
+CONFIG = sim_station()
 HOME = np.array(CONFIG.scene.home)
 OFFSET = np.array([0.0, 0.02, 0.15, 0.0, 0.0, 0.0])
 

@@ -21,6 +21,7 @@ from toolee_robot.station import (
     PersonConfig,
     StationConfig,
     load_station,
+    sim_station,
 )
 from toolee_robot.types import ArmModel
 
@@ -29,7 +30,7 @@ _CALIBRATION = CalibrationConfig("2026-11-10", "2018550001", "cam7", 0.0012)
 
 
 def _changed(section: str, **changes: Any) -> StationConfig:
-    config = StationConfig()
+    config = sim_station()
     return replace(config, **{section: replace(getattr(config, section), **changes)})
 
 
@@ -107,7 +108,7 @@ def test_what_was_typed_in_the_other_frame_of_the_base_is_behind_the_arm(
     changes: dict[str, dict[str, Any]], behind: str | None, remedy: str
 ) -> None:
     """`home` are joint positions, which have no frame."""
-    config = StationConfig()
+    config = sim_station()
     for section, fields in changes.items():
         config = replace(config, **{section: replace(getattr(config, section), **fields)})
     finding = check_sides(config)
@@ -140,7 +141,7 @@ def test_a_single_contact_is_told_and_does_not_fail(
     person = PersonConfig(
         door_closed_input=0, door_open_input=door, hold_to_run_input=2, hold_to_run_released_input=switch
     )
-    found = list(check_contacts(replace(StationConfig(), person=person)))
+    found = list(check_contacts(replace(sim_station(), person=person)))
     assert {f.name: f.level for f in found} == expected
     for finding in found:
         if finding.level is Level.WARN:
@@ -150,7 +151,7 @@ def test_a_single_contact_is_told_and_does_not_fail(
 
 
 def test_a_station_without_inputs_has_no_contacts_to_check() -> None:
-    assert not list(check_contacts(StationConfig()))
+    assert not list(check_contacts(sim_station()))
 
 
 @pytest.mark.parametrize(
@@ -189,7 +190,7 @@ def test_what_is_out_of_reach(section: str, changes: dict[str, Any], name: str, 
 def test_calibrations(
     calibration: CalibrationConfig | None, robot: str | None, camera: str | None, level: Level, expected_text: str
 ) -> None:
-    config = replace(StationConfig(), calibration=calibration)
+    config = replace(sim_station(), calibration=calibration)
     finding = check_calibration(config, robot, camera, _TODAY)
     assert finding.level is level
     assert expected_text in finding.message
@@ -197,7 +198,7 @@ def test_calibrations(
 
 
 def test_an_arm_moves_slowly_without_a_calibration() -> None:
-    config = replace(StationConfig(), calibration=None)
+    config = replace(sim_station(), calibration=None)
     finding = check_calibration(config, "2018550001", None, _TODAY, slow=True)
     assert finding.level is Level.WARN
     assert "no job" in finding.message
@@ -218,5 +219,5 @@ def test_the_worst_finding_decides() -> None:
 
 
 def test_the_shipped_station_with_the_heaviest_hammer_is_what_the_arm_carries() -> None:
-    finding = _only(list(check_limits(StationConfig())))
+    finding = _only(list(check_limits(sim_station())))
     assert "of 10.0 kg payload" in finding.message

@@ -15,7 +15,7 @@ from tests.documents.blocks import DOCUMENTS, ROOT, blocks, commands
 from toolee_robot.cli import app
 from toolee_robot.errors import UserError
 from toolee_robot.station import StationConfig
-from toolee_robot.station.field_docs import field_docs
+from toolee_robot.station.schema import field_docs
 
 
 def exit_code(words: list[str]) -> int | str | None:

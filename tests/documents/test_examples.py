@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from examples.turn_screw import TurnScrew
 from tests.documents.blocks import blocks
 from tests.documents.hand_device import HandDevice
 from tests.robots.three_finger import THREE_FINGER_HAND
-from toolee_robot import Category, StationConfig, ToolPerception
+from toolee_robot import Category, ToolPerception
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.frames import Array, angle_between, transform
@@ -26,8 +27,10 @@ from toolee_robot.perception.io import bop_images
 from toolee_robot.robots import hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.station import TaskConfig, WorkConfig
+from toolee_robot.station import TaskConfig, sim_station
 from toolee_robot.tools import ToolKind, make_tool, test_seeds
+
+WORK = sim_station().work
 
 pytestmark = pytest.mark.sim(seconds=60)
 
@@ -148,7 +151,7 @@ def test_the_serial_hand_that_falls_silent_has_no_state(device: HandDevice, hand
 
 
 def test_the_task_turns_a_screwdriver_about_its_tip_on_the_screw(perception: ToolPerception) -> None:
-    config = StationConfig(work=WorkConfig(nail_xy=(0.60, 0.10)))  # nearer to the arm than for strikes
+    config = replace(sim_station(), work=replace(WORK, nail_xy=(0.60, 0.10)))  # nearer to the arm than for strikes
     tool = make_tool(ToolKind.PHILLIPS_SCREWDRIVER, test_seeds(1)[0])
     X_tool_ee = tool.ee(Category.SCREWDRIVER_HEAD).X_tool_ee
     X_hand_ee = hand_model(config.hand.model).grasp.X_hand_tool(tool.handle.grip_radius) @ X_tool_ee
@@ -168,7 +171,9 @@ def test_the_task_turns_a_screwdriver_about_its_tip_on_the_screw(perception: Too
 
 @pytest.mark.nightly  # a whole job like that of every run, with another tool
 def test_a_hammer_known_from_its_data_sheet_drives_a_nail(perception: ToolPerception) -> None:
-    config = StationConfig(work=WorkConfig(nail_protrusion=0.0015), task=TaskConfig(views=3))  # few strikes, few views
+    config = replace(
+        sim_station(), work=replace(WORK, nail_protrusion=0.0015), task=TaskConfig(views=3)
+    )  # few strikes, few views
     hammer = make_tool(ToolKind.BALL_PEEN_HAMMER, 9)
     with SimStation.build(config, 0, SimOptions(tool=hammer)) as simulation:
         result = drive_nail(simulation.station, perception, config)

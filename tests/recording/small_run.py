@@ -17,7 +17,7 @@ from toolee_robot.recording.messages import plain
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.robots import ARM_JOINTS, load_robot
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.types import (
     CameraIntrinsics,
@@ -37,7 +37,7 @@ REACHED = np.array([0.3, -1.5, 1.6, -1.2, -1.5, 0.2])
 def motion(q: NDArray[np.float64], begin: float, peak: float) -> MotionReport:
     """One second at 125 Hz from home to q, with a peak of the force [N] in its middle."""
     n = 126
-    path = np.linspace(np.array(StationConfig().scene.home), q, n)
+    path = np.linspace(np.array(sim_station().scene.home), q, n)
     wrenches = np.zeros((n, 6))
     wrenches[n // 2, 2] = peak
     return MotionReport(MotionOutcome.COMPLETED, begin + np.arange(n) / 125, path, path, wrenches)
@@ -62,7 +62,7 @@ def estimate(rng: np.random.Generator) -> ToolEstimate:
 
 def record(recorder: RunRecorder) -> None:
     """Record the run, 4.3 s of it."""
-    config, rng = StationConfig(), np.random.default_rng(0)
+    config, rng = sim_station(), np.random.default_rng(0)
     description = load_robot()
     recorder.attach("station.json", "application/json", json.dumps(plain(asdict(config))).encode())
     recorder.attach("tool.glb", "model/gltf-binary", tool_model(make_tool(ToolKind.CLAW_HAMMER, 3)))

@@ -27,7 +27,7 @@ from toolee_robot.devices.cameras import StreamedCamera, orbbec, realsense
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
-from toolee_robot.station import CameraConfig, CameraDevice
+from toolee_robot.station import CameraConfig, CameraDevice, sim_station
 from toolee_robot.stations.camera import ORBBEC, REALSENSE, RECORDED, open_camera
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
@@ -37,7 +37,9 @@ SERIAL, OTHER_SERIAL = "832112070123", "832112070999"
 
 def _camera(driver: str, k: CameraIntrinsics = COLOR) -> CameraConfig:
     device = CameraDevice(driver, SERIAL, 0.2)
-    return CameraConfig(fx=k.fx, fy=k.fy, cx=k.cx, cy=k.cy, width=k.width, height=k.height, device=device)
+    return replace(
+        sim_station().camera, fx=k.fx, fy=k.fy, cx=k.cx, cy=k.cy, width=k.width, height=k.height, device=device
+    )
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.station import ArmLimits, StationConfig, TaskConfig
+from toolee_robot.station import StationConfig, TaskConfig, sim_station
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, Stage
@@ -35,9 +35,10 @@ from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.types import Trajectory
 
 # Transfers are not examined and may be fast.
-CONFIG = StationConfig(
+CONFIG = replace(
+    sim_station(),
     task=TaskConfig(views=1, max_strikes=1, handover_timeout=2.0),
-    arm=ArmLimits(transfer_velocity_scale=0.7, transfer_acceleration=5.0),
+    arm=replace(sim_station().arm, transfer_velocity_scale=0.7, transfer_acceleration=5.0),
 )
 HOME = np.array(CONFIG.scene.home)
 SEED = 101

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +15,7 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.station import draw_hammer
-from toolee_robot.station import ArmLimits, StationConfig
+from toolee_robot.station import StationConfig, sim_station
 from toolee_robot.types import ArmModel, Payload, Trajectory
 
 
@@ -47,7 +47,7 @@ class Swing:
 @lru_cache(maxsize=2)
 def plan_swing(model: ArmModel) -> Swing:
     """Plan the swing of an arm of this model with a held-out hammer in the nominal grasp."""
-    config = StationConfig(arm=ArmLimits(model=model))
+    config = replace(sim_station(), arm=replace(sim_station().arm, model=model))
     robot = RobotModel.load(model)
     tool = draw_hammer(np.random.default_rng([0, 10]))
     X_hand_tool = robot.description.hand.grasp.X_hand_tool(tool.handle.grip_radius)

@@ -14,15 +14,15 @@ from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription, load_robot, write_urdf
 from toolee_robot.robots.fused import combined, fuse_links
 from toolee_robot.robots.tree import Inertial, Tree
-from toolee_robot.station import StationConfig, load_station
+from toolee_robot.station import load_station, sim_station
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-HOME = np.array(StationConfig().scene.home)
+HOME = np.array(sim_station().scene.home)
 
 
 def description(station: str) -> RobotDescription:
     """The robot of an example's station, or of the simulated one."""
-    config = load_station(EXAMPLES / f"{station}.yaml") if station else StationConfig()
+    config = load_station(EXAMPLES / f"{station}.yaml") if station else sim_station()
     return load_robot(config.arm.model, config.arm.calibration, config.hand)
 
 

@@ -18,7 +18,7 @@ from toolee_robot.frames import Array
 from toolee_robot.robots import SHADOW_HAND, hand_model
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.station import HandConfig, StationConfig, load_station
+from toolee_robot.station import StationConfig, load_station, sim_station
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tools import Family, kinds_of, make_tool
 from toolee_robot.types import ToolMount
@@ -80,7 +80,7 @@ def test_a_mount_that_cannot_be_is_refused(mount: ToolMount, change: dict[str, o
 
 def test_a_mount_belongs_to_the_model_mount(mount: ToolMount) -> None:
     with pytest.raises(ValueError, match="mount"):
-        HandConfig(mount=mount)
+        replace(sim_station().hand, mount=mount)
 
 
 def test_the_hand_is_where_the_station_file_has_it(robot: RobotModel, mount: ToolMount) -> None:
@@ -122,10 +122,10 @@ def test_the_mount_is_in_the_collision_model(robot: RobotModel, config: StationC
 
 
 def test_the_yield_torque_is_the_station_s() -> None:
-    assert hand_model(HandConfig()).yield_torque == SHADOW_HAND.yield_torque == 3.3
-    soft = HandConfig(yield_torque=2.0)
+    assert hand_model(sim_station().hand).yield_torque == SHADOW_HAND.yield_torque == 3.3
+    soft = replace(sim_station().hand, yield_torque=2.0)
     assert hand_model(soft).yield_torque == 2.0
-    assert RobotModel.of_station(StationConfig(hand=soft)).description.hand.yield_torque == 2.0
+    assert RobotModel.of_station(replace(sim_station(), hand=soft)).description.hand.yield_torque == 2.0
 
 
 def test_a_strike_is_slower_where_less_yields(config: StationConfig, mount: ToolMount) -> None:

@@ -21,7 +21,7 @@ from toolee_robot.robots import (
     load_robot,
     wrap_fingers,
 )
-from toolee_robot.station import HandConfig, StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import HandWeight
 
 
@@ -138,7 +138,7 @@ def test_fingers_wrap_without_sinking_into_the_handle(radius: float) -> None:
 def test_a_weighed_hand_is_the_payload_in_every_posture() -> None:
     """What a lab has weighed goes to the controller, not the masses of a model that nobody can edit."""
     weighed = HandWeight(4.2, (0.001, -0.002, 0.12))
-    robot = RobotModel.of_station(replace(StationConfig(), hand=HandConfig(weighed=weighed)))
+    robot = RobotModel.of_station(replace(sim_station(), hand=replace(sim_station().hand, weighed=weighed)))
     for q_hand in (robot.description.hand_open, robot.description.hand_closed):
         payload = robot.description.hand_payload(q_hand)
         assert payload.mass == weighed.mass

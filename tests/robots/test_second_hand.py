@@ -16,7 +16,7 @@ from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.robots import HANDS, SHADOW_HAND, load_robot, wrap_fingers
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
-from toolee_robot.station import HandConfig, StationConfig
+from toolee_robot.station import HandConfig, sim_station
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
@@ -25,7 +25,7 @@ from toolee_robot.types import Trajectory
 pytestmark = pytest.mark.sim
 
 HAND = THREE_FINGER_HAND
-CONFIG = StationConfig(hand=HandConfig(HAND.name))
+CONFIG = replace(sim_station(), hand=HandConfig(HAND.name))
 
 
 @pytest.fixture(scope="module", autouse=True)

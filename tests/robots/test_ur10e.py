@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from toolee_robot.errors import AssetError, ConfigError, UnreachableError
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform
 from toolee_robot.robots import FLANGE_FRAME, SHADOW_HAND, load_robot
 from toolee_robot.robots.dh import DhParameters
-from toolee_robot.station import ArmLimits, SceneConfig, StationConfig, load_station
+from toolee_robot.station import load_station, sim_station
 from toolee_robot.types import ArmModel, DhCalibration
 
 MODELS = list(ArmModel)
@@ -180,10 +181,10 @@ def test_the_station_says_which_arm_it_is(tmp_path: Path) -> None:
 
 
 def test_a_ur10e_reaches_the_handover_from_home() -> None:
-    config = StationConfig(arm=ArmLimits(model=ArmModel.UR10E))
+    config = replace(sim_station(), arm=replace(sim_station().arm, model=ArmModel.UR10E))
     robot = RobotModel.load(ArmModel.UR10E)
     q_hand = robot.description.hand_open
-    home = np.array(SceneConfig().home)
+    home = np.array(sim_station().scene.home)
     trajectory = plan_handover(robot, config, CollisionWorld(robot, config, q_hand), home, q_hand)
     X_base_hand = robot.fk(trajectory.q[-1], q_hand)[1]
     np.testing.assert_allclose(X_base_hand[:3, 3], config.scene.handover_position, atol=1e-3)

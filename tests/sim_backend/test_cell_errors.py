@@ -18,11 +18,11 @@ from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, draw_errors
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.station import draw_handover
-from toolee_robot.station import StationConfig, load_station
+from toolee_robot.station import StationConfig, load_station, sim_station
 from toolee_robot.tools import NAIL_DRIVERS, make_tool
 from toolee_robot.types import Payload
 
-CONFIG, USUAL = StationConfig(), SimOptions()
+CONFIG, USUAL = sim_station(), SimOptions()
 SEEDS = range(400)
 MOUNTED = Path(__file__).parents[2] / "examples" / "mount.yaml"
 

@@ -19,13 +19,13 @@ from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.physics.grip import RELEASE_SLIP, GripLimits
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.tools import ToolKind, make_tool, split
 from toolee_robot.types import Payload, Trajectory
 
 pytestmark = pytest.mark.sim
 
-CONFIG = StationConfig()
+CONFIG = sim_station()
 # The palm faces the person, fingers down.
 X_BASE_HAND = frame_from_axes(z=np.array([0.0, -0.3, -1.0]), x=np.array([1.0, 0.0, 0.0]), p=[0.55, -0.35, 0.75])
 NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])

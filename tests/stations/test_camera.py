@@ -13,13 +13,15 @@ from tests.devices.cameras.toy_recording import INTRINSICS, SERIAL, toy_recordin
 from tests.errors import raises
 from toolee_robot.errors import ConfigError, NoAnswerError, NotReadyError, UserError
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.station import CameraConfig, CameraDevice, load_station
+from toolee_robot.station import CameraConfig, CameraDevice, load_station, sim_station
 from toolee_robot.stations.camera import camera_drivers, open_camera, toolkit_camera
 
 
 def config(device: CameraDevice | None) -> CameraConfig:
     k = INTRINSICS
-    return CameraConfig(fx=k.fx, fy=k.fy, cx=k.cx, cy=k.cy, width=k.width, height=k.height, device=device)
+    return replace(
+        sim_station().camera, fx=k.fx, fy=k.fy, cx=k.cx, cy=k.cy, width=k.width, height=k.height, device=device
+    )
 
 
 def recorded(folder: Path, serial: str = SERIAL) -> CameraConfig:

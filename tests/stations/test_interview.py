@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.errors import ConfigError, UserError
-from toolee_robot.station import ToolEnvelope, load_lab_station
+from toolee_robot.station import ToolEnvelope, load_lab_station, sim_station
 from toolee_robot.stations.hand import WIRED_HANDS
 from toolee_robot.stations.interview import Question, put, questions
 from toolee_robot.stations.lab import Purpose, check_purpose
@@ -102,11 +102,11 @@ def test_a_camera_is_asked_what_its_driver_needs_and_does_not_tell(
 @pytest.mark.parametrize(
     ("name", "answer", "code", "words"),
     [
-        ("camera.position", "950 -620 850", "user.answer_unit", "millimetres"),
-        ("work.stand_height", "200", "user.answer_unit", "millimetres"),
-        ("scene.home", "0 -90 90 -90 -90 0", "user.answer_unit", "degrees"),
-        ("tool.mass", "500", "user.answer_unit", "grams"),
-        ("work.nail_diameter", "2.2", "user.answer_unit", "millimetres"),
+        ("camera.position", "950 -620 850", "user.answer", "millimetres"),
+        ("work.stand_height", "200", "user.answer", "millimetres"),
+        ("scene.home", "0 -90 90 -90 -90 0", "user.answer", "degrees"),
+        ("tool.mass", "500", "user.answer", "grams"),
+        ("work.nail_diameter", "2.2", "user.answer", "millimetres"),
         ("camera.position", "0.95 -0.62", "user.answer", "3 numbers are needed, 2 were given"),
         ("work.nail_diameter", "-0.002", "user.answer", "greater than 0"),
         ("work.nail_diameter", "two", "user.answer", "a number is needed"),
@@ -132,7 +132,7 @@ def test_what_would_stay_the_simulations_unseen_is_offered_and_written_down() ->
     offered = {question.name: question for question in questions({}) if question.offered}
     assert {"strike.speed", "work.block_xy", "tool_envelope.head_radius"} <= set(offered)
     envelope = {q.path[-1]: q.parse(q.offered) for q in offered.values() if q.path[0] == "tool_envelope"}
-    assert ToolEnvelope(**envelope) == ToolEnvelope()
+    assert ToolEnvelope(**envelope) == sim_station().tool_envelope
     assert offered["work.block_xy"].parse(offered["work.block_xy"].offered) is None
     assert offered["work.block_xy"].parse("0.75, 0.10") == [0.75, 0.10]
     assert offered["work.block_xy"].form == "2 numbers"

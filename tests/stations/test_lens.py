@@ -28,7 +28,7 @@ from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals.board import BoardVisuals
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
-from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
+from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station, sim_station
 from toolee_robot.stations.camera import REALSENSE, open_camera
 from toolee_robot.stations.rehearsal.camera import emulated_stream
 from toolee_robot.stations.rehearsal.held_board import held_pose
@@ -48,8 +48,16 @@ EXACT = 0.2
 
 def camera(distortion: tuple[float, ...] | None, driver: str) -> CameraConfig:
     device = CameraDevice(driver, "832112070123", 0.2)
-    return CameraConfig(
-        fx=383.2, fy=383.2, cx=319.1, cy=241.6, width=640, height=480, distortion=distortion, device=device
+    return replace(
+        sim_station().camera,
+        fx=383.2,
+        fy=383.2,
+        cx=319.1,
+        cy=241.6,
+        width=640,
+        height=480,
+        distortion=distortion,
+        device=device,
     )
 
 

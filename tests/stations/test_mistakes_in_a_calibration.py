@@ -117,6 +117,8 @@ def test_the_arm_does_not_go_on_before_a_camera_that_stands_elsewhere(
     def swapped(*drawn: Any) -> SimulatedBoard:
         printed = simulated_board(*drawn)
         camera = printed.measured.camera
+        assert camera.position is not None
+        assert camera.target is not None
         (x, y, z), (a, b, c) = camera.position, camera.target
         camera = replace(camera, position=(y, x, z), target=(b, a, c))
         return replace(printed, measured=replace(printed.measured, camera=camera))

@@ -13,6 +13,7 @@ import pty
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from toolee_robot.devices.hands.wire import port
 from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import SERIAL, SoftwareRealSense
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
-from toolee_robot.station import CameraConfig, CameraDevice
+from toolee_robot.station import CameraConfig, CameraDevice, sim_station
 from toolee_robot.stations import camera
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -75,7 +76,7 @@ def test_a_port_of_another_device_is_silent(said: Say) -> None:
 @pytest.fixture
 def realsense(monkeypatch: pytest.MonkeyPatch) -> SoftwareRealSense:
     """The example's camera, which the driver finds; it gives images within its context."""
-    k = CameraConfig(fx=383.2, fy=383.2, cx=319.1, cy=241.6, width=640, height=480).intrinsics
+    k = replace(sim_station().camera, fx=383.2, fy=383.2, cx=319.1, cy=241.6, width=640, height=480).intrinsics
     rs = pytest.importorskip("pyrealsense2", exc_type=ImportError)
     found = SoftwareRealSense(rs, rs.distortion.none, k, k)
 

@@ -15,7 +15,7 @@ from tests.errors import raises
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
 from toolee_robot.tasks.hammering.learnt_grasp import LEAST_JOBS, learn_shift
 from toolee_robot.types import (
@@ -61,7 +61,7 @@ class Sees:
     ],
 )
 def test_the_rest_of_the_pose_is_nominal(ablation: Ablation | None, place: Array, turn: Array) -> None:
-    perceiver, config = ablated(ablation, Sees(), StationConfig(), NOMINAL)
+    perceiver, config = ablated(ablation, Sees(), sim_station(), NOMINAL)
     X = perceiver.fuse([], []).X_hand_ee
     np.testing.assert_array_equal(X[:3, 3], place[:3, 3])
     np.testing.assert_allclose(X[:3, :3], turn[:3, :3], atol=1e-12)
@@ -86,7 +86,7 @@ def test_a_job_believes_where_the_hand_moved_earlier_tools_in_the_mean(tmp_path:
     learnt = learn_shift(tmp_path, "inspire")
     assert learnt.jobs == 12
     assert learnt.spread == pytest.approx((0.02, 0.05), rel=0.01)
-    perceiver, _ = ablated(Ablation.LEARNT_GRASP, Sees(), StationConfig(), NOMINAL, shift=learnt)
+    perceiver, _ = ablated(Ablation.LEARNT_GRASP, Sees(), sim_station(), NOMINAL, shift=learnt)
     np.testing.assert_allclose(perceiver.fuse([], []).X_hand_ee, shift @ NOMINAL, atol=1e-4)
     with raises(UserError, code="user.too_few_runs"):
         learn_shift(tmp_path, "shadow")
@@ -146,7 +146,7 @@ def test_another_estimator_gets_the_nominal_pose_and_replaces_the_networks(ablat
     shift = transform(p=[0.0, 0.0, 0.01])
     depth = np.ones((2, 2), np.float32)
     frame = RgbdFrame(np.zeros((2, 2, 3), np.uint8), depth, CameraIntrinsics(2.0, 2.0, 1.0, 1.0, 2, 2), 0.0)
-    perceiver, _ = ablated(ablation, SeesTwo(), StationConfig(), NOMINAL, lambda _, __, nominal: nominal @ shift)
+    perceiver, _ = ablated(ablation, SeesTwo(), sim_station(), NOMINAL, lambda _, __, nominal: nominal @ shift)
     posed, unposed = perceiver.estimate(frame, HoldingHand(X_camera_hand, np.eye(3)))
     np.testing.assert_allclose(posed.X_camera_ee, X_camera_hand @ NOMINAL @ shift)
     assert posed.detection.score == 0.9

@@ -9,7 +9,7 @@ import pytest
 from toolee_robot.errors import DeviceError
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
-from toolee_robot.station import NailConfig, StationConfig
+from toolee_robot.station import NailConfig, StationConfig, sim_station
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import NailResult, Outcome, Strike
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
@@ -35,7 +35,7 @@ class Told(TaskObserver):
 
 
 def _config() -> StationConfig:
-    config = StationConfig()
+    config = sim_station()
     work = replace(config.work, block_size=(0.08, 0.14, 0.06))
     return replace(
         config,

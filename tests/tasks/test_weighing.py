@@ -25,7 +25,7 @@ from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.station import draw_hammer
 from toolee_robot.sim_backend.ur_controller.robot.collision_detection import CollisionDetection
 from toolee_robot.sim_backend.world import Sample
-from toolee_robot.station import StationConfig, ToolData
+from toolee_robot.station import StationConfig, ToolData, sim_station
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 from toolee_robot.tasks.hammering.grasp import UNKNOWN_FACE, UNKNOWN_FACE_OFF, measured_grasp
@@ -60,7 +60,7 @@ class Until(TaskObserver):
         self.after: dict[str, Callable[[], None]] = {}
         self.messages: list[str] = []
         self.fastest: dict[str, float] = {}
-        self._robot = RobotModel.of_station(StationConfig())
+        self._robot = RobotModel.of_station(sim_station())
 
     def stage_started(self, stage: Stage) -> None:
         if stage is self.stage:
@@ -94,7 +94,7 @@ def _task(simulation: SimStation, config: StationConfig, observer: TaskObserver 
 
 @pytest.mark.parametrize("model", [ArmModel.UR10, pytest.param(ArmModel.UR10E, marks=pytest.mark.nightly)])
 def test_the_arm_weighs_the_tool_and_is_told_its_weight(model: ArmModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = replace(StationConfig(), arm=replace(StationConfig().arm, model=model))
+    config = replace(sim_station(), arm=replace(sim_station().arm, model=model))
     observer, told = Until(Stage.VIEW), list[Payload]()
     with SimStation.build(config, SEED, ERRORS) as simulation:
         arm, tool, world = simulation.station.arm, simulation.tool, simulation.world
@@ -128,7 +128,7 @@ def test_the_arm_weighs_the_tool_and_is_told_its_weight(model: ArmModel, monkeyp
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", [SEED, 104])
 def test_the_nail_is_driven_with_a_hammer_that_nobody_has_measured(seed: int) -> None:
-    config = StationConfig()
+    config = sim_station()
     with SimStation.build(config, seed, ERRORS) as simulation:
         result = _task(simulation, config).run()
         assert result.outcome is Outcome.FLUSH, result.reason
@@ -141,7 +141,7 @@ def test_the_nail_is_driven_with_a_hammer_that_nobody_has_measured(seed: int) ->
 
 @pytest.mark.usefixtures("never_stops")
 def test_a_weight_that_is_too_uncertain_is_not_struck_with() -> None:
-    config = StationConfig()
+    config = sim_station()
     with SimStation.build(config, SEED, replace(ERRORS, wrench_errors=6.0)) as simulation:
         observer = Until()
         task = _task(simulation, config, observer)
@@ -160,7 +160,7 @@ def test_a_weight_that_is_too_uncertain_is_not_struck_with() -> None:
 @pytest.mark.usefixtures("never_stops")
 @pytest.mark.nightly  # the doubt itself is weighed in every run
 def test_a_device_that_fails_on_the_way_back_does_not_hide_the_reason() -> None:
-    config = StationConfig()
+    config = sim_station()
     with SimStation.build(config, SEED, replace(ERRORS, wrench_errors=6.0)) as simulation:
         arm = simulation.station.arm
         assert isinstance(arm, SimArm)
@@ -179,7 +179,7 @@ def test_a_device_that_fails_on_the_way_back_does_not_hide_the_reason() -> None:
 
 
 def test_a_tool_heavier_than_the_job_is_planned_for_is_refused() -> None:
-    config = StationConfig()
+    config = sim_station()
     with SimStation.build(config, SEED, ERRORS) as simulation:
         observer = Until()
         grasp = replace(measured_grasp(UNKNOWN, config), mass=0.3)
@@ -192,7 +192,7 @@ def test_a_tool_heavier_than_the_job_is_planned_for_is_refused() -> None:
 
 @pytest.mark.nightly  # another refusal is in every run
 def test_a_tool_that_the_arm_cannot_carry_leaves_the_arm_at_the_handover(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = StationConfig()
+    config = sim_station()
     with SimStation.build(config, SEED, ERRORS) as simulation:
         arm, observer = simulation.station.arm, Until()
         take, hand = arm.set_payload, RobotModel.of_station(config).description.hand_payload
@@ -211,7 +211,7 @@ def test_a_tool_that_the_arm_cannot_carry_leaves_the_arm_at_the_handover(monkeyp
 
 
 def test_no_motion_to_weigh_the_tool_leaves_the_arm_at_the_handover(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = StationConfig()
+    config = sim_station()
 
     def blocked(*_: object) -> None:
         raise LimitError("no way", code="limit.velocity")
@@ -235,7 +235,7 @@ def test_the_empty_hand_is_believed_less_with_time_and_after_a_reset(age: float,
 
 
 def test_a_stop_while_the_tool_is_weighed_does_not_leave_it_unweighed() -> None:
-    config = StationConfig()
+    config = sim_station()
     with SimStation.build(config, SEED, ERRORS) as simulation:
         arm = simulation.station.arm
         assert isinstance(arm, SimArm)
@@ -260,7 +260,7 @@ def test_a_doubt_about_the_grip_is_answered_by_weighing_again(
     blinks: int, weighed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The tool may have moved. The third doubt needs a person."""
-    config = StationConfig()
+    config = sim_station()
     with SimStation.build(config, SEED, ERRORS) as simulation:
         hand, observer = simulation.station.hand, Until(Stage.VIEW)
         state, doubted = hand.state, [False]
@@ -312,7 +312,7 @@ def test_a_doubt_about_the_grip_is_answered_by_weighing_again(
 
 
 def test_without_a_look_an_unknown_face_is_not_struck_with() -> None:
-    config = StationConfig()
+    config = sim_station()
     with SimStation.build(config, SEED, ERRORS) as simulation, raises(UserError, code="user.unknown_face"):
         HammeringTask(
             simulation.station,

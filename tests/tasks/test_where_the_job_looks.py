@@ -18,7 +18,7 @@ from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.station.calibration import SIMULATED_CALIBRATION
 from toolee_robot.tasks.common.held_region import POSE_ERRORS, held_region
 from toolee_robot.tasks.common.look import largest_displacement
@@ -62,7 +62,7 @@ class FirstFrame(TaskObserver):
 
 
 def test_a_job_finds_the_face_in_a_crop_about_the_hand_alone() -> None:
-    config, observer, detector = StationConfig(), FirstFrame(), Watched()
+    config, observer, detector = sim_station(), FirstFrame(), Watched()
     shipped = ToolPerception.load()
     with SimStation.build(config, 100) as sim:
         perception = ToolPerception(detector, shipped.pose, shipped.trust)
@@ -84,7 +84,7 @@ def test_a_job_finds_the_face_in_a_crop_about_the_hand_alone() -> None:
 
 def test_the_region_is_as_wide_as_the_calibration_is_uncertain() -> None:
     X_hand_ee = transform(p=[0.08, 0.0, 0.2])
-    station = StationConfig()
+    station = sim_station()
     largest = largest_displacement(X_hand_ee)
     exact = held_region(station, X_hand_ee, largest)
     measured = replace(SIMULATED_CALIBRATION, residual=0.0025)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.series import Series
 from toolee_robot.sim_backend.physics.wood import NailSpec
 from toolee_robot.sim_backend.visuals.scene import NailVisuals
-from toolee_robot.station import NailConfig, StationConfig, WorkConfig
+from toolee_robot.station import NailConfig, sim_station
 from toolee_robot.viewer.run_state import RunStates
 
 LEANS = {"left": (0.0, 0.0), "right": (0.12, -0.05)}
@@ -18,7 +20,10 @@ LEANS = {"left": (0.0, 0.0), "right": (0.12, -0.05)}
 @pytest.mark.parametrize("name", LEANS)
 def test_each_nail_sinks_along_its_own_axis(name: str) -> None:
     nails = (NailConfig("left", (0.75, 0.12)), NailConfig("right", (0.75, 0.08), lean=LEANS["right"]))
-    config = StationConfig(work=WorkConfig(block_size=(0.08, 0.14, 0.06), wood_rise=(0.02, 0.03)).with_nails(*nails))
+    config = replace(
+        sim_station(),
+        work=replace(sim_station().work, block_size=(0.08, 0.14, 0.06), wood_rise=(0.02, 0.03)).with_nails(*nails),
+    )
     history = RunHistory()
     history.nails[name] = Series()
     history.nails[name].add(1.0, 0.004)

@@ -19,7 +19,7 @@ from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.reading import read_history
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.robots import load_robot
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.viewer.live_page import LivePage
 from toolee_robot.viewer.rerun_page import RerunPage
 from toolee_robot.viewer.run_view import RunView, blueprint
@@ -70,7 +70,7 @@ def test_it_shows_the_run_by_time(tmp_path: Path) -> None:
 def test_it_follows_a_job_that_runs(tmp_path: Path) -> None:
     history = RunHistory(complete=False)
     logged = Logged(tmp_path / "run.rrd")
-    view = RunView(logged.stream, history, StationConfig(), live=True)
+    view = RunView(logged.stream, history, sim_station(), live=True)
     view.prompt("Lay the hammer into the open hand.")
     with RunRecorder(tmp_path / "run.mcap", {"X_hand_ee": np.eye(4), "X_tool_ee": np.eye(4)}) as recorder:
         history.metadata.update(recorder.metadata)
@@ -114,7 +114,7 @@ def test_a_browser_shows_the_page_which_only_this_computer_gets(tmp_path: Path) 
 
 def test_a_live_page_ends_with_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("toolee_robot.viewer.live_page.SEEN_S", 0.0)
-    page = LivePage(StationConfig(), 8310)
+    page = LivePage(sim_station(), 8310)
     with urllib.request.urlopen(page.address) as served:
         assert served.status == 200
     with RunRecorder(tmp_path / "run.mcap", {"X_hand_ee": np.eye(4), "X_tool_ee": np.eye(4)}) as recorder:

@@ -60,9 +60,9 @@ class ArmOptions(JsonOption):
 
     def load(self) -> tuple[StationConfig, str]:
         """The station, and the address of its controller."""
-        from toolee_robot.station import StationConfig, load_lab_station, load_station
+        from toolee_robot.station import load_lab_station, load_station, sim_station
 
-        station = StationConfig() if self.config is None else load_station(self.config)
+        station = sim_station() if self.config is None else load_station(self.config)
         host = self.robot_host or station.arm.host
         if host is None:
             raise UserError(

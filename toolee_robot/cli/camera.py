@@ -56,7 +56,7 @@ class CameraOptions(JsonOption):
 
     def camera(self) -> CameraConfig:
         """What the station file, or the options, say of the camera."""
-        from toolee_robot.station import CameraConfig, CameraDevice, load_station
+        from toolee_robot.station import CameraDevice, load_station, sim_station
 
         given = [self.config is not None, self.recording is not None, self.driver is not None]
         if sum(given) != 1:
@@ -69,13 +69,13 @@ class CameraOptions(JsonOption):
 
             recording = open_recording(self.recording)
             device = CameraDevice("recorded", recording.serial, _UNKNOWN_RANGE, folder=str(self.recording))
-            return CameraConfig(device=device)
+            return replace(sim_station().camera, device=device)
         if self.driver is None or self.serial is None:
             raise UserError("--driver without --serial: `toolee camera list` shows them", code="user.option")
         device = CameraDevice(
             self.driver, self.serial, _UNKNOWN_RANGE, self.fps, self.exposure, camera_class=self.camera_class
         )
-        return replace(CameraConfig(device=device), width=self.size[0], height=self.size[1])
+        return replace(sim_station().camera, device=device, width=self.size[0], height=self.size[1])
 
     def open(self, clock: Clock, *, own_lens: bool = False) -> StreamedCamera:
         """The camera, not yet entered: by the station file's lens if it states one, or by its own."""

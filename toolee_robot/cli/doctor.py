@@ -61,9 +61,9 @@ class Doctor(JsonOption):
     """Folder for recordings, whose free space is checked."""
 
     def run(self) -> int:
-        from toolee_robot.station import StationConfig, load_station
+        from toolee_robot.station import load_station, sim_station
 
-        config = StationConfig() if self.config is None else load_station(self.config)
+        config = sim_station() if self.config is None else load_station(self.config)
         host = self.robot_host or config.arm.host
         options = (("--world", self.world), ("--jogged-point", self.jogged_point), ("--inputs", self.inputs))
         for option, given in options:
@@ -108,10 +108,10 @@ class Doctor(JsonOption):
 
     def _of_robot(self) -> StationConfig:
         """Load the station of a robot, which never has the simulation's calibration."""
-        from toolee_robot.station import StationConfig, load_lab_station
+        from toolee_robot.station import load_lab_station, sim_station
 
         if self.config is None:
-            return replace(StationConfig(), calibration=None)
+            return replace(sim_station(), calibration=None)
         return load_lab_station(self.config, complete=False)
 
     def _verdict(self, host: str | None, findings: Sequence[Finding]) -> str:

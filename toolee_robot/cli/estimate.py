@@ -19,7 +19,7 @@ from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.station import HandConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import HoldingHand, ToolEstimate
 
 _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
@@ -48,7 +48,7 @@ class Estimate:
     """Pinhole intrinsics [px] of the colour image, undistorted."""
     hand_pose: _File = None
     """X_camera_hand, 16 numbers row by row [m] (text, .json, .npy): fixes the spin a symmetric tool does not show."""
-    hand: str = HandConfig().model
+    hand: str = sim_station().hand.model
     """Which hand --hand-pose is of."""
     bop: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Instead of one frame: a BOP scene folder with rgb/, depth/ and scene_camera.json."""

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Sequence
 from dataclasses import Field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
@@ -17,6 +17,9 @@ from toolee_robot.runtime.yaml_lines import YamlLines
 T = TypeVar("T")
 IN_FILE = "in_file"
 """Key in a dataclass field's metadata: its name in the file, where that is another one; empty where it has none."""
+
+_ADAPTERS: dict[type[Any], TypeAdapter[Any]] = {}
+"""To make one of a whole station takes longer than to read one."""
 
 
 class _UniqueKeys(yaml.SafeLoader):
@@ -88,7 +91,9 @@ def to_record(data: Any, path: Path, kind: type[T], what: str) -> T:
         ConfigError: A field is wrong; the message names every one, and its line where the file is there to be read.
     """
     try:
-        return TypeAdapter(kind).validate_python(data)
+        if kind not in _ADAPTERS:
+            _ADAPTERS[kind] = TypeAdapter(kind)
+        return cast(T, _ADAPTERS[kind].validate_python(data))
     except ValidationError as error:
         lines = YamlLines(path)
         wrong = [
@@ -108,8 +113,6 @@ def _said(kind: type[Any], loc: Sequence[int | str], error: Any) -> str:
             text = "there is no such field" + (f": did you mean {near[0]}?" if near else "")
         case "string_type":
             text = f"a text is needed, {error['input']!r} is none: put it in quotes"
-        case "float_parsing" | "int_parsing":
-            text = f"a number is needed, {error['input']!r} is none: digits, a point for decimals, no unit"
         case "dataclass_type":
             text = "fields with their values are needed, such as `name: value`"
         case "value_error":

@@ -1,7 +1,7 @@
 """Configuration of a station and of the job as frozen dataclasses, optionally loaded from a YAML station file.
 
-    from toolee_robot.station import StationConfig, load_station, read_station
-    config = StationConfig()                 # the simulated station
+    from toolee_robot.station import load_lab_station, load_station, sim_station
+    config = sim_station()                   # the simulated station, sim.yaml
     config = load_station(Path("lab.yaml"))  # another station in simulation: any subset of the fields
     config = load_lab_station(Path("lab.yaml"))  # a real robot's: nothing that is measured has a default
 
@@ -18,10 +18,10 @@ from toolee_robot.station.measured import MEASURED, given_by_nails, given_by_pos
 from toolee_robot.station.mounting import UPRIGHT_WITHIN, check_upright
 from toolee_robot.station.obstacle import Obstacle
 from toolee_robot.station.person import PersonConfig
-from toolee_robot.station.robot import ArmLimits, HandConfig
+from toolee_robot.station.robot import UPRIGHT, ArmLimits, HandConfig, gravity_below
 from toolee_robot.station.servo import ServoConfig, servo_lag
 from toolee_robot.station.setup import JobSetup, with_setup
-from toolee_robot.station.station import StationConfig, load_station, read_station
+from toolee_robot.station.station import StationConfig, load_station, read_station, sim_station
 from toolee_robot.station.tool import ToolData
 from toolee_robot.station.version import VERSION, check_current, is_current
 from toolee_robot.station.work import ONLY_NAIL, NailConfig, WorkConfig
@@ -31,6 +31,7 @@ __all__ = [
     "ONLY_NAIL",
     "SIMULATED",
     "SIMULATED_CALIBRATION",
+    "UPRIGHT",
     "UPRIGHT_WITHIN",
     "VERSION",
     "ArmLimits",
@@ -56,11 +57,13 @@ __all__ = [
     "given_by_intrinsics",
     "given_by_nails",
     "given_by_pose",
+    "gravity_below",
     "is_current",
     "load_lab_station",
     "load_station",
     "read_station",
     "servo_lag",
+    "sim_station",
     "unmeasured",
     "with_setup",
 ]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import date
+from typing import Annotated
 
-from toolee_robot.station.values import STRICT, NotNegative, Positive
+from toolee_robot.station.values import STRICT
+from toolee_robot.types.units import Metres, Unit
 
 SIMULATED = "simulated"
 """Serial number of every simulated device, and of the robot of a rehearsed calibration: no real one has it, so that no
@@ -28,11 +30,11 @@ class CalibrationConfig:
     """Serial number of the calibrated robot; must be that of the station's robot."""
     camera_serial: str
     """Serial number of the calibrated camera; must be that of the station's camera."""
-    residual: NotNegative
-    """Root mean square error of the calibration board's points on held-out poses, across the line of sight [m]."""
-    max_residual: Positive = 0.004
-    """Largest residual with which the calibration may be used [m]."""
-    valid_days: Positive | None = 30.0
+    residual: Annotated[float, Metres(0.0, 0.1)]
+    """Root mean square error of the calibration board's points on held-out poses, across the line of sight."""
+    max_residual: Annotated[float, Metres(0.0001, 0.02)] = 0.004
+    """Largest residual with which the calibration may be used."""
+    valid_days: Annotated[float, Unit("days", 0.1, 3650.0)] | None = 30.0
     """Days after which the calibration must be repeated; None if nothing can have moved, as in the simulation."""
     record: str | None = None
     """The calibration's record, a file; its place is relative to the station file's."""

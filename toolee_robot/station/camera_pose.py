@@ -65,7 +65,7 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
             code="config.camera_pose_unit",
         )
     others = {name: field for name, field in camera.items() if name not in (FIELD, *LOOK_AT)}
-    return {**data, SECTION: {**others, HELD: rows(frame.X_base_this @ X)}}
+    return {**data, SECTION: {**others, HELD: rows(frame.X_base_this @ X), **dict.fromkeys(LOOK_AT)}}
 
 
 def _of_quaternion(value: dict[Any, Any], named: str) -> Array:

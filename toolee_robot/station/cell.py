@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -11,8 +12,9 @@ from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.runtime.yaml_files import IN_FILE
 from toolee_robot.station.camera_device import CameraDevice
 from toolee_robot.station.obstacle import Obstacle
-from toolee_robot.station.values import STRICT, Count, Positive
+from toolee_robot.station.values import STRICT, Extent, JointAngles, Place, Point
 from toolee_robot.types import CameraIntrinsics
+from toolee_robot.types.units import Direction, Metres, Number, Pixels
 
 BODY_NAMES = ("table", "stand", "block", "camera", "person")
 """Names of the bodies that every station has."""
@@ -28,33 +30,32 @@ VERTICAL = 1e-6
 class CameraConfig:
     """Pose and intrinsics of the fixed camera (eye-to-hand).
 
-    The default intrinsics are those of a Kinect v2's depth camera with the colour image registered to it. The pose is
-    that of the optical frame (z forward, x right, y down): `X_base_camera`, or `position` and `target`, by which the
-    rows of the image are level. A simulated camera stands exactly where these say, whatever a record says.
+    The pose is that of the optical frame (z forward, x right, y down): `X_base_camera`, or `position` and `target`, by
+    which the rows of the image are level. A simulated camera stands exactly where these say, whatever a record says.
     """
 
     __pydantic_config__ = STRICT
-    position: tuple[float, float, float] = (0.95, -0.62, 0.85)
-    """Optical centre in `base` [m]; left out with `X_base_camera`."""
-    target: tuple[float, float, float] = (0.60, -0.15, 0.72)
-    """A point on the optical axis, in `base` [m], not straight below `position`; left out with `X_base_camera`."""
+    fx: Annotated[float, Pixels(10.0, 20_000.0)]
+    """Focal length along x."""
+    fy: Annotated[float, Pixels(10.0, 20_000.0)]
+    """Focal length along y."""
+    cx: Annotated[float, Pixels(1.0, 10_000.0)]
+    """Principal point, x."""
+    cy: Annotated[float, Pixels(1.0, 10_000.0)]
+    """Principal point, y."""
+    width: Annotated[int, Pixels(16, 10_000)]
+    """Width of the image."""
+    height: Annotated[int, Pixels(16, 10_000)]
+    """Height of the image."""
+    position: Point | None = None
+    """Optical centre in `base`; left out with `X_base_camera`."""
+    target: Point | None = None
+    """A point on the optical axis, in `base`, not straight below `position`; left out with `X_base_camera`."""
     measured_pose: Rows | None = field(default=None, metadata={IN_FILE: "X_base_camera"})
-    """Pose of the optical frame in `base` [m] by another calibration program, instead of `position` and `target`: four
+    """Pose of the optical frame in `base` by another calibration program, instead of `position` and `target`: four
     rows of four numbers, or `{position: [x, y, z], quaternion: [x, y, z, w]}`."""
-    fx: Positive = 365.5
-    """Focal length along x [px]."""
-    fy: Positive = 365.5
-    """Focal length along y [px]."""
-    cx: float = 254.9
-    """Principal point, x [px]."""
-    cy: float = 205.4
-    """Principal point, y [px]."""
-    width: Count = 512
-    """Width of the image [px]."""
-    height: Count = 424
-    """Height of the image [px]."""
-    distortion: tuple[float, ...] | None = None
-    """Distortion of the lens by OpenCV's model: k1, k2, p1, p2 and, where it has one, k3 [1]; all 0 where the driver's
+    distortion: tuple[Annotated[float, Number(-100.0, 100.0)], ...] | None = None
+    """Distortion of the lens by OpenCV's model: k1, k2, p1, p2 and, where it has one, k3; all 0 where the driver's
     images are undistorted, null where the camera tells its own, or nobody knows it."""
     intrinsics_record: str | None = field(default=None, metadata={IN_FILE: "intrinsics"})
     """Record of `toolee calibrate intrinsics`, which gives the seven fields above and holds instead of what the camera
@@ -68,14 +69,20 @@ class CameraConfig:
     record, which a station file names in `calibration`."""
 
     def __post_init__(self) -> None:
+        if self.measured_pose is None and self.pose is None:
+            self._check_target()
+        if self.distortion is not None:
+            _check_distortion(self.distortion)
+
+    def _check_target(self) -> None:
+        if self.position is None or self.target is None:
+            raise ValueError("position and target are missing: give both, or X_base_camera instead of both")
         z = np.subtract(self.target, self.position)
-        if self.measured_pose is None and np.hypot(z[0], z[1]) <= VERTICAL * np.linalg.norm(z):
+        if np.hypot(z[0], z[1]) <= VERTICAL * np.linalg.norm(z):
             raise ValueError(
                 "target lies on the vertical through position, which leaves open how the image is turned about the "
                 "optical axis: give X_base_camera instead of both"
             )
-        if self.distortion is not None:
-            _check_distortion(self.distortion)
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
@@ -88,6 +95,8 @@ class CameraConfig:
         whole = self.measured_pose if self.pose is None else self.pose
         if whole is not None:
             return np.array(whole)
+        assert self.position is not None, "checked at the construction"
+        assert self.target is not None, "checked at the construction"
         z = np.subtract(self.target, self.position)
         x = np.cross(z, [0.0, 0.0, 1.0])
         return frame_from_axes(z=z, x=x, p=self.position)
@@ -120,23 +129,22 @@ class ToolEnvelope:
 
     They are in its EE frame: origin in the face's centre, z the face's normal, x towards the handle's butt. The head's
     cylinder is around z, from the face back to -head_length. The claw's is parallel to it at x = claw_radius / 2,
-    behind the handle. The handle's is parallel to x. The defaults enclose the hammers of the simulation
-    (`toolee_robot.tools`).
+    behind the handle. The handle's is parallel to x.
     """
 
     __pydantic_config__ = STRICT
-    head_radius: Positive = 0.033
-    """Radius of the head [m]."""
-    head_length: Positive = 0.14
-    """Length of the head from face to claw [m]."""
-    claw_radius: Positive = 0.05
-    """Radius of the claw, which curls towards the handle [m]."""
-    handle_radius: Positive = 0.032
-    """Radius of the handle [m]."""
-    handle_depth: Positive = 0.050
-    """Distance of the handle's axis behind the face [m]."""
-    handle_length: Positive = 0.36
-    """Length of the handle from the face's centre [m]."""
+    head_radius: Annotated[float, Metres(0.005, 0.1)]
+    """Radius of the head."""
+    head_length: Annotated[float, Metres(0.02, 0.5)]
+    """Length of the head from face to claw."""
+    claw_radius: Annotated[float, Metres(0.005, 0.3)]
+    """Radius of the claw, which curls towards the handle."""
+    handle_radius: Annotated[float, Metres(0.005, 0.1)]
+    """Radius of the handle."""
+    handle_depth: Annotated[float, Metres(0.002, 0.3)]
+    """Distance of the handle's axis behind the face."""
+    handle_length: Annotated[float, Metres(0.05, 1.0)]
+    """Length of the handle from the face's centre."""
 
     def __post_init__(self) -> None:
         if self.handle_depth >= self.head_length:
@@ -151,29 +159,29 @@ class SceneConfig:
     """
 
     __pydantic_config__ = STRICT
-    table_size: tuple[Positive, Positive] = (2.0, 2.0)
-    """Size of the table, x and y [m]."""
-    table_center: tuple[float, float] = (0.4, 0.0)
-    """Middle of the table in `base`, x and y [m]."""
-    table_height: float = 0.0
-    """Height of the table's top over the base plane [m]: 0 where the arm stands on it, negative where the arm stands
+    table_size: tuple[Extent, Extent]
+    """Size of the table, x and y."""
+    table_center: tuple[Place, Place]
+    """Middle of the table in `base`, x and y."""
+    table_height: Annotated[float, Metres(-3.0, 3.0)]
+    """Height of the table's top over the base plane: 0 where the arm stands on it, negative where the arm stands
     higher, on a pedestal."""
-    camera_size: tuple[Positive, Positive, Positive] = (0.16, 0.16, 0.12)
-    """Size of the box around the camera's centre [m]."""
-    person_center: tuple[float, float, float] = (0.10, -1.15, 0.85)
-    """Centre of the box where the person who hands over stands, in `base` [m]; the arm never enters the box."""
-    person_size: tuple[Positive, Positive, Positive] = (0.80, 0.40, 1.70)
-    """Size of the person's box [m]."""
-    home: tuple[float, float, float, float, float, float] = (0.0, -1.9, 1.9, -1.57, -1.57, 0.0)
-    """Joint positions where the arm waits and parks, base to wrist 3 [rad]."""
-    handover_position: tuple[float, float, float] = (0.40, -0.45, 0.65)
-    """Position of the palm's origin at the handover, in `base` [m]."""
-    handover_facing: tuple[float, float, float] = (-0.4, -1.0, 0.0)
+    camera_size: tuple[Extent, Extent, Extent]
+    """Size of the box around the camera's centre."""
+    person_center: Point
+    """Centre of the box where the person who hands over stands, in `base`; the arm never enters the box."""
+    person_size: tuple[Extent, Extent, Extent]
+    """Size of the person's box."""
+    home: JointAngles
+    """Joint positions where the arm waits and parks, base to wrist 3."""
+    handover_position: Point
+    """Position of the palm's origin at the handover, in `base`."""
+    handover_facing: Direction
     """Direction that the palm faces at the handover, towards the person, in `base`; any length."""
-    workspace_lower: tuple[float, float, float] = (-1.0, -1.2, 0.05)
-    """Lower corner of the box that flange, hand and tool may not leave, in `base` [m]."""
-    workspace_upper: tuple[float, float, float] = (1.2, 1.2, 1.6)
-    """Upper corner of the box that flange, hand and tool may not leave, in `base` [m]."""
+    workspace_lower: Point
+    """Lower corner of the box that flange, hand and tool may not leave, in `base`."""
+    workspace_upper: Point
+    """Upper corner of the box that flange, hand and tool may not leave, in `base`."""
     obstacles: tuple[Obstacle, ...] = ()
     """Further boxes that arm, hand and tool keep clear of: name, center, size and rotation of each."""
 

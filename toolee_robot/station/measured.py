@@ -81,7 +81,7 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
 
     Raises:
         ConfigError: As `load_station`, or the file is of version 1 (`config.version_old`), or leaves out what must be
-            measured (`config.unmeasured`), or gives a size in another unit (`config.unit`); the message names it and
+            measured (`config.unmeasured`), or gives a size in another unit (`config.invalid`); the message names it and
             its line, or that of its section; or a tool that is outside of its cylinders (`config.tool_envelope`).
     """
     data = read_station(path)

@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.station.values import STRICT, Positive
+from toolee_robot.station.values import STRICT, Extent, JointAngle, Point
 
 
 @dataclass(frozen=True)
@@ -20,12 +20,12 @@ class Obstacle:
     __pydantic_config__ = STRICT
     name: Annotated[str, Field(pattern=r"^\w[\w -]{0,39}$")]
     """Name, for messages and pictures."""
-    center: tuple[float, float, float]
-    """Centre in `base` [m]."""
-    size: tuple[Positive, Positive, Positive]
-    """Edge lengths along the box's own axes [m]."""
-    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Rotation vector of the box's axes in `base` [rad], as the teach pendant shows rotations; zero: along the axes of
+    center: Point
+    """Centre in `base`."""
+    size: tuple[Extent, Extent, Extent]
+    """Edge lengths along the box's own axes."""
+    rotation: tuple[JointAngle, JointAngle, JointAngle] = (0.0, 0.0, 0.0)
+    """Rotation vector of the box's axes in `base`, as the teach pendant shows rotations; zero: along the axes of
     `base`."""
 
     @property

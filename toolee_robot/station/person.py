@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from pydantic import Field
-
 from toolee_robot.station.values import STRICT
+from toolee_robot.types.units import Number
 
-InputNumber = Annotated[int, Field(ge=0, le=17)]
+InputNumber = Annotated[int, Number(0, 17)]
 """Number of a digital input in the robot's input bits: 0 to 7 standard, 8 to 15 configurable, 16 and 17 at the tool."""
 
 

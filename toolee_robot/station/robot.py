@@ -6,14 +6,28 @@ from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from toolee_robot.frames import Array
-from toolee_robot.station.values import STRICT, Positive
+from toolee_robot.station.values import STRICT, JointSpeeds
 from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandEfforts, HandMounting, HandWeight, ToolMount
+from toolee_robot.types.units import Direction, NewtonMetres, Newtons, Number, RadiansPerSecond2, RadiansPerSecond3
 
 GRAVITY = 9.81
 """Standard acceleration of free fall [m/s^2], as Pinocchio and the simulation have it."""
+UPRIGHT = (0.0, 0.0, 1.0)
+"""`ArmLimits.up` of an arm on a level table."""
+
+
+def gravity_below(up: tuple[float, float, float]) -> Array:
+    """Acceleration of free fall.
+
+    Args:
+        up: The direction straight up; any length.
+
+    Returns:
+        The vector, (3,) [m/s^2].
+    """
+    return -GRAVITY * np.array(up) / np.linalg.norm(up)
 
 
 @dataclass(frozen=True)
@@ -27,9 +41,9 @@ class ArmLimits:
     """
 
     __pydantic_config__ = STRICT
-    model: ArmModel = ArmModel.UR10
+    model: ArmModel
     """Model of the arm."""
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    up: Direction
     """How the base is mounted: the direction straight up, against gravity, in `base`; any length. (0, 0, 1) on a table,
     (0, 0, -1) under a ceiling. The script of a program that the teach pendant saves has it as `set_gravity`, in the
     pendant's Base."""
@@ -38,20 +52,20 @@ class ArmLimits:
     calibration: DhCalibration | None = None
     """Factory calibration of this arm, from its controller's calibration.conf; None for the model's nominal kinematics,
     which are a millimetre or two off."""
-    velocity: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
-    """Largest velocity of each joint, base to wrist 3 [rad/s]."""
-    acceleration: Positive = 15.0
-    """Largest acceleration of every joint in a strike [rad/s^2]."""
-    jerk: Positive = 500.0
-    """Largest jerk of every joint [rad/s^3]."""
-    stop_acceleration: Positive = 15.0
-    """Largest acceleration of every joint while braking after a contact or a stop [rad/s^2]."""
-    stop_jerk: Positive = 1500.0
-    """Largest jerk of every joint while braking after a contact or a stop [rad/s^3]."""
-    transfer_velocity_scale: Annotated[float, Field(gt=0, le=1)] = 0.5
+    velocity: JointSpeeds = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
+    """Largest velocity of each joint, base to wrist 3."""
+    acceleration: Annotated[float, RadiansPerSecond2(0.5, 100.0, "the large joints' torques give some 30")] = 15.0
+    """Largest acceleration of every joint in a strike."""
+    jerk: Annotated[float, RadiansPerSecond3(10.0, 20_000.0)] = 500.0
+    """Largest jerk of every joint."""
+    stop_acceleration: Annotated[float, RadiansPerSecond2(0.5, 100.0)] = 15.0
+    """Largest acceleration of every joint while braking after a contact or a stop."""
+    stop_jerk: Annotated[float, RadiansPerSecond3(10.0, 20_000.0)] = 1500.0
+    """Largest jerk of every joint while braking after a contact or a stop."""
+    transfer_velocity_scale: Annotated[float, Number(0.01, 1.0, "a share")] = 0.5
     """Share of `velocity` used for transfers through free space: 60 deg/s of the large joints, PolyScope's default."""
-    transfer_acceleration: Positive = 3.0
-    """Largest acceleration of every joint in a transfer [rad/s^2]."""
+    transfer_acceleration: Annotated[float, RadiansPerSecond2(0.1, 100.0)] = 3.0
+    """Largest acceleration of every joint in a transfer."""
 
     def __post_init__(self) -> None:
         if np.linalg.norm(self.up) < 1e-6:
@@ -60,7 +74,7 @@ class ArmLimits:
     @property
     def gravity(self) -> Array:
         """Acceleration of free fall in `base`, (3,) [m/s^2]."""
-        return -GRAVITY * np.array(self.up) / np.linalg.norm(self.up)
+        return gravity_below(self.up)
 
     @property
     def tilt(self) -> float:
@@ -74,10 +88,10 @@ class HandConfig:
     """The hand on the flange, or a tool mount without a hand."""
 
     __pydantic_config__ = STRICT
-    model: str = "shadow_right"
+    model: str
     """Name of the hand, one of those that `toolee devices list` prints; `mount` for a tool mount without a hand."""
-    yield_torque: Positive | None = None
-    """Torque at which the wrist or the mount gives way in a strike [Nm]; null for the hand's own. A mount needs it."""
+    yield_torque: Annotated[float, NewtonMetres(0.05, 60.0, "the wrist joints of a UR10 have 56 Nm")] | None = None
+    """Torque at which the wrist or the mount gives way in a strike; null for the hand's own. A mount needs it."""
     weighed: HandWeight | None = None
     """Mass and centre of mass of all that hangs on the flange without a tool; null for those of the hand's model. A
     mount's are in `mount`."""
@@ -93,10 +107,10 @@ class HandConfig:
     efforts: HandEfforts | None = None
     """What the hand's efforts mean, for the driver of `shadow_right`, whose maker does not say so; every one of its
     fields must be measured. Null for the others, and for the simulated hand."""
-    strap_force: Positive | None = None
-    """Force with which a strap presses the handle into the hand [N], for a hand whose fingers do not hold a hammer that
+    strap_force: Annotated[float, Newtons(1.0, 1000.0)] | None = None
+    """Force with which a strap presses the handle into the hand, for a hand whose fingers do not hold a hammer that
     strikes; null without a strap. The simulated grip counts it with the fingers' forces."""
-    hand_id: Annotated[int, Field(ge=1, le=254)] | None = None
+    hand_id: Annotated[int, Number(1, 254, "Modbus")] | None = None
     """Number of the hand on its line, of Modbus its unit identifier; null for the one with which its maker delivers it:
     1 for `inspire_rh56`, 80 for `ability_hand`."""
 

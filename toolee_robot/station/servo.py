@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from pydantic import Field
-
-from toolee_robot.station.values import STRICT, NotNegative, Positive
+from toolee_robot.station.values import STRICT
+from toolee_robot.types.units import Number, Seconds, Unit
 
 
 @dataclass(frozen=True)
@@ -21,27 +20,27 @@ class ServoConfig:
     """
 
     __pydantic_config__ = STRICT
-    gain: Annotated[float, Field(ge=100, le=2000)] = 300.0
+    gain: Annotated[float, Number(100.0, 2000.0, "Script manual, servoj")] = 300.0
     """Proportional gain of servoj."""
-    lookahead: Annotated[float, Field(ge=0.03, le=0.2)] = 0.1
-    """Lookahead time of servoj, which smooths the path [s]."""
-    lag: NotNegative | None = None
-    """Delay of a measured position behind its command with this gain and lookahead, network included [s]; None: it was
+    lookahead: Annotated[float, Seconds(0.03, 0.2, "Script manual, servoj")] = 0.1
+    """Lookahead time of servoj, which smooths the path."""
+    lag: Annotated[float, Seconds(0.002, 0.5, "UR arms follow within 0.03 to 0.25 s")] | None = None
+    """Delay of a measured position behind its command with this gain and lookahead, network included; None: it was
     not measured yet, and the driver assumes an upper bound (`servo_lag`)."""
-    watchdog: Positive = 10.0
-    """Rate of the robot's watchdog: the robot stops the program when no command comes for 1/watchdog s [Hz]."""
-    connect_timeout: Positive = 3.0
-    """Timeout of the connection, from the start of the servo process's attempt [s]."""
-    handshake_timeout: Positive = 1.0
+    watchdog: Annotated[float, Unit("Hz", 2.0, 100.0, "without commands the arm goes on for 1/watchdog s")] = 10.0
+    """Rate of the robot's watchdog: the robot stops the program when no command comes for 1/watchdog s."""
+    connect_timeout: Annotated[float, Seconds(0.1, 60.0)] = 3.0
+    """Timeout of the connection, from the start of the servo process's attempt."""
+    handshake_timeout: Annotated[float, Seconds(0.05, 30.0)] = 1.0
     """Timeout of every call that the control script acknowledges: payload, TCP, zero of the force, freedrive, end of
-    the program [s]."""
-    link_timeout: Annotated[float, Field(gt=0, lt=2.5)] = 1.5
+    the program."""
+    link_timeout: Annotated[float, Seconds(0.05, 2.4, "after 2.5 s ur_rtde itself reconnects")] = 1.5
     """Time without new data at rest after which the link counts as lost; below 2.5 s, after which ur_rtde itself
-    reconnects [s]."""
-    hang_timeout: Positive = 0.2
-    """Time without progress of the servo loop after which the servo process counts as hung [s]."""
-    heartbeat_timeout: Positive = 0.1
-    """Time without a heartbeat of the task's process after which the arm stops [s]."""
+    reconnects."""
+    hang_timeout: Annotated[float, Seconds(0.02, 2.0)] = 0.2
+    """Time without progress of the servo loop after which the servo process counts as hung."""
+    heartbeat_timeout: Annotated[float, Seconds(0.02, 1.0, "the arm goes on for as long")] = 0.1
+    """Time without a heartbeat of the task's process after which the arm stops."""
 
 
 def servo_lag(servo: ServoConfig, rate: float) -> float:

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
-
-from pydantic import Field
 
 from toolee_robot.errors import ConfigError
-from toolee_robot.runtime.yaml_files import read_record
+from toolee_robot.runtime.yaml_files import read_yaml, to_record
 from toolee_robot.station.cell import ToolEnvelope
 from toolee_robot.station.station import StationConfig
 from toolee_robot.station.tool import ToolData
 from toolee_robot.station.tool_enclosure import check_enclosed
-from toolee_robot.station.units import check_units
-from toolee_robot.station.values import STRICT, NotNegative, Positive
+from toolee_robot.station.values import STRICT, Gravity, Hole, NailHead, Protrusion, Shank, ShankLength
 
 
 @dataclass(frozen=True)
@@ -23,17 +19,17 @@ class WorkSetup:
     """Fields of `work` that are of one job's nail and wood; null for the station file's."""
 
     __pydantic_config__ = STRICT
-    nail_diameter: Positive | None = None
-    """Diameter of the nail's shank [m]."""
-    nail_length: Positive | None = None
-    """Length of the nail's shank [m]."""
-    nail_head_diameter: Positive | None = None
-    """Diameter of the nail's head [m]."""
-    nail_protrusion: Positive | None = None
-    """Height of the top of the nail's head over the wood before the first strike [m]."""
-    pilot_hole_diameter: NotNegative | None = None
-    """Diameter of the predrilled hole, 0 for none [m]."""
-    wood_specific_gravity: Annotated[float, Field(gt=0, lt=1.5)] | None = None
+    nail_diameter: Shank | None = None
+    """Diameter of the nail's shank."""
+    nail_length: ShankLength | None = None
+    """Length of the nail's shank."""
+    nail_head_diameter: NailHead | None = None
+    """Diameter of the nail's head."""
+    nail_protrusion: Protrusion | None = None
+    """Height of the top of the nail's head over the wood before the first strike."""
+    pilot_hole_diameter: Hole | None = None
+    """Diameter of the predrilled hole, 0 for none."""
+    wood_specific_gravity: Gravity | None = None
     """Specific gravity of the wood."""
 
 
@@ -45,7 +41,7 @@ class JobSetup:
     tool: ToolData | None = None
     """The tool that is handed over; null for the station file's."""
     tool_envelope: ToolEnvelope | None = None
-    """What encloses that tool in collision checks; null for the station file's, where the tool fits into it."""
+    """What encloses that tool in collision checks, where it differs from the station file's; null for that."""
     work: WorkSetup = field(default_factory=WorkSetup)
     """Nail and wood."""
 
@@ -65,7 +61,10 @@ def with_setup(config: StationConfig, path: Path) -> StationConfig:
             and the file gives the sizes of one, or the tool does not fit into the station's `tool_envelope` and the
             file gives none.
     """
-    setup = read_record(path, JobSetup, "job's setup")
+    data = read_yaml(path, "job's setup's file") or {}
+    if isinstance(data, dict) and isinstance(envelope := data.get("tool_envelope"), dict):
+        data = {**data, "tool_envelope": {**asdict(config.tool_envelope), **envelope}}
+    setup = to_record(data, path, JobSetup, "job's setup")
     work = {name: value for name, value in asdict(setup.work).items() if value is not None}
     if config.work.nails and set(work) - {"wood_specific_gravity"}:
         raise ConfigError(
@@ -81,6 +80,5 @@ def with_setup(config: StationConfig, path: Path) -> StationConfig:
         )
     except ValueError as error:
         raise ConfigError(f"{path}: {error}", code="config.invalid") from error
-    check_units(made, path)
     check_enclosed(made, path)
     return made

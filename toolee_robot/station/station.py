@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.yaml_files import read_yaml, to_record
-from toolee_robot.station.calibration import SIMULATED_CALIBRATION, CalibrationConfig
+from toolee_robot.runtime.yaml_lines import YamlLines
+from toolee_robot.station.calibration import CalibrationConfig
 from toolee_robot.station.calibration_record import check_place, check_record, take_record
 from toolee_robot.station.camera_pose import take_camera_pose
 from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
@@ -19,43 +21,51 @@ from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.station.person import PersonConfig
 from toolee_robot.station.robot import ArmLimits, HandConfig
 from toolee_robot.station.servo import ServoConfig
+from toolee_robot.station.station_frame import FIELD as FRAME
 from toolee_robot.station.station_frame import take_frame, to_base
 from toolee_robot.station.tool import ToolData
-from toolee_robot.station.units import check_units
 from toolee_robot.station.values import STRICT
 from toolee_robot.station.version import FIELD, is_current
 from toolee_robot.station.work import WorkConfig
 
+LENSES = (0.3, 4.0)
+"""Smallest and largest focal length, in widths of the image."""
+ASPECT = 2.0
+"""Largest ratio of the two focal lengths."""
+OFF_CENTRE = 0.25
+"""Largest distance of the principal point from the image's middle, in sizes of the image."""
+SIM = Path(__file__).with_name("sim.yaml")
+"""The simulated station's file."""
 IN_TABLE = 0.02
 """Depth under the table's top at which no block stands, whatever the errors of both heights [m]."""
 
 
 @dataclass(frozen=True)
 class StationConfig:
-    """Configuration of a whole station; the defaults describe the simulated one."""
+    """Configuration of a whole station. What describes one station and no other has no default."""
 
     __pydantic_config__ = STRICT
-    calibration: CalibrationConfig | None = SIMULATED_CALIBRATION
-    """Record of the camera's calibration; None for an uncalibrated station, which every job refuses."""
-    camera: CameraConfig = field(default_factory=CameraConfig)
-    """Pose and intrinsics of the fixed camera."""
-    work: WorkConfig = field(default_factory=WorkConfig)
-    """The block, its stand and the nails."""
-    scene: SceneConfig = field(default_factory=SceneConfig)
-    """Obstacles, home posture, handover pose and workspace."""
-    arm: ArmLimits = field(default_factory=ArmLimits)
+    arm: ArmLimits
     """The arm's model and the limits of the planner."""
+    hand: HandConfig
+    """The hand on the flange."""
+    camera: CameraConfig
+    """Pose and intrinsics of the fixed camera."""
+    scene: SceneConfig
+    """Obstacles, home posture, handover pose and workspace."""
+    work: WorkConfig
+    """The block, its stand and the nails."""
+    tool_envelope: ToolEnvelope
+    """What encloses the tool in collision checks."""
+    strike: StrikeConfig
+    """Parameters of a strike and of the guarded touch."""
+    calibration: CalibrationConfig | None = None
+    """Record of the camera's calibration; None for an uncalibrated station, which every job refuses."""
     servo: ServoConfig = field(default_factory=ServoConfig)
     """Parameters of the arm's servo, its measured lag, and the driver's timeouts."""
-    hand: HandConfig = field(default_factory=HandConfig)
-    """The hand on the flange."""
     tool: ToolData | None = None
     """The hammer that a person hands over; null for the simulated station, which hands over one of its own. Of that one
     it leaves untold what is null here."""
-    tool_envelope: ToolEnvelope = field(default_factory=ToolEnvelope)
-    """What encloses the tool in collision checks."""
-    strike: StrikeConfig = field(default_factory=StrikeConfig)
-    """Parameters of a strike and of the guarded touch."""
     task: TaskConfig = field(default_factory=TaskConfig)
     """Decision thresholds of the hammering job."""
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
@@ -112,13 +122,40 @@ def read_station(path: Path) -> Any:
     return read_yaml(path, "station's file") or {}
 
 
+@cache
+def sim_station() -> StationConfig:
+    """The simulated station, of `sim.yaml`.
+
+    Returns:
+        Its configuration. For one that differs in some fields use `dataclasses.replace`.
+    """
+    return to_record(_sim_data(), SIM, StationConfig, "station")
+
+
+@cache
+def _sim_data() -> dict[str, Any]:
+    """What the simulated station's file holds; its positions are in `base`."""
+    data = read_yaml(SIM, "simulated station's file")
+    return {name: value for name, value in data.items() if name not in (FIELD, FRAME)}
+
+
+def _over_sim(data: dict[str, Any]) -> dict[str, Any]:
+    """What a file holds, and the simulated station's values of the fields that it leaves out."""
+    whole = {name: value for name, value in _sim_data().items() if name not in data}
+    for name, value in data.items():
+        below = _sim_data().get(name) or {}
+        # A calibration is one record, never put together from two.
+        whole[name] = {**below, **value} if isinstance(value, dict) and name != "calibration" else value
+    return whole
+
+
 def load_station(path: Path) -> StationConfig:
     """Load a station file.
 
     Args:
         path: YAML file with any subset of the fields of `StationConfig`, and `frame`, the `BaseFrame` of its positions,
-            which a file that gives any must name; omitted fields keep their defaults. It needs no `version`; one that
-            it gives must be this program's.
+            which a file that gives any must name; omitted fields are the simulated station's. It needs no `version`;
+            one that it gives must be this program's.
 
     Returns:
         The validated configuration, its positions in `base`.
@@ -153,10 +190,10 @@ def to_station(data: Any, path: Path) -> StationConfig:
     data, record = take_record(_first_nail(data), path)
     data = take_intrinsics(data, path)
     data = take_camera_pose(data, frame, path)
-    config = to_record(data, path, StationConfig, what)
+    config = to_record(_over_sim(data), path, StationConfig, what)
     if (converted := to_base(data, frame)) is not data:
-        config = to_record(converted, path, StationConfig, what)
-    check_units(config, path)
+        config = to_record(_over_sim(converted), path, StationConfig, what)
+    check_lens(config.camera, path)
     if record is None:
         return config
     check_record(record, config.camera.intrinsics, config.camera.distortion, config.arm.calibration, path)
@@ -165,6 +202,34 @@ def to_station(data: Any, path: Path) -> StationConfig:
         told_by = "camera.X_base_camera" if measured else "camera.position"
         check_place(record, config.camera.center, told_by, frame, path)
     return replace(config, camera=replace(config.camera, pose=record.X_base_camera))
+
+
+def check_lens(camera: CameraConfig, path: Path) -> None:
+    """Refuse focal lengths and a principal point that no camera has.
+
+    Args:
+        camera: The camera as a file describes it.
+        path: The file, for the message.
+
+    Raises:
+        ConfigError: They belong to another size of the image, or are mistyped; the message names field and line.
+    """
+    lines, k = YamlLines(path), camera
+    wrong = [
+        (name, f"{value:g} px is no focal length of a {k.width} px wide image")
+        for name, value in (("fx", k.fx), ("fy", k.fy))
+        if not LENSES[0] <= value / k.width <= LENSES[1]
+    ]
+    if not wrong and not 1.0 / ASPECT <= k.fx / k.fy <= ASPECT:
+        wrong = [("fy", f"{k.fy:g} px beside fx {k.fx:g} px: pixels are about square")]
+    wrong += [
+        (name, f"{value:g} px is far from the middle of {size} px: the principal point of another size of the image")
+        for name, value, size in (("cx", k.cx, k.width), ("cy", k.cy, k.height))
+        if abs(value / size - 0.5) > OFF_CENTRE
+    ]
+    if wrong:
+        told = [f"camera.{n}: {text}" + (f" ({w})" if (w := lines.told(("camera", n))) else "") for n, text in wrong]
+        raise ConfigError(f"{path} is not a valid station: {'; '.join(told)}", code="config.invalid")
 
 
 def _first_nail(data: dict[str, Any]) -> dict[str, Any]:

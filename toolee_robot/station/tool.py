@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from toolee_robot.frames import Array, frame_from_axes
-from toolee_robot.station.values import STRICT, Positive
+from toolee_robot.station.values import STRICT
+from toolee_robot.types.units import Direction, Kilograms, Metres, NearPoint
 
 
 @dataclass(frozen=True)
@@ -24,16 +25,16 @@ class ToolData:
     __pydantic_config__ = STRICT
     name: str
     """What people call it."""
-    grip_radius: Positive | None
-    """Radius of the handle where the hand holds it [m]; of an oval one the mean. Null: unknown."""
-    face: tuple[float, float, float] | None
-    """Middle of the striking face in `tool` [m]. Null, together with `face_normal`: unknown."""
-    face_normal: tuple[float, float, float] | None
+    grip_radius: Annotated[float, Metres(0.002, 0.1)] | None
+    """Radius of the handle where the hand holds it; of an oval one the mean. Null: unknown."""
+    face: NearPoint | None
+    """Middle of the striking face in `tool`. Null, together with `face_normal`: unknown."""
+    face_normal: Direction | None
     """Direction in which the face strikes, in `tool`; any length."""
-    mass: Positive | None
-    """Mass of the whole tool [kg]. Null, together with `center_of_mass`: the arm weighs it."""
-    center_of_mass: tuple[float, float, float] | None
-    """Centre of mass of the whole tool in `tool` [m]."""
+    mass: Annotated[float, Kilograms(0.02, 4.0, "hammers for one hand")] | None
+    """Mass of the whole tool. Null, together with `center_of_mass`: the arm weighs it."""
+    center_of_mass: NearPoint | None
+    """Centre of mass of the whole tool in `tool`."""
 
     def __post_init__(self) -> None:
         for one, other in (("face", "face_normal"), ("mass", "center_of_mass")):

@@ -11,7 +11,19 @@ import numpy as np
 from pydantic import Field
 
 from toolee_robot.frames import Array, angle_between, frame_from_axes
-from toolee_robot.station.values import STRICT, NotNegative, Positive
+from toolee_robot.station.values import (
+    STRICT,
+    Extent,
+    Gravity,
+    Hole,
+    NailHead,
+    Place,
+    Protrusion,
+    Shank,
+    ShankLength,
+    Slope,
+)
+from toolee_robot.types.units import Metres, Radians
 
 ONLY_NAIL = "nail"
 """Name of the nail of a station whose file gives one without a name."""
@@ -30,19 +42,19 @@ class NailConfig:
     __pydantic_config__ = STRICT
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
     """What it is called in the summary, on the terminal and by `toolee hammer --nail`: letters, digits, - and _."""
-    xy: tuple[float, float]
-    """Position of the nail's axis in `base`, x and y [m]."""
-    diameter: Positive | None = None
-    """Diameter of its shank [m]; null for `work.nail_diameter`."""
-    length: Positive | None = None
-    """Length of its shank [m]; null for `work.nail_length`."""
-    head_diameter: Positive | None = None
-    """Diameter of its head [m]; null for `work.nail_head_diameter`."""
-    protrusion: Positive | None = None
-    """Height of the top of its head over the wood before the first strike [m]; null for `work.nail_protrusion`."""
-    pilot_hole_diameter: NotNegative | None = None
-    """Diameter of its predrilled hole, 0 for none [m]; null for `work.pilot_hole_diameter`."""
-    lean: tuple[float, float] | None = None
+    xy: tuple[Place, Place]
+    """Position of the nail's axis in `base`, x and y."""
+    diameter: Shank | None = None
+    """Diameter of its shank; null for `work.nail_diameter`."""
+    length: ShankLength | None = None
+    """Length of its shank; null for `work.nail_length`."""
+    head_diameter: NailHead | None = None
+    """Diameter of its head; null for `work.nail_head_diameter`."""
+    protrusion: Protrusion | None = None
+    """Height of the top of its head over the wood before the first strike; null for `work.nail_protrusion`."""
+    pilot_hole_diameter: Hole | None = None
+    """Diameter of its predrilled hole, 0 for none; null for `work.pilot_hole_diameter`."""
+    lean: tuple[Slope, Slope] | None = None
     """How it leans, as `work.nail_lean`; null for that."""
 
 
@@ -50,47 +62,46 @@ class NailConfig:
 class WorkConfig:
     """The wooden block on its stand, and the nail or nails. Strikes and touches go along the nail's axis.
 
-    Heights are over the base plane. The wood is level and the nail upright unless
-    `wood_rise` and `nail_lean` say otherwise, up to 10 degrees from the vertical and from each other. With the default
-    values 3.7 J drive the nail; a held claw hammer of 0.9 kg at 1.5 m/s, which hits far from its centre of mass,
-    delivers about 0.45 J per strike.
+    Heights are over the base plane. The wood is level and the nail upright unless `wood_rise` and `nail_lean` say
+    otherwise, up to 10 degrees from the vertical and from each other. A held claw hammer of 0.9 kg at 1.5 m/s, which
+    hits far from its centre of mass, delivers about 0.45 J per strike.
 
     The fields `nail_...` and `pilot_hole_diameter` are about one nail; where `nails` lists several, about the first of
     them, or the one that `only` picks.
     """
 
     __pydantic_config__ = STRICT
-    nail_xy: tuple[float, float] = (0.75, 0.10)
-    """Position of the nail's axis in `base`, x and y [m]; left out where `nails` lists several."""
-    stand_height: float = 0.20
-    """Height of the stand's top, on which the block stands, over the base plane [m]; that of the table's top where the
+    nail_xy: tuple[Place, Place]
+    """Position of the nail's axis in `base`, x and y; left out where `nails` lists several."""
+    stand_height: Annotated[float, Metres(-3.0, 3.0)]
+    """Height of the stand's top, on which the block stands, over the base plane; that of the table's top where the
     block stands on the table itself."""
-    stand_size: tuple[Positive, Positive] = (0.07, 0.07)
-    """Size of the stand, x and y [m]."""
-    block_size: tuple[Positive, Positive, Positive] = (0.08, 0.08, 0.06)
-    """Size of the block, x, y and z [m]."""
-    nail_diameter: Positive = 0.0022
-    """Diameter of the nail's shank [m]."""
-    nail_length: Positive = 0.030
-    """Length of the nail's shank [m]."""
-    nail_head_diameter: Positive = 0.006
-    """Diameter of the nail's head [m]."""
-    nail_protrusion: Positive = 0.020
-    """Height of the top of the nail's head over the wood before the first strike [m]."""
-    wood_specific_gravity: Annotated[float, Field(gt=0, lt=1.5)] = 0.35
+    stand_size: tuple[Extent, Extent]
+    """Size of the stand, x and y."""
+    block_size: tuple[Extent, Extent, Extent]
+    """Size of the block, x, y and z."""
+    nail_diameter: Shank
+    """Diameter of the nail's shank."""
+    nail_length: ShankLength
+    """Length of the nail's shank."""
+    nail_head_diameter: NailHead
+    """Diameter of the nail's head."""
+    nail_protrusion: Protrusion
+    """Height of the top of the nail's head over the wood before the first strike."""
+    wood_specific_gravity: Gravity
     """Specific gravity of the wood: white pine 0.35, Scots pine 0.42, oak 0.68."""
-    pilot_hole_diameter: NotNegative = 0.0015
-    """Diameter of the predrilled hole; 0 for none [m]."""
+    pilot_hole_diameter: Hole
+    """Diameter of the predrilled hole; 0 for none."""
     nails: tuple[NailConfig, ...] = ()
     """Several nails, in the order in which they are driven; empty for the one of `nail_xy`."""
-    block_xy: tuple[float, float] | None = None
-    """Middle of block and stand in `base`, x and y [m]; null for the middle between the outermost nails."""
-    block_turn: Annotated[float, Field(ge=-np.pi / 2, le=np.pi / 2)] = 0.0
-    """Turn of block and stand about the vertical [rad]; 0 where their edges are parallel to x and y."""
-    wood_rise: tuple[float, float] = (0.0, 0.0)
+    block_xy: tuple[Place, Place] | None = None
+    """Middle of block and stand in `base`, x and y; null for the middle between the outermost nails."""
+    block_turn: Annotated[float, Radians(-1.5708, 1.5708, "a quarter turn")] = 0.0
+    """Turn of block and stand about the vertical; 0 where their edges are parallel to x and y."""
+    wood_rise: tuple[Slope, Slope] = (0.0, 0.0)
     """How the wood's top rises along x and y of `base`, metres per metre: (0, 0) where a spirit level says so, 0.0175
     for 1 degree. `stand_height` is then the height below the middle of the block."""
-    nail_lean: tuple[float, float] = (0.0, 0.0)
+    nail_lean: tuple[Slope, Slope] = (0.0, 0.0)
     """How the nail leans: how far its head stands off, along x and y of `base`, from where it would be if the nail were
     square to the wood, metres per metre of its height; a set square on the wood shows it."""
 

@@ -31,9 +31,9 @@ from toolee_robot.station import (
     given_by_intrinsics,
     given_by_nails,
     given_by_pose,
+    sim_station,
 )
-from toolee_robot.station.field_docs import field_docs
-from toolee_robot.station.units import wrong_unit
+from toolee_robot.station.schema import field_docs
 from toolee_robot.stations.camera import AIRO, RECORDED, WITH_LENS, WITH_MODE, camera_drivers
 from toolee_robot.stations.hand import hand_drivers, wired_hand
 from toolee_robot.types import ArmModel, HandEfforts, HandMounting, HandWeight, ToolMount
@@ -99,7 +99,6 @@ class Question:
         if self.choices and answer not in self.choices:
             raise UserError(f"{answer!r} is none of {', '.join(self.choices)}", code="user.answer")
         parts = answer.replace(",", " ").split()
-        hint = str(self.hint)
         value: Any = answer
         try:
             if numbers := _count(self.hint):
@@ -108,14 +107,12 @@ class Question:
                     commas = "; a comma parts numbers, decimals have a point" if "," in answer else ""
                     text = f"{numbers} numbers are needed, {len(value)} were given{commas}"
                     raise UserError(text, code="user.answer")
-            elif not self.choices and "str" not in hint:
+            elif not self.choices and str not in (self.hint, *get_args(self.hint)):
                 value = float(answer)
                 value = int(value) if value.is_integer() else value
             TypeAdapter(self.hint).validate_python(value)
         except (ValueError, ValidationError) as error:
             raise UserError(f"{answer!r} does not fit: {_why(error)}", code="user.answer") from error
-        if wrong := wrong_unit(self.path[-1], self.text, value):
-            raise UserError(wrong, code="user.answer_unit")
         return list(value) if isinstance(value, tuple) else value
 
     @property
@@ -181,6 +178,8 @@ def contradiction(data: dict[str, Any], section: str) -> str:
     probe = {name: value for name, value in data.items() if name not in ("version", "frame", "calibration")}
     if isinstance(camera := probe.get("camera"), dict):  # the loader takes them, as it does those two
         probe["camera"] = {n: value for n, value in camera.items() if n not in ("X_base_camera", "intrinsics")}
+        if "X_base_camera" in camera:
+            probe["camera"] |= {name: getattr(sim_station().camera, name) for name in ("position", "target")}
     try:
         TypeAdapter(StationConfig).validate_python(probe)
     except ValidationError as error:
@@ -236,7 +235,7 @@ def _all(data: dict[str, Any]) -> Iterator[Question]:
         for question in _of(record, (section,), [field.name for field in fields(record)]):
             yield replace(question, optional=type(None) in get_args(question.hint))
     for question in _of(ToolEnvelope, ("tool_envelope",), [field.name for field in fields(ToolEnvelope)]):
-        yield replace(question, offered=f"{getattr(ToolEnvelope(), question.path[-1]):g}")
+        yield replace(question, offered=f"{getattr(sim_station().tool_envelope, question.path[-1]):g}")
     yield from _of_strikes(data.get("hand") or {})
 
 
@@ -298,5 +297,5 @@ def _count(hint: Any) -> int:
 
 def _why(error: ValueError | ValidationError) -> str:
     if isinstance(error, ValidationError):
-        return "; ".join(e["msg"].lower() for e in error.errors())
+        return "; ".join(str(e.get("ctx", {}).get("error", e["msg"])) for e in error.errors())
     return "a number is needed"

@@ -70,7 +70,7 @@ def open_station(
 ) -> SimulatedStation:
     """Build the simulated station of a job; enter its context to use the devices.
 
-        with open_station(StationConfig(), seed=3) as simulated:
+        with open_station(sim_station(), seed=3) as simulated:
             task = HammeringTask(simulated.station, ...)
 
     Args:

@@ -98,9 +98,9 @@ def _by_tape(camera: CameraConfig, rng: np.random.Generator) -> CameraConfig:
         x, y, z = (np.asarray(point) + rng.uniform(-TAPE, TAPE, 3)).tolist()
         return x, y, z
 
-    if camera.measured_pose is None:
+    if camera.measured_pose is None and camera.position is not None and camera.target is not None:
         return replace(camera, position=measured(camera.position), target=measured(camera.target))
-    X = np.array(camera.measured_pose)
+    X = camera.uncalibrated.X_base_camera
     position, target = (np.array(measured(X[:3, 3] + distance * X[:3, 2])) for distance in (0.0, AIM))
     turn, _ = Rotation.align_vectors([target - position], [X[:3, 2]])  # the shortest: it keeps the roll
     return replace(camera, measured_pose=rows(transform(turn.as_matrix() @ X[:3, :3], position)))

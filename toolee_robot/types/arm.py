@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 
 from toolee_robot.frames import Array
+from toolee_robot.types.units import Kilograms, Metres, NearPoint, Radians
 
 
 class ArmModel(StrEnum):
@@ -18,6 +20,9 @@ class ArmModel(StrEnum):
 
 
 Six = tuple[float, float, float, float, float, float]
+_Turn = Annotated[float, Radians(-6.2832, 6.2832)]
+_Link = Annotated[float, Metres(-1.0, 1.0)]
+_Along = Annotated[float, Metres(-10_000.0, 10_000.0, "of parallel axes a controller tells hundreds of metres")]
 """One value per joint, base to wrist 3."""
 
 
@@ -29,13 +34,13 @@ class DhCalibration:
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012  (read by pydantic, not a field)
-    delta_theta: Six
+    delta_theta: tuple[_Turn, _Turn, _Turn, _Turn, _Turn, _Turn]
     """Offsets of the joint angles [rad]."""
-    delta_a: Six
+    delta_a: tuple[_Link, _Link, _Link, _Link, _Link, _Link]
     """Offsets of the link lengths along x [m]."""
-    delta_d: Six
+    delta_d: tuple[_Along, _Along, _Along, _Along, _Along, _Along]
     """Offsets of the link offsets along z [m]."""
-    delta_alpha: Six
+    delta_alpha: tuple[_Turn, _Turn, _Turn, _Turn, _Turn, _Turn]
     """Offsets of the link twists about x [rad]."""
 
 
@@ -121,14 +126,10 @@ class HandWeight:
     """
 
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
-    mass: float
-    """Mass [kg]."""
-    center_of_mass: tuple[float, float, float]
-    """Centre of mass in the flange frame [m]."""
-
-    def __post_init__(self) -> None:
-        if self.mass <= 0.0:
-            raise ValueError("mass must be more than 0")
+    mass: Annotated[float, Kilograms(0.05, 12.5, "a UR10e carries 12.5 kg")]
+    """Mass."""
+    center_of_mass: NearPoint
+    """Centre of mass in the flange frame."""
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from toolee_robot.frames import Array, frame_from_axes
+from toolee_robot.types.units import Direction, Kilograms, Metres, NearPoint, Radians, Unit
 
 
 @dataclass(frozen=True)
@@ -18,11 +20,11 @@ class HandMounting:
     """
 
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
-    position: Three
-    """Origin of the hand frame [m]."""
-    fingers: Three
+    position: NearPoint
+    """Origin of the hand frame."""
+    fingers: Direction
     """Direction in which the stretched fingers point; any length."""
-    thumb: Three
+    thumb: Direction
     """Direction across the palm to the side of the thumb, at a right angle to `fingers`; any length."""
 
     def __post_init__(self) -> None:
@@ -44,25 +46,22 @@ class HandEfforts:
     """Efforts of a hand's motors, in the unit in which it reports them. No field has a default: a lab measures them."""
 
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
-    touch: float
+    touch: Annotated[float, Unit("effort", 1.0, 2000.0, "a Shadow Hand reports up to 1023")]
     """Effort above which a motor counts as touching; more than any has while its finger moves freely."""
-    grip: float
+    grip: Annotated[float, Unit("effort", 1.0, 2000.0, "a Shadow Hand reports up to 1023")]
     """Effort at which a motor stops to close further."""
-    newtons_per_unit: float
-    """Force at the fingertip by the effort [N]."""
+    newtons_per_unit: Annotated[float, Unit("N by effort", 0.001, 10.0, "fingertips press with 0.5 to 50 N")]
+    """Force at the fingertip by the effort."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if getattr(self, field.name) <= 0.0:
-                raise ValueError(f"{field.name} must be more than 0")
         if self.grip <= self.touch:
             raise ValueError("grip must be more than touch")
 
 
 MOUNT = "mount"
 """What a station file's `hand.model` calls a tool mount."""
-Three = tuple[float, float, float]
-"""A point [m] or a direction."""
+Edge = Annotated[float, Metres(0.005, 1.0)]
+"""Edge length of a box on the flange."""
 SQUARE = 0.05
 """Largest cosine of the angle between handle and working side: 3 deg off a right angle."""
 TURNED = 0.7
@@ -79,37 +78,32 @@ class ToolMount:
     """
 
     __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
-    position: Three
-    """Middle of the clamp, on the axis of a handle in it [m]."""
-    handle: Three
+    position: NearPoint
+    """Middle of the clamp, on the axis of a handle in it."""
+    handle: Direction
     """Direction of a handle in the clamp, from its butt to the tool's head; any length."""
-    working_side: Three
+    working_side: Direction
     """Direction in which the tool works, of a hammer its face's normal; at a right angle to `handle`, any length."""
-    mass: float
-    """Mass of the whole mount, without a tool [kg]."""
-    center_of_mass: Three
-    """Centre of mass of the whole mount [m]."""
-    clamp_mass: float
-    """Mass of the part that yields together with the tool; its centre is taken to be at `position` [kg]."""
-    body_size: Three
-    """Edge lengths of the box, along the flange's axes, that encloses the mount in collision checks [m]."""
-    body_position: Three
-    """Centre of that box [m]."""
-    hinge_position: Three
-    """A point on the axis about which the clamp yields [m]."""
-    hinge_axis: Three
+    mass: Annotated[float, Kilograms(0.1, 12.5, "a UR10e carries 12.5 kg")]
+    """Mass of the whole mount, without a tool."""
+    center_of_mass: NearPoint
+    """Centre of mass of the whole mount."""
+    clamp_mass: Annotated[float, Kilograms(0.01, 12.5)]
+    """Mass of the part that yields together with the tool; its centre is taken to be at `position`."""
+    body_size: tuple[Edge, Edge, Edge]
+    """Edge lengths of the box, along the flange's axes, that encloses the mount in collision checks."""
+    body_position: NearPoint
+    """Centre of that box."""
+    hinge_position: NearPoint
+    """A point on the axis about which the clamp yields."""
+    hinge_axis: Direction
     """Direction of that axis, about at a right angle to `handle` and `working_side`; any length, either sign."""
-    stiffness: float
-    """Torque beyond the yield torque by angle [Nm/rad]; 0 for a mount that yields at a constant torque."""
-    travel: float
-    """Angle by which the clamp yields before it meets its end stop [rad]."""
+    stiffness: Annotated[float, Unit("Nm/rad", 0.0, 10_000.0)]
+    """Torque beyond the yield torque by angle; 0 for a mount that yields at a constant torque."""
+    travel: Annotated[float, Radians(0.01, 3.15, "half a turn")]
+    """Angle by which the clamp yields before it meets its end stop."""
 
     def __post_init__(self) -> None:
-        for name in ("mass", "clamp_mass", "travel"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"{name} must be more than 0")
-        if self.stiffness < 0.0 or min(self.body_size) <= 0.0:
-            raise ValueError("stiffness must be 0 or more, and every edge of body_size more than 0")
         if self.clamp_mass >= self.mass:
             raise ValueError(f"clamp_mass {self.clamp_mass} is part of mass {self.mass}: it must be less")
         for name in ("handle", "working_side", "hinge_axis"):
@@ -135,5 +129,5 @@ class ToolMount:
         return axis if axis @ np.cross(self.working_side, self.handle) > 0.0 else -axis
 
 
-def _unit(v: Three) -> Array:
+def _unit(v: tuple[float, float, float]) -> Array:
     return np.asarray(v) / np.linalg.norm(v)

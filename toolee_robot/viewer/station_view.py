@@ -160,9 +160,8 @@ class StationView:
         """Edges of what the camera sees, as far as the point at which it looks; by a whole pose, as the first nail."""
         camera = self._config.camera
         X, k = camera.X_base_camera, camera.intrinsics
-        depth = float(np.linalg.norm(np.subtract(camera.target, camera.position)))
-        if camera.measured_pose is not None:
-            depth = float(np.linalg.norm(self._config.work.X_base_nail()[:3, 3] - X[:3, 3]))
+        aimed = self._config.work.X_base_nail()[:3, 3] if camera.target is None else np.array(camera.target)
+        depth = float(np.linalg.norm(aimed - X[:3, 3]))
         pixels = np.array([(0, 0), (k.width, 0), (k.width, k.height), (0, k.height)])
         ends = list(transform_points(X, depth * k.rays(pixels)))
         return [*((X[:3, 3], end) for end in ends), [*ends, ends[0]]]

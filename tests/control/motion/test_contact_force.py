@@ -13,7 +13,7 @@ from toolee_robot.control.motion.contact_force import ContactForce, strike_guard
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard
-from toolee_robot.station import StrikeConfig
+from toolee_robot.station import sim_station
 
 RATES = {"CB3": (125.0, 3.6, 0.02), "e-Series": (500.0, 1.5, 0.004)}
 """Rate [Hz], standard deviation [N] and correlation time [s] of the force."""
@@ -40,7 +40,7 @@ def test_neither_an_offset_nor_a_slow_drift_is_a_contact_and_a_step_is(seed: int
     direction, axis = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
     ramp = np.arange(100) / 125.0
     forces = offset * axis + drift * ramp[:, None] * direction
-    guard = strike_guard(StrikeConfig(), 0.5)
+    guard = strike_guard(sim_station().strike, 0.5)
     assert not contacts(guard, 125.0, forces)
     assert contacts(guard, 125.0, np.vstack([forces, forces[-1] + 30.0 * direction])) == [100]
 
@@ -55,7 +55,7 @@ def test_without_a_baseline_the_absolute_force_counts() -> None:
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_noise_of_a_strike_is_no_contact_and_the_nail_is_one_within_two_cycles(generation: str, seed: int) -> None:
     rng, rate = np.random.default_rng(seed), RATES[generation][0]
-    guard = strike_guard(StrikeConfig(), 0.5, noise(rng, generation, round(rate)), rate)
+    guard = strike_guard(sim_station().strike, 0.5, noise(rng, generation, round(rate)), rate)
     free = noise(rng, generation, round(0.5 * rate))
     assert not contacts(guard, rate, free)
     n = round(0.016 * rate)
@@ -67,4 +67,4 @@ def test_the_noise_of_a_strike_is_no_contact_and_the_nail_is_one_within_two_cycl
 def test_a_force_that_is_too_noisy_allows_no_strike() -> None:
     forces = np.random.default_rng(0).normal(0.0, 12.0, (125, 3))
     with raises(DeviceError, code="device.force_noise"):
-        strike_guard(StrikeConfig(), 0.5, forces, 125.0)
+        strike_guard(sim_station().strike, 0.5, forces, 125.0)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from toolee_robot import Category, HammeringTask, StationConfig, ToolPerception, nominal_grasp
+from toolee_robot import Category, HammeringTask, ToolPerception, nominal_grasp
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
@@ -21,6 +21,7 @@ from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, SERIAL, SoftwareRealSense
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
+from toolee_robot.station import sim_station
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import HoldingHand, RgbdFrame, ToolEstimate
 
@@ -42,7 +43,7 @@ class _FirstFrame(TaskObserver):
 
 @pytest.mark.sim(seconds=25)
 def test_the_held_hammer_is_found_in_its_frames() -> None:
-    station, first = StationConfig(), _FirstFrame()
+    station, first = sim_station(), _FirstFrame()
     config = station.camera
     with SimStation.build(station, SEED) as sim:
         task = HammeringTask(
@@ -52,6 +53,8 @@ def test_the_held_hammer_is_found_in_its_frames() -> None:
             task.run()
         # The depth camera looks the same way, a baseline to the right of the colour camera.
         aside = config.X_base_camera[:3, 0] * BASELINE
+        assert config.position is not None
+        assert config.target is not None
         right = replace(config, position=_moved(config.position, aside), target=_moved(config.target, aside))
         visuals = SceneVisuals(station, sim.tool, SEED, lambda: scene_state(sim.world, sim.person))
         rendered, other = (SimCamera(visuals, sim.station.clock, place, SEED).render() for place in (config, right))

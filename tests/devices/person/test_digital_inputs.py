@@ -19,7 +19,7 @@ from toolee_robot.errors import ConfigError, PersonNearError
 from toolee_robot.findings import Level
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.arm import SimArm
-from toolee_robot.station import PersonConfig, StationConfig, load_station
+from toolee_robot.station import PersonConfig, load_station, sim_station
 from toolee_robot.tasks.common.person_proof import PersonProof
 
 pytestmark = pytest.mark.realtime(light=True)
@@ -258,7 +258,7 @@ def test_a_fault_of_the_switch_is_none_of_the_door() -> None:
 def test_a_station_file_without_a_person_has_none(tmp_path: Path) -> None:
     arm: SimArm = SimArm.__new__(SimArm)  # never asked
     with raises(ConfigError, "config.no_person"):
-        open_person(StationConfig(), arm, CLOCK, print)
+        open_person(sim_station(), arm, CLOCK, print)
     (tmp_path / "lab.yaml").write_text("person: {door_closed_input: 0, hold_to_run_input: 2}")
     with pytest.raises(ConfigError, match="door_open_input"):
         load_station(tmp_path / "lab.yaml")

@@ -6,18 +6,19 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import replace
 
 from tests.devices.ur.swings import LONG, swing, wait_for_mid_swing
 from tests.stand_in import PATIENT, held, patient
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import DeviceError
-from toolee_robot.station import ArmLimits
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
 
 def main() -> None:
     host, model = sys.argv[1], ArmModel(sys.argv[2])
-    with UnsupervisedUrArm(patient(host), ArmLimits(model=model)) as arm:
+    with UnsupervisedUrArm(patient(host), replace(sim_station().arm, model=model)) as arm:
         trajectory = swing(held(arm), LONG)
 
         def say() -> None:

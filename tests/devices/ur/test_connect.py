@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.devices.ur.servo.client import ServoClient
 from toolee_robot.errors import DeviceError, NotReadyError, ServoCrashError
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits, ServoConfig
+from toolee_robot.station import ServoConfig, sim_station
 from toolee_robot.types import ArmModel, Payload
 
 HOST, NOBODY, SILENT = "127.0.0.25", "127.0.0.26", "127.0.0.27"
@@ -33,7 +34,7 @@ def controller() -> Iterator[ControllerProcess]:
 
 
 def test_where_no_robot_is_the_arm_is_not_ready() -> None:
-    with pytest.raises(NotReadyError, match=NOBODY), UnsupervisedUrArm(UrArmConfig(NOBODY), ArmLimits()):
+    with pytest.raises(NotReadyError, match=NOBODY), UnsupervisedUrArm(UrArmConfig(NOBODY), sim_station().arm):
         pass
 
 
@@ -54,7 +55,7 @@ def test_a_robot_that_is_silent_ends_the_servo_process_in_time() -> None:
 
 @pytest.mark.sim
 def test_another_model_than_configured_is_refused(controller: ControllerProcess) -> None:
-    with pytest.raises(NotReadyError, match="UR10"), UnsupervisedUrArm(patient(controller.host), ArmLimits()):
+    with pytest.raises(NotReadyError, match="UR10"), UnsupervisedUrArm(patient(controller.host), sim_station().arm):
         pass
 
 
@@ -63,7 +64,7 @@ def test_a_robot_in_protective_stop_is_refused(controller: ControllerProcess) ->
     controller.fault("protective_stop")
     with (
         pytest.raises(NotReadyError, match="protective"),
-        UnsupervisedUrArm(patient(controller.host), ArmLimits(model=ArmModel.UR10E)),
+        UnsupervisedUrArm(patient(controller.host), replace(sim_station().arm, model=ArmModel.UR10E)),
     ):
         pass
     controller.fault("reset")
@@ -71,7 +72,7 @@ def test_a_robot_in_protective_stop_is_refused(controller: ControllerProcess) ->
 
 @pytest.mark.realtime
 def test_payload_and_freedrive_reach_the_robot_and_nobody_else_does(controller: ControllerProcess) -> None:
-    limits = ArmLimits(model=ArmModel.UR10E)
+    limits = replace(sim_station().arm, model=ArmModel.UR10E)
     with UnsupervisedUrArm(patient(controller.host), limits) as arm:
         arm.set_payload(Payload(2.5, np.array([0.01, -0.02, 0.09])))
         state = controller.state()

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -32,13 +33,13 @@ from toolee_robot.errors import (
 )
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
 pytestmark = pytest.mark.realtime
 
 HOST = "127.0.0.23"
-LIMITS = ArmLimits(model=ArmModel.UR10)
+LIMITS = replace(sim_station().arm, model=ArmModel.UR10)
 CONFIG = patient(HOST)
 WATCHDOG = 1.0 / CONFIG.servo.watchdog
 

@@ -22,7 +22,7 @@ from toolee_robot.devices.ur.status import JOINTS, explain
 from toolee_robot.errors import LatchedError, ProtectiveStopError
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot import error_codes as codes
-from toolee_robot.station import ArmLimits
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.94"
@@ -111,7 +111,9 @@ def arm(controller: ControllerProcess) -> Iterator[UnsupervisedUrArm]:
     controller.fault("reset")
     config = patient(HOST)
     lag = 0.2  # of the harsh profile, and of a machine that is busy with other things
-    with UnsupervisedUrArm(replace(config, servo=replace(config.servo, lag=lag)), ArmLimits(ArmModel.UR10)) as driver:
+    with UnsupervisedUrArm(
+        replace(config, servo=replace(config.servo, lag=lag)), replace(sim_station().arm, model=ArmModel.UR10)
+    ) as driver:
         yield driver
 
 

@@ -31,7 +31,7 @@ from toolee_robot.devices.ur.servo.client import ServoClient
 from toolee_robot.errors import DeviceError, LatchedError, LinkLostError, MotionFaultError
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits, ServoConfig
+from toolee_robot.station import ServoConfig, sim_station
 from toolee_robot.types import ArmModel
 
 pytestmark = pytest.mark.realtime
@@ -79,7 +79,7 @@ def proxy(controller: ControllerProcess) -> Iterator[CorruptingProxy]:
 def arm(model: ArmModel, proxy: CorruptingProxy) -> Iterator[UnsupervisedUrArm]:  # noqa: ARG001  (it is on the way)
     with UnsupervisedUrArm(
         replace(CONFIG, servo=replace(CONFIG.servo, connect_timeout=15.0, handshake_timeout=5.0)),
-        ArmLimits(model=model),
+        replace(sim_station().arm, model=model),
     ) as connected:
         yield connected
 

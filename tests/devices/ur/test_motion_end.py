@@ -14,7 +14,7 @@ from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel, JointPlant
-from toolee_robot.station import ArmLimits, ServoConfig
+from toolee_robot.station import ServoConfig, sim_station
 
 pytestmark = pytest.mark.realtime
 
@@ -53,7 +53,7 @@ def test_an_arm_that_swings_is_not_taken_for_one_that_stands() -> None:
             model="UR10", host=HOST, plant=Elastic, realtime=True, real_time_factor=REAL_TIME_FACTOR
         ) as controller,
         UnsupervisedUrArm(
-            UrArmConfig(HOST, ServoConfig(lag=0.05), real_time_factor=REAL_TIME_FACTOR), ArmLimits()
+            UrArmConfig(HOST, ServoConfig(lag=0.05), real_time_factor=REAL_TIME_FACTOR), sim_station().arm
         ) as arm,
     ):
         way = np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -79,7 +79,7 @@ class Noisy(JointPlant):
 def test_an_arm_with_noisy_encoders_is_at_rest_soon() -> None:
     with (
         ControllerProcess(model="UR10", host=HOST, plant=Noisy, realtime=True) as controller,
-        UnsupervisedUrArm(UrArmConfig(HOST, ServoConfig(lag=0.05)), ArmLimits()) as arm,
+        UnsupervisedUrArm(UrArmConfig(HOST, ServoConfig(lag=0.05)), sim_station().arm) as arm,
     ):
         settling = []
         for target in (HOME + 0.05, HOME):

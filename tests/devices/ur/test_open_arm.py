@@ -16,12 +16,12 @@ from toolee_robot.control import RobotModel
 from toolee_robot.errors import LimitError, NotReadyError, PersonNearError
 from toolee_robot.hal import Arm, MotionOutcome
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.stations.ur import open_arm
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.34"
-CONFIG = StationConfig()
+CONFIG = sim_station()
 CONFIG = replace(CONFIG, supervisor=replace(CONFIG.supervisor, data_cycles=50.0, overruns=50))  # a busy machine
 
 pytestmark = pytest.mark.realtime

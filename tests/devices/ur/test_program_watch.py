@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,13 @@ from tests.stand_in import patient, stand_in
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.devices.ur.servo.program_watch import ProgramWatch, WatchedProgram
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
 pytestmark = pytest.mark.realtime
 
 HOST = "127.0.0.77"
-LIMITS = ArmLimits(model=ArmModel.UR10)
+LIMITS = replace(sim_station().arm, model=ArmModel.UR10)
 WATCHDOG = 1.0 / patient(HOST).servo.watchdog
 
 

@@ -37,7 +37,7 @@ from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 from toolee_robot.sim_backend.ur_controller.robot.machine import RATE_SLEW
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
-from toolee_robot.station import ArmLimits
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel, Trajectory
 
 pytestmark = [
@@ -234,7 +234,7 @@ def session(request: pytest.FixtureRequest) -> Iterator[Session]:
     config = UrArmConfig(SESSIONS[request.param], SERVO if kind == "ideal" else replace(SERVO, lag=None))
     with (
         stand_in(model, config.host, profile=kind) as robot,
-        UnsupervisedUrArm(config, ArmLimits(model=model)) as arm,
+        UnsupervisedUrArm(config, replace(sim_station().arm, model=model)) as arm,
     ):
         yield Session(arm, robot, config)
 
@@ -273,5 +273,5 @@ def smooth(trajectory: Trajectory, report: MotionReport, period: float) -> bool:
     if len(q) < 3:
         return True
     q = np.vstack([trajectory.q[:1], q])
-    limit = np.abs(trajectory.qdd).max() + ArmLimits().stop_acceleration
+    limit = np.abs(trajectory.qdd).max() + sim_station().arm.stop_acceleration
     return bool(np.abs(np.diff(q, n=2, axis=0)).max() <= 1.05 * limit * period**2)

@@ -20,7 +20,7 @@ from toolee_robot.devices.ur.servo.client import ServoClient
 from toolee_robot.errors import DeviceError, LatchedError, NotReadyError
 from toolee_robot.hal import ArmStatus
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel, Payload
 
 pytestmark = pytest.mark.realtime
@@ -57,7 +57,7 @@ def test_a_tcp_that_is_not_the_one_set_is_refused(controller: ControllerProcess,
 def test_after_a_reset_the_payload_is_the_installations_or_the_one_set_last_or_the_arm_stays_latched(
     controller: ControllerProcess, proxy: CorruptingProxy
 ) -> None:
-    with UnsupervisedUrArm(replace(CONFIG, payload=INSTALLED), ArmLimits()) as arm:
+    with UnsupervisedUrArm(replace(CONFIG, payload=INSTALLED), sim_station().arm) as arm:
 
         def fails() -> None:
             os.kill(arm.servo_pid, signal.SIGKILL)

@@ -19,7 +19,7 @@ from toolee_robot.errors import NotReadyError, UserError
 from toolee_robot.hal import ContactGuard, MotionOutcome
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits, ServoConfig
+from toolee_robot.station import ServoConfig, sim_station
 from toolee_robot.types import ArmModel
 
 HOST, REAL_TIME_FACTOR = "127.0.0.28", 0.25
@@ -35,7 +35,8 @@ def controller() -> Iterator[ControllerProcess]:
 
 @pytest.fixture(scope="module")
 def arm(controller: ControllerProcess) -> Iterator[UnsupervisedUrArm]:
-    with UnsupervisedUrArm(UrArmConfig(controller.host, SERVO, real_time_factor=REAL_TIME_FACTOR), ArmLimits()) as arm:
+    config = UrArmConfig(controller.host, SERVO, real_time_factor=REAL_TIME_FACTOR)
+    with UnsupervisedUrArm(config, sim_station().arm) as arm:
         yield arm
 
 
@@ -138,7 +139,7 @@ def test_the_collector_does_not_pause_a_task_whose_arm_moves(arm: UnsupervisedUr
 def test_a_driver_in_real_time_refuses_a_robot_that_is_slower(controller: ControllerProcess) -> None:
     with (
         pytest.raises(NotReadyError, match="does not run in real time"),
-        UnsupervisedUrArm(UrArmConfig(controller.host), ArmLimits()),
+        UnsupervisedUrArm(UrArmConfig(controller.host), sim_station().arm),
     ):
         pass
 

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from tests.stand_in import PATIENT, held, patient, stand_in
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.hal import MotionOutcome
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
 pytestmark = pytest.mark.realtime
@@ -34,7 +35,7 @@ def controller() -> Iterator[ControllerProcess]:
 
 @pytest.fixture(scope="module")
 def arm(controller: ControllerProcess) -> Iterator[UnsupervisedUrArm]:
-    with UnsupervisedUrArm(patient(controller.host), ArmLimits(model=ArmModel.UR10E)) as arm:
+    with UnsupervisedUrArm(patient(controller.host), replace(sim_station().arm, model=ArmModel.UR10E)) as arm:
         yield arm
 
 

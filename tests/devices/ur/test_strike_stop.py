@@ -23,14 +23,14 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.plant import JointPlant
-from toolee_robot.station import ArmLimits, StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel, Payload, Trajectory
 
 pytestmark = pytest.mark.realtime
 
 HOST = "127.0.0.95"
 FACTOR = 0.5
-CONFIG = StationConfig()
+CONFIG = sim_station()
 HAMMER = Payload(1.5, np.array([0.06, 0.0, -0.05]))
 
 
@@ -58,7 +58,7 @@ def controller(plan: StrikePlan) -> Iterator[ControllerProcess]:
 def arm(controller: ControllerProcess, robot: RobotModel) -> Iterator[UnsupervisedUrArm]:
     servo = replace(SERVO, gain=1200.0, lookahead=0.03, lag=0.2)
     config = UrArmConfig(controller.host, servo, real_time_factor=FACTOR)
-    with UnsupervisedUrArm(config, ArmLimits(ArmModel.UR10)) as driver:
+    with UnsupervisedUrArm(config, replace(sim_station().arm, model=ArmModel.UR10)) as driver:
         driver.set_payload(robot.payload(GRASP, HELD, HAMMER.mass, HAMMER.center_of_mass))
         yield driver
 
@@ -108,6 +108,6 @@ def test_without_a_bound_the_controller_stops_the_arm_and_no_later_command_is_re
     assert report is not None
     assert report.commands is not None
     assert report.commands < len(report.stamps)
-    limit = ArmLimits(ArmModel.UR10).stop_acceleration
+    limit = replace(sim_station().arm, model=ArmModel.UR10).stop_acceleration
     assert accelerations(report, report.commands).max() <= 1.05 * limit
     assert np.all(report.q_commanded[report.commands :] == report.q_commanded[report.commands - 1])

@@ -15,13 +15,13 @@ import pytest
 from tests.devices.ur.swings import LONG, braked, stop_after, swing
 from tests.stand_in import patient, stand_in
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
 pytestmark = pytest.mark.realtime
 
 HOST = "127.0.0.24"
-LIMITS = ArmLimits()
+LIMITS = sim_station().arm
 HEARTBEAT = patient(HOST).servo.heartbeat_timeout
 
 

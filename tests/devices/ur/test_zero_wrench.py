@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from toolee_robot.errors import DeviceError, LatchedError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
 
 pytestmark = pytest.mark.realtime
@@ -41,7 +42,7 @@ def controller(model: ArmModel) -> Iterator[ControllerProcess]:
 
 @pytest.fixture(scope="module")
 def arm(controller: ControllerProcess, model: ArmModel) -> Iterator[UnsupervisedUrArm]:
-    with UnsupervisedUrArm(patient(controller.host), ArmLimits(model=model)) as connected:
+    with UnsupervisedUrArm(patient(controller.host), replace(sim_station().arm, model=model)) as connected:
         yield connected
 
 

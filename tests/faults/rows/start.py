@@ -18,7 +18,7 @@ from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import NotReadyError
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import SIMULATED, ArmLimits, CalibrationConfig
+from toolee_robot.station import SIMULATED, CalibrationConfig, sim_station
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.types import ArmModel, Payload
 
@@ -76,7 +76,7 @@ def start_row(fault: StartFault, setting: Setting, controller: ControllerProcess
     before = controller.state()
     wrong, got = [], "started"
     try:
-        with UnsupervisedUrArm(config, ArmLimits(model=setting.model)):
+        with UnsupervisedUrArm(config, replace(sim_station().arm, model=setting.model)):
             pass
         wrong.append("the driver started")
     except NotReadyError as error:

@@ -15,12 +15,12 @@ from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.nail.sight import HeadOffset, NailSight
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.physics.nail import Nail
-from toolee_robot.station import NailConfig, StationConfig
+from toolee_robot.station import NailConfig, sim_station
 from toolee_robot.types import RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=15)
 
-CONFIG = StationConfig()
+CONFIG = sim_station()
 WORK = CONFIG.work
 SIGMA = 3e-4  # [m] of a height
 OFF = transform(Rotation.from_rotvec([0.004, -0.005, 0.003]), [0.002, -0.003, 0.002])

@@ -13,14 +13,14 @@ from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.arm import HOLD_TIME, RATE, STANDSTILL
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import Payload, Trajectory
 
 pytestmark = pytest.mark.sim
 
 
 def test_a_zeroed_force_reading_has_no_offset_until_the_payload_changes() -> None:
-    hand = RobotModel.of_station(StationConfig()).description
+    hand = RobotModel.of_station(sim_station()).description
     right = hand.hand_payload(hand.hand_open)
     with sim_rig() as rig:
 
@@ -48,8 +48,8 @@ def test_a_zeroed_force_reading_has_no_offset_until_the_payload_changes() -> Non
 
 def test_a_motion_ends_when_a_ringing_arm_has_stood_for_a_while() -> None:
     """It is pushed while it brakes, and rings; it stands for a moment at every turning point."""
-    options = SimOptions(q_start=np.array(StationConfig().scene.home), hands_over=False, compliance=1.0)
-    with SimStation.build(StationConfig(), 0, options) as simulation:
+    options = SimOptions(q_start=np.array(sim_station().scene.home), hands_over=False, compliance=1.0)
+    with SimStation.build(sim_station(), 0, options) as simulation:
         arm, world = simulation.station.arm, simulation.world
         q = arm.state().q_commanded
         hold = Trajectory(np.array([0.0, 0.2]), np.array([q, q]), np.zeros((2, 6)), np.zeros((2, 6)))
@@ -77,8 +77,8 @@ def test_a_motion_ends_when_a_ringing_arm_has_stood_for_a_while() -> None:
 
 @pytest.mark.parametrize("compliance", [0.0, 1.0])
 def test_a_motion_is_reported_with_velocities_and_the_torques_that_the_controller_computes(compliance: float) -> None:
-    options = SimOptions(q_start=np.array(StationConfig().scene.home), hands_over=False, compliance=compliance)
-    with SimStation.build(StationConfig(), 0, options) as simulation:
+    options = SimOptions(q_start=np.array(sim_station().scene.home), hands_over=False, compliance=compliance)
+    with SimStation.build(sim_station(), 0, options) as simulation:
         arm = simulation.station.arm
         q = arm.state().q_commanded
         times = np.linspace(0.0, 0.4, 81)

@@ -15,11 +15,11 @@ from toolee_robot.render.mesh import box
 from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
-from toolee_robot.station import CameraConfig
+from toolee_robot.station import sim_station
 
 pytestmark = pytest.mark.sim
 
-CONFIG = CameraConfig()
+CONFIG = sim_station().camera
 CENTER = np.array(CONFIG.target)
 
 

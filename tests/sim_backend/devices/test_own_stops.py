@@ -22,12 +22,12 @@ from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, profil
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel, Trajectory
 
 pytestmark = pytest.mark.sim
 
-HOME = np.array(StationConfig().scene.home)
+HOME = np.array(sim_station().scene.home)
 BASE = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 both = pytest.mark.parametrize("model", list(ArmModel))
 
@@ -35,7 +35,7 @@ both = pytest.mark.parametrize("model", list(ArmModel))
 @contextmanager
 def station(model: ArmModel = ArmModel.UR10, errors: float = 1.0, compliance: float = 0.0) -> Iterator[SimStation]:
     """A station whose arm carries its hand alone."""
-    config = StationConfig()
+    config = sim_station()
     config = replace(config, arm=replace(config.arm, model=model))
     options = SimOptions(q_start=HOME, hands_over=False, wrench_errors=errors, compliance=compliance)
     with SimStation.build(config, 0, options) as simulation:

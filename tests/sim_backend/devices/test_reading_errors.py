@@ -16,18 +16,18 @@ from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, ForceErrors
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel, Payload
 
 pytestmark = pytest.mark.sim
 
-HOME = np.array(StationConfig().scene.home)
+HOME = np.array(sim_station().scene.home)
 
 
 @contextmanager
 def arm_at_rest(model: ArmModel, size: float, seed: int = 0) -> Iterator[SimStation]:
     """A station whose arm stands and carries nothing but the hand, which it knows."""
-    config = StationConfig()
+    config = sim_station()
     config = replace(config, arm=replace(config.arm, model=model))
     options = SimOptions(q_start=HOME, hands_over=False, wrench_errors=size)
     with SimStation.build(config, seed, options) as simulation:

@@ -19,12 +19,12 @@ from toolee_robot.sim_backend.physics.impact_steps import IMPACT, StepSettings
 from toolee_robot.sim_backend.physics.joint_springs import STIFFNESS, JointSprings
 from toolee_robot.sim_backend.physics.robot_body import RobotBody
 from toolee_robot.sim_backend.world import NORMAL
-from toolee_robot.station import StationConfig, load_station
+from toolee_robot.station import load_station, sim_station
 from toolee_robot.types import Payload
 
 pytestmark = pytest.mark.sim
 
-HOME = np.array(StationConfig().scene.home)
+HOME = np.array(sim_station().scene.home)
 MOUNT = load_station(Path(__file__).parents[3] / "examples" / "mount.yaml").hand
 assert MOUNT.mount is not None
 LIGHT = replace(MOUNT, mount=replace(MOUNT.mount, mass=0.4, clamp_mass=0.1))

@@ -26,13 +26,13 @@ from toolee_robot.sim_backend.physics.wood import (
     resistance,
     tip_force,
 )
-from toolee_robot.station import WorkConfig
+from toolee_robot.station import sim_station
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.tools import test_seeds as held_out_seeds
 
 pytestmark = pytest.mark.sim
 
-SPEC = NailSpec.from_config(WorkConfig())
+SPEC = NailSpec.from_config(sim_station().work)
 UPRIGHT = np.diag([1.0, -1.0, -1.0])
 FACE_RADIUS, HEAD_LENGTH = 0.014, 0.06
 

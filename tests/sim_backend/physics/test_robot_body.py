@@ -11,12 +11,12 @@ from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.physics.bodies import fixed_box
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.physics.robot_body import RobotBody
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 
 pytestmark = pytest.mark.sim
 
 DT = 0.001
-HOME = np.array(StationConfig().scene.home)
+HOME = np.array(sim_station().scene.home)
 FASTER = np.array([0.4, -0.3, 0.5, 0.2, -0.6, 0.7])  # [rad/s]
 
 

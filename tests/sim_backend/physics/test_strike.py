@@ -17,12 +17,12 @@ from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.hal import MotionOutcome
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.types import Payload
 
 pytestmark = pytest.mark.sim
 
-CONFIG = StationConfig()
+CONFIG = sim_station()
 SPEED = 1.1  # [m/s]
 SPEEDS = 1.06, 1.08, 1.10, 1.12, 1.14
 

@@ -8,7 +8,7 @@ import pytest
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.world_plant import WorldPlant
 from toolee_robot.sim_backend.station import build_world, draw_handover
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 
 pytestmark = pytest.mark.sim
 
@@ -18,7 +18,7 @@ TURN = np.array([0.3, 0.2, -0.2, 0.3, 0.2, 0.4])  # [rad] in a second
 @pytest.mark.parametrize("period", [0.008, 0.002], ids=["CB3", "e-Series"])
 def test_elastic_joints_follow_a_controllers_ticks_and_come_to_rest(period: float) -> None:
     options = SimOptions(compliance=1.0, hands_over=False)
-    world = build_world(StationConfig(), draw_handover(1, options)[0], options)
+    world = build_world(sim_station(), draw_handover(1, options)[0], options)
     try:
         plant = WorldPlant(world, period)
         hand = world.robot.robot.hand_payload(world.robot.robot.hand_open)

@@ -27,11 +27,11 @@ from toolee_robot.sim_backend.remote.world_service import WorldService
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.server.port import Service
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 
 pytestmark = pytest.mark.sim
 
-CONFIG, SEED, TICK = StationConfig(), 101, 0.008
+CONFIG, SEED, TICK = sim_station(), 101, 0.008
 PERIOD = 0.005  # [s] between ticks: faster than real, and time for the other thread
 SLOW = HostClock(
     real_time_factor=0.2

@@ -12,12 +12,12 @@ from tests.control.paper_arm import Bystander, PaperArm
 from toolee_robot.control import Supervisor
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, MotionWatch
-from toolee_robot.station import StationConfig
+from toolee_robot.station import sim_station
 from toolee_robot.tasks.bring_up.caps import Caps, SlowStation
 from toolee_robot.tasks.bring_up.servo_tuning import PAIRS, SHARES, Trial, recommend, tune
 from toolee_robot.types import Trajectory
 
-SLOW = SlowStation.of(StationConfig(), Caps())
+SLOW = SlowStation.of(sim_station(), Caps())
 HOME = np.array(SLOW.config.scene.home)
 
 

@@ -14,7 +14,7 @@ from toolee_robot.cli.calibrate.board import BARS_MISSING
 from toolee_robot.cli.options import Flag
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.runtime.clock import check_real_time_factor
-from toolee_robot.station import SIMULATED, StationConfig, load_lab_station, load_station
+from toolee_robot.station import SIMULATED, StationConfig, load_lab_station, load_station, sim_station
 
 SIMULATED_PLATE = 0.12, 1.2
 """Distance of a simulated print from the flange [m], and mass of its plate [kg]."""
@@ -73,7 +73,7 @@ class Camera:
             config = load_lab_station(self.station)
             self._check_entry(config)
         else:
-            config = StationConfig() if self.config is None else load_station(self.config)
+            config = sim_station() if self.config is None else load_station(self.config)
         console = Console(stderr=self.json, highlight=False)
         from toolee_robot.calibration.session import FILE
         from toolee_robot.cli.calibrate.camera_job import RECORD, CameraJob

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.station import StationConfig, load_station
+from toolee_robot.station import load_station, sim_station
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class Mount:
 
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
-        config = StationConfig() if self.config is None else load_station(self.config)
+        config = sim_station() if self.config is None else load_station(self.config)
         import numpy as np
 
         from toolee_robot.calibration.tip import locate_tip, read_touches

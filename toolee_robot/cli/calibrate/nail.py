@@ -13,7 +13,7 @@ from toolee_robot.cli.calibrate.nail_checks import touched_station
 from toolee_robot.cli.options import Flag
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor
-from toolee_robot.station import StationConfig, check_upright, load_lab_station, load_station
+from toolee_robot.station import check_upright, load_lab_station, load_station, sim_station
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ class Nail:
         if self.station is not None:
             config = load_lab_station(self.station)
         elif self.config is None:
-            config = StationConfig()
+            config = sim_station()
         elif self.camera:  # a simulated one
             config = load_station(self.config)
         else:

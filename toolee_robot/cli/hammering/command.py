@@ -19,7 +19,7 @@ from toolee_robot.runtime.gc_pause import gc_spared
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
-from toolee_robot.station import StationConfig, load_lab_station, load_station, with_setup
+from toolee_robot.station import StationConfig, load_lab_station, load_station, sim_station, with_setup
 from toolee_robot.types import ArmModel
 
 if TYPE_CHECKING:
@@ -222,7 +222,7 @@ class Hammer:
             raise UserError(
                 "--rehearse without --station: give the station file that is rehearsed", code="user.no_station"
             )
-        config = StationConfig() if self.config is None else load_station(self.config)
+        config = sim_station() if self.config is None else load_station(self.config)
         if self.setup is not None:
             before, config = config.tool, with_setup(config, self.setup)
             if config.tool is not before:

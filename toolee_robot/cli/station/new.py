@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from toolee_robot.errors import ConfigError, TooleeError, UserError
 from toolee_robot.findings import Level
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_edit import add_first, set_fields
-from toolee_robot.station import VERSION, check_current
+from toolee_robot.station import VERSION, check_current, sim_station
 from toolee_robot.station.station import read_station, to_station
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def _ask(question: Question, frame: str, console: Console) -> str:
 def _told_by_the_camera(file: Path, data: dict[str, Any], console: Console) -> bool:
     """Fill in the intrinsics from the camera itself, if it is connected."""
     from toolee_robot.runtime.clock import HostClock
-    from toolee_robot.station import CameraConfig, CameraDevice
+    from toolee_robot.station import CameraDevice
     from toolee_robot.stations.camera import WITH_MODE, open_camera
     from toolee_robot.stations.interview import INTRINSICS, SIZE, put
 
@@ -186,7 +186,7 @@ def _told_by_the_camera(file: Path, data: dict[str, Any], console: Console) -> b
     own = {name: device.get(name) for name in ("folder", "camera_class")}
     opened = CameraDevice(device["driver"], str(device["serial"]), device["least_range"], rate, **own)
     try:
-        config = CameraConfig(device=opened, **size)
+        config = replace(sim_station().camera, device=opened, **size)
         with open_camera(config, HostClock(), check_intrinsics=False) as connected:
             k, lens = connected.intrinsics, connected.lens
     except TooleeError as error:

@@ -18,7 +18,7 @@ from toolee_robot.robots import hand_model, load_robot, wrap_fingers
 from toolee_robot.robots.hands.inspire import CLOSED, INSPIRE, OPEN, joints_of_counts
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
-from toolee_robot.station import HandConfig, StationConfig, load_station
+from toolee_robot.station import HandConfig, StationConfig, load_station, sim_station
 from toolee_robot.stations.hand import open_hand
 from toolee_robot.types import HandMounting
 
@@ -35,7 +35,7 @@ def test_every_lab_measures_how_it_is_mounted(config: StationConfig) -> None:
     with raises(ConfigError, "config.hand_mounting"):
         hand_model(HandConfig(INSPIRE))
     with raises(ConfigError, "config.hand_mounting"):
-        hand_model(HandConfig(mounting=TURNED))
+        hand_model(replace(sim_station().hand, mounting=TURNED))
     with raises(ConfigError, "config"):
         _ = hand_model(INSPIRE).tree
     with pytest.raises(ValueError, match="right angle"):

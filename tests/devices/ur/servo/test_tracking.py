@@ -11,9 +11,9 @@ from tests.examples import examples
 from tests.sim_backend.kinematics import line
 from toolee_robot.devices.ur.servo.tracking import tracking_error
 from toolee_robot.frames import Array
-from toolee_robot.station import ArmLimits, ServoConfig, SupervisorConfig, servo_lag
+from toolee_robot.station import ServoConfig, SupervisorConfig, servo_lag, sim_station
 
-LIMITS = ArmLimits()
+LIMITS = sim_station().arm
 BOUND = SupervisorConfig().tracking_error
 FULL_TRANSFER = LIMITS.transfer_velocity_scale * max(LIMITS.velocity)  # [rad/s] of the fastest joint
 
