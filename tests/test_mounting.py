@@ -165,8 +165,8 @@ def test_no_simulated_world_is_built_around_a_tilted_base() -> None:
 @pytest.mark.parametrize(
     "command",
     [
-        ["hammer", "--station", "lab.yaml", "--rehearse"],
-        ["hammer", "--config", "lab.yaml"],
+        ["rehearse", "hammer", "lab.yaml"],
+        ["sim", "hammer", "--config", "lab.yaml"],
         ["station", "check", "lab.yaml"],
         ["calibrate", "camera", "--station", "lab.yaml", "--rehearse"],
         ["calibrate", "nail", "--camera", "--station", "lab.yaml", "--rehearse"],

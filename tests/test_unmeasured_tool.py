@@ -116,10 +116,10 @@ def test_the_handover_leaves_room_for_a_tool_of_which_nothing_is_known() -> None
 
 
 @pytest.mark.sim
-@pytest.mark.parametrize("ablation", ["normal_only", "position_only", "mask_centroid"])
+@pytest.mark.parametrize("variant", ["normal_only", "position_only", "mask_centroid"])
 def test_what_believes_where_the_face_nominally_is_is_refused(
-    ablation: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    variant: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ["--config", str(LAB.with_name("unknown_hammer.yaml")), "--ablation", ablation, "--out", str(tmp_path)]
-    assert run(["hammer", *options]) == 2
+    options = ["--config", str(LAB.with_name("unknown_hammer.yaml")), "--variant", variant, "--out", str(tmp_path)]
+    assert run(["sim", "hammer", *options]) == 2
     assert "tool.face_normal" in " ".join(capsys.readouterr().err.split())

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from toolee_robot.cli.app import command_paths, run
-from toolee_robot.cli.hammering.command import Hammer
+from toolee_robot.cli.sim import SimHammer
 
 pytestmark = pytest.mark.sim
 
@@ -59,28 +59,27 @@ def _frame_args(
     ("args", "expected_text"),
     [
         ([], "usage: toolee COMMAND"),
-        (["hamer"], "did you mean `toolee hammer`?"),
+        (["hammer"], "did you mean `toolee sim hammer` or `toolee rehearse hammer` or `toolee run hammer`?"),
+        (["sim", "hamer"], "did you mean `toolee sim hammer`?"),
+        (["run"], "usage: toolee run COMMAND"),
         (["arm", "mvoe"], "did you mean `toolee arm move`?"),
         (["freedrive"], "did you mean `toolee arm freedrive`?"),
         (["no-such-thing"], "`toolee --help` lists the commands"),
         (["arm"], "usage: toolee arm COMMAND"),
-        (["hammer", "--sed", "3"], "--seed"),
-        (["hammer", "--seed", "three"], "--seed"),
-        (["hammer", "--seed", "-1"], "--seed -1"),
-        (["hammer", "--config", "none.yaml"], "none.yaml"),
-        (["hammer", "--config", "lab.yaml"], "work.nail_diametre"),
-        (["hammer", "--out", "rgb.png"], "--out"),
-        (["hammer", "--perfect-perception", "--no-correction"], "leave one out"),
-        (["hammer", "--ablation", "one_view", "--no-correction"], "no perception"),
-        (["hammer", "--ablation", "paper"], "toolee train pose --estimator paper"),
-        (["hammer", "--paper-weights", "scene"], "without --ablation paper"),
-        (["hammer", "--ablation", "icp", "--paper-weights", "scene"], "without --ablation paper"),
-        (["hammer", "--exact", "--errors", "errors.yaml"], "leave one out"),
-        (
-            ["hammer", "--sensor", "mixed", "--arm", "ur-rtde", "--robot-host", "127.0.0.2", "--world", "pybullet"],
-            "--sensor with --arm",
-        ),
-        (["hammer", "--errors", "none.yaml"], "none.yaml"),
+        (["sim", "hammer", "--sed", "3"], "--seed"),
+        (["sim", "hammer", "--seed", "three"], "--seed"),
+        (["sim", "hammer", "--seed", "-1"], "--seed -1"),
+        (["sim", "hammer", "--config", "none.yaml"], "none.yaml"),
+        (["sim", "hammer", "--config", "lab.yaml"], "work.nail_diametre"),
+        (["sim", "hammer", "--out", "rgb.png"], "--out"),
+        (["sim", "hammer", "--variant", "paper"], "toolee train pose --estimator paper"),
+        (["sim", "hammer", "--paper-weights", "scene"], "go together"),
+        (["sim", "hammer", "--nail", "left"], "the station's nails are nail"),
+        (["rehearse", "hammer"], "STATION"),
+        (["rehearse", "hammer", "lab.yaml"], "lab.yaml"),
+        (["run", "hammer", "lab.yaml", "--variant", "perfect_perception"], "invalid choice"),
+        (["run", "hammer", "lab.yaml", "--seed", "3"], "--seed"),
+        (["sim", "hammer", "--errors", "none.yaml"], "none.yaml"),
         (["trials", "none.yaml"], "none.yaml"),
         (["estimate"], "--rgb"),
         (["estimate", "--rgb", "rgb.png", "--depth", "depth.png"], "--depth-scale, --intrinsics"),
@@ -129,7 +128,7 @@ def test_a_screen_that_is_not_there_is_said_before_anything_runs(
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.chdir(tmp_path)
-    assert run(["hammer", "--gui"]) == 2
+    assert run(["sim", "hammer", "--gui"]) == 2
     assert "--gui" in capsys.readouterr().err
 
 
@@ -137,14 +136,14 @@ def test_json_tells_the_users_fault_on_its_line_too(
     files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(files)
-    assert run(["hammer", "--config", "lab.yaml", "--seed", "4", "--json"]) == 2
+    assert run(["sim", "hammer", "--config", "lab.yaml", "--seed", "4", "--json"]) == 2
     line = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert "nail_diametre" in line["error"]["message"]
 
 
-@pytest.mark.parametrize("command", ["hammer", "estimate", "doctor"])
+@pytest.mark.parametrize("command", ["sim hammer", "rehearse hammer", "run hammer", "estimate", "doctor"])
 def test_help_is_quick_and_shows_how(command: str, tmp_path: Path) -> None:
-    done = _toolee(command, "--help", folder=tmp_path)
+    done = _toolee(*command.split(), "--help", folder=tmp_path)
     assert done.returncode == 0
     assert f"toolee {command}" in done.stdout
     assert "--json" in done.stdout
@@ -226,15 +225,15 @@ def test_missing_weights_are_a_failed_job_that_names_the_file(
 def test_a_package_that_is_not_installed_is_named_and_a_missing_module_of_our_own_is_a_bug(
     module: str, is_bug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(_: Hammer) -> int:
+    def fail(_: SimHammer) -> int:
         raise ModuleNotFoundError(f"No module named {module!r}", name=module)
 
-    monkeypatch.setattr(Hammer, "run", fail)
+    monkeypatch.setattr(SimHammer, "run", fail)
     if is_bug:
         with pytest.raises(ModuleNotFoundError):
-            run(["hammer"])
+            run(["sim", "hammer"])
         return
-    assert run(["hammer", "--json"]) == 2
+    assert run(["sim", "hammer", "--json"]) == 2
     captured = capsys.readouterr()
     assert json.loads(captured.out)["error"]["code"] == "user.missing_package"
     assert module in captured.err

@@ -197,7 +197,7 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
     del said["tool"], said["calibration"]
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(said))
-    assert run(["hammer", "--station", str(path)]) == 2
+    assert run(["run", "hammer", str(path)]) == 2
     assert "give calibration, tool;" in " ".join(capsys.readouterr().err.split())
     assert run(["station", "check", str(path)]) == 2
     told = capsys.readouterr().err
@@ -205,17 +205,13 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
     assert f"toolee calibrate camera --station {path} --bars-mm" in told
     del said["work"]["nail_xy"]
     path.write_text(yaml.safe_dump(said))
-    assert run(["hammer", "--station", str(path), "--rehearse"]) == 2
+    assert run(["rehearse", "hammer", str(path)]) == 2
     assert "measure and give work.nail_xy" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (["hammer", "--station", str(LAB), "--seed", "3"], "--seed with --station"),
-        (["hammer", "--station", str(LAB), "--perfect-perception"], "or add --rehearse"),
-        (["hammer", "--station", str(LAB), "--rehearse", "--arm", "ur-rtde"], "--arm with --station"),
-        (["hammer", "--rehearse"], "give the station file"),
         (["calibrate", "camera", "--rehearse"], "give the station file"),
         (["calibrate", "camera", "--station", str(LAB)], "measure the two scale bars"),
         (["calibrate", "camera", "--station", str(LAB), "--bars-mm", "360", "257"], "--plate-distance"),

@@ -153,8 +153,8 @@ def test_a_copy_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.
 @pytest.mark.parametrize(
     "command",
     [
-        ["hammer", "--station"],
-        ["hammer", "--rehearse", "--station"],
+        ["run", "hammer"],
+        ["rehearse", "hammer"],
         ["station", "check"],
         ["station", "new"],
         ["doctor", "--robot-host", "127.0.0.47", "--config"],

@@ -42,7 +42,7 @@ def test_every_command_in_a_document_parses(path: Path, words: list[str]) -> Non
 
 
 def test_a_command_with_an_unknown_option_does_not_parse() -> None:
-    assert exit_code(["hammer", "--no-such-option"]) == 2
+    assert exit_code(["sim", "hammer", "--no-such-option"]) == 2
 
 
 def test_every_import_in_a_document_resolves() -> None:

@@ -12,24 +12,24 @@ import numpy as np
 import pytest
 
 from tests.documents.blocks import ROOT
-from toolee_robot.trials import Arm, Record, TrialPlan, load_plan
+from toolee_robot.app.variant import Variant
+from toolee_robot.trials import Record, TrialPlan, load_plan
 from toolee_robot.trials.results import read_results_file
 from toolee_robot.trials.statistics import compare, of_arm, share
-from toolee_robot.trials.sweeps import ENOUGH, UNITS, Sweep, sweeps
 
 pytestmark = pytest.mark.sim(seconds=10)
 
 KEPT = ROOT / "docs" / "benchmark"
 README, PAGE = (ROOT / "README.md").read_text(), (ROOT / "docs" / "results" / "job.md").read_text()
 ARMS = {
-    "whole system": Arm.FULL,
-    "true poses of the tool instead of the estimates": Arm.PERFECT_PERCEPTION,
-    "one view of the tool instead of six": Arm.ONE_VIEW,
-    "ICP on the tool's exact shape instead of the pose network": Arm.ICP,
-    "the mask's centroid, and the nominal direction": Arm.MASK_CENTROID,
-    "estimated place, nominal direction": Arm.POSITION_ONLY,
-    "estimated direction, nominal place": Arm.NORMAL_ONLY,
-    "not corrected": Arm.NO_CORRECTION,
+    "whole system": Variant.FULL,
+    "true poses of the tool instead of the estimates": Variant.PERFECT_PERCEPTION,
+    "one view of the tool instead of six": Variant.ONE_VIEW,
+    "ICP on the tool's exact shape instead of the pose network": Variant.ICP,
+    "the mask's centroid, and the nominal direction": Variant.MASK_CENTROID,
+    "estimated place, nominal direction": Variant.POSITION_ONLY,
+    "estimated direction, nominal place": Variant.NORMAL_ONLY,
+    "not corrected": Variant.NO_CORRECTION,
 }
 """How the table of arms calls each."""
 SWEPT = {
@@ -47,6 +47,13 @@ SWEPT = {
     "the hammer's data are another one's": "other_tool",
 }
 """How the table of swept errors calls each, at the beginning of its row."""
+DEGREES, MILLI, PERCENT = 180.0 / np.pi, 1e3, 100.0
+UNITS = {
+    "camera_position": MILLI, "camera_rotation": DEGREES, "nail_beside": MILLI, "nail_height": MILLI,
+    "nail_lean": DEGREES, "face_angle": DEGREES, "kinematics": MILLI, "wood": PERCENT, "payload": PERCENT,
+    "other_tool": PERCENT,
+}  # fmt: skip
+"""Factors from a plan's unit to the table's; others: 1."""
 
 
 @cache
@@ -57,10 +64,26 @@ def _kept(name: str) -> tuple[TrialPlan, list[Record]]:
     return plan, records
 
 
+Tried = tuple[str, str | None, float | None]
+"""Arm, swept error and its size."""
+
+
 @cache
-def _sweeps() -> dict[str, tuple[TrialPlan, Sweep]]:
-    plans = [_kept(name) for name in ("sweep", "sweep_handover")]
-    return {sweep.error: (plan, sweep) for plan, records in plans for sweep in sweeps(plan, records)}
+def _hits(name: str) -> dict[Tried, tuple[int, int]]:
+    """Flush nails and jobs of a plan that the tag `before-half` repeats."""
+    found: dict[Tried, list[bool]] = {}
+    for line in (KEPT / f"{name}.jsonl").read_text().splitlines()[1:]:
+        trial, figures = (json.loads(line)[part] for part in ("trial", "figures"))
+        found.setdefault((trial["arm"], trial.get("error"), trial.get("size")), []).append(figures["success"])
+    return {tried: (sum(flush), len(flush)) for tried, flush in found.items()}
+
+
+def _swept(error: str) -> dict[float, int]:
+    """Flush nails of 20 at each size of an error, in the unit of the page's table."""
+    found = [(tried[2], hits) for name in ("sweep", "sweep_handover") for tried, hits in _hits(name).items()
+             if tried[1] == error]  # fmt: skip
+    assert {of for _, (_, of) in found} == {20}
+    return {UNITS.get(error, 1.0) * float(size or 0.0): hits for size, (hits, _) in found}
 
 
 def _rounded(value: float, like: str) -> float:
@@ -73,6 +96,10 @@ def _rows(heading: str) -> dict[str, list[str]]:
     section = PAGE.split(f"\n## {heading}\n")[1].split("\n## ")[0]
     lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
     return {first.strip(): [cell.replace("*", "").strip() for cell in cells] for first, *cells in lines}
+
+
+def _of(hits: int, of: int) -> str:
+    return str(share([True] * hits + [False] * (of - hits)))
 
 
 def _flush(records: Sequence[Record]) -> str:
@@ -103,7 +130,7 @@ def test_two_hundred_hammers_are_counted_as_the_page_says() -> None:
     assert f"{ends.count('flush')} are called flush and stand" in cell
 
 
-STOPS = {"whole system": Arm.FULL, "true poses": Arm.PERFECT_PERCEPTION, "not corrected": Arm.NO_CORRECTION}
+STOPS = {"whole system": Variant.FULL, "true poses": Variant.PERFECT_PERCEPTION, "not corrected": Variant.NO_CORRECTION}
 """How the table of jobs with the robot's own stops calls the arms."""
 
 
@@ -138,7 +165,7 @@ FIGURES: dict[str, tuple[tuple[str, ...], str]] = {
 
 @pytest.mark.parametrize("row", FIGURES)
 def test_the_table_of_two_hundred_hammers_is_of_their_records(row: str) -> None:
-    records = of_arm(_kept("distinct_hammers")[1], Arm.FULL)
+    records = of_arm(_kept("distinct_hammers")[1], Variant.FULL)
     names, form = FIGURES[row]
     if row == "flush nails over the wood":
         records = [record for record in records if record.success]
@@ -152,7 +179,7 @@ def test_the_table_of_two_hundred_hammers_is_of_their_records(row: str) -> None:
 TABLES = [("What each part is worth", "paired_trials", row) for row in ARMS] + [
     ("Two hundred distinct hammers", "distinct_hammers", row)
     for row, arm in ARMS.items()
-    if arm in (Arm.FULL, Arm.PERFECT_PERCEPTION, Arm.NO_CORRECTION)
+    if arm in (Variant.FULL, Variant.PERFECT_PERCEPTION, Variant.NO_CORRECTION)
 ]
 """Tables of arms: heading, plan, row."""
 
@@ -160,7 +187,7 @@ TABLES = [("What each part is worth", "paired_trials", row) for row in ARMS] + [
 @pytest.mark.parametrize(("heading", "plan", "row"), TABLES)
 def test_the_tables_of_arms_are_of_their_records(heading: str, plan: str, row: str) -> None:
     _, records = _kept(plan)
-    mine, first = of_arm(records, ARMS[row]), of_arm(records, Arm.FULL)
+    mine, first = of_arm(records, ARMS[row]), of_arm(records, Variant.FULL)
     flush, against, *_ = _rows(heading)[row]
     assert flush == _flush(mine)
     if mine != first:
@@ -174,42 +201,27 @@ def test_the_tables_of_arms_are_of_their_records(heading: str, plan: str, row: s
 
 
 def test_the_learnt_grasp_is_counted_as_the_page_says() -> None:
-    plan, records = _kept("learnt_grasp")
-    full, learnt = (_flush(of_arm(records, arm)) for arm in plan.arms)
+    full, learnt = (_of(*_hits("learnt_grasp")[arm, None, None]) for arm in ("full", "learnt_grasp"))
     assert f"{learnt} hammers are flush, with the whole system {full};" in PAGE
 
 
 @pytest.mark.parametrize("row", SWEPT)
 def test_the_table_of_swept_errors_is_of_their_records(row: str) -> None:
-    """The shares at the sizes of the plan, and where they fall under 90 %."""
-    (plan, sweep), factor = _sweeps()[SWEPT[row]], UNITS[SWEPT[row]][1]
-    ((flush, falls, *_),) = [cells for name, cells in _rows("How large each error may be").items() if row in name]
-    hits = {factor * size: of.hits for size, of in zip(sweep.sizes, sweep.shares, strict=True)}
-    swept = {factor * size for size in plan.sweep[SWEPT[row]]}
+    """The shares at the sizes of the plan."""
+    hits = _swept(SWEPT[row])
+    ((flush, *_),) = [cells for name, cells in _rows("How large each error may be").items() if row in name]
     for size, count in re.findall(r"([\d.]+)[^\d:,]*: (\d+)", flush):
-        (found,) = [tried for tried in swept if _rounded(tried, size) == float(size)]
-        assert int(count) == hits[found]
-        swept.remove(found)
-    assert not any(hits[tried] for tried in swept), "what is not told is none"
-    limit, numbers = sweep.limit, re.findall(r"[\d.]+", falls)
-    assert limit is not None
-    if "not up to" in falls:
-        assert limit.size == sweep.sizes[-1]
-    elif "do not tell" in falls:
-        assert (limit.low <= sweep.sizes[0], limit.high >= sweep.sizes[-1]) == (True, True)
-    elif "between" in falls:
-        assert hits[float(numbers[1])] >= ENOUGH * plan.trials > hits[float(numbers[2])]
-    else:
-        for number, value in zip(numbers, (limit.size, limit.low, limit.high), strict=True):
-            assert float(number) == _rounded(factor * value, number)
-        assert ("or more" in falls) == (limit.high >= sweep.sizes[-1])
+        (found,) = [tried for tried in hits if _rounded(tried, size) == float(size)]
+        assert int(count) == hits.pop(found)
+    assert not any(hits.values()), "what is not told is none"
 
 
 def test_errors_that_do_not_matter_did_not_at_any_size() -> None:
     ((told, *_),) = [cells for name, cells in _rows("How large each error may be").items() if "its mass" in name]
-    errors = ("ruler", "scales", "balance", "friction", "compliance")
     assert told == "20 each"
-    assert {_sweeps()[error][1].shares[-1].hits for error in errors} == {20}
+    for error in ("ruler", "scales", "balance", "friction", "compliance"):
+        hits = _swept(error)
+        assert hits[max(hits)] == 20
 
 
 def test_what_was_told_exactly_is_counted_as_the_page_says() -> None:
@@ -221,7 +233,7 @@ def test_what_was_told_exactly_is_counted_as_the_page_says() -> None:
     assert f"| earlier, told exactly: corrected, not, `ur-rtde` | {corrected}, {uncorrected}, {through} |" in README
     rows = {line.split("|")[1].strip(): line for line in PAGE.splitlines() if line.startswith("|")}
     for row, of in zip(
-        ("with correction, seeds 7401 to 7500", "`--no-correction`, 7401 to 7420",
+        ("with correction, seeds 7401 to 7500", "no correction, 7401 to 7420",
          "through `ur-rtde` and the controller stand-in, 100 to 109"), shares, strict=True,
     ):  # fmt: skip
         assert f"| {of} |" in rows[row]

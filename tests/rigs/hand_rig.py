@@ -6,22 +6,25 @@ the driver says, which speaks to an emulated hand over its wire.
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from tests.rigs.job_rig import ClosedHand
-from toolee_robot.hal import HandState
+from toolee_robot.errors import DeviceError
+from toolee_robot.hal import Clock, Hand, HandState
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.hand import TICK, SimHand
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.station import HandConfig
-from toolee_robot.stations.driven_hand import SWITCH_INTERVAL, HandPace
 from toolee_robot.stations.hand import open_hand
+from toolee_robot.stations.rehearsal.emulated_lab import SWITCH_INTERVAL
 from toolee_robot.types import HandEfforts, HandMounting
 
 MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
@@ -87,6 +90,51 @@ HANDS = (
     ),
 )  # fmt: skip
 """The hands that have a driver here and an emulator, on each of their wires."""
+
+
+LOOK_PERIOD, AHEAD = 0.01, 0.04
+"""How often the simulation looks for the hand's newest reading, and by how far it may be ahead of it [s, its own]."""
+WAIT = 2.0
+"""How long it waits for the next one [s of the host's time]."""
+
+
+class HandPace:
+    """Lets the simulation run no faster than the host's time, and no further ahead of the hand than it has to.
+
+    The driver's clock is the station's, so that a hand is not late because the simulation stood still. On a busy
+    machine the simulation could also leave behind the threads of driver and emulated hand, which no real arm does: it
+    waits for their next reading, unless that does not come. Call it before every step of the simulation.
+
+    Args:
+        clock: The station's clock.
+
+    Attributes:
+        hand: The driver, entered; None while there is none.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._due = clock, time.monotonic()
+        self._looked, self._given_up = -math.inf, -math.inf
+        self.hand: Hand | None = None
+
+    def __call__(self, step: float) -> None:
+        now = time.monotonic()
+        self._due = max(self._due, now - step) + step
+        time.sleep(max(0.0, self._due - now))
+        if self.hand is not None and self._clock.now() - self._looked >= LOOK_PERIOD:
+            self._looked = self._clock.now()
+            self._wait_for(self.hand)
+
+    def _wait_for(self, hand: Hand) -> None:
+        end = time.monotonic() + WAIT
+        with suppress(DeviceError):  # which whoever asks for a state is told
+            while (stamp := hand.state(math.inf).joints.stamp) > self._given_up:
+                if self._clock.now() - stamp <= AHEAD:
+                    return
+                if time.monotonic() > end:
+                    self._given_up = stamp  # it is silent: the time goes on, until it has said something again
+                    return
+                time.sleep(0.002)
 
 
 class DriverHand(ClosedHand):

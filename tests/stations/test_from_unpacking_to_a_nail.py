@@ -125,7 +125,7 @@ def test_from_an_empty_folder_to_a_driven_nail(tmp_path: Path, monkeypatch: pyte
     assert "Entered in rehearsal.yaml" in told
     told = person.runs("toolee calibrate nail --camera --station rehearsal.yaml --rehearse")
     assert "true errors" in told
-    told = person.runs("toolee hammer --station rehearsal.yaml --rehearse --seed 3 --real-time-factor 0.5")
+    told = person.runs("toolee rehearse hammer rehearsal.yaml --seed 3 --real-time-factor 0.5")
     assert "the nail is flush" in told
     (run,) = Path("runs").iterdir()
     assert json.loads((run / "summary.json").read_text())["nail"] == "flush", "it truly is"

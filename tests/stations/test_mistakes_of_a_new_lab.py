@@ -26,9 +26,11 @@ from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStrea
 from toolee_robot.devices.hands.wire import port
 from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import SERIAL, SoftwareRealSense
+from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.station import CameraConfig, CameraDevice, sim_station
 from toolee_robot.stations import camera
+from toolee_robot.stations.rehearsal import emulated_lab
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LAB, INSPIRE = EXAMPLES / "lab.yaml", EXAMPLES / "inspire.yaml"
@@ -148,7 +150,7 @@ def test_a_folder_of_frames_whose_depth_is_in_millimetres_is_told(in_millimetres
 def test_a_job_is_refused_before_anything_is_opened(
     section: str, fields: dict[str, Any], words: str, tmp_path: Path, said: Say
 ) -> None:
-    command = ["hammer", "--station", lab(tmp_path, **{section: fields}), "--rehearse", "--out", str(tmp_path)]
+    command = ["rehearse", "hammer", lab(tmp_path, **{section: fields}), "--out", str(tmp_path)]
     assert run(command) == EXIT_USER
     told = said()
     assert words in told
@@ -166,7 +168,7 @@ def test_a_hand_that_is_not_plugged_in_ends_a_job_before_the_arm_is_connected(
     hand["weighed"] = {"mass": 0.9, "center_of_mass": [0.0, 0.0, 0.06]}
     station = lab(tmp_path, hand=hand, strike={"deepest": 0.01})
     with realsense:
-        assert run(["hammer", "--station", station, "--out", str(tmp_path)]) == EXIT_FAILED
+        assert run(["run", "hammer", station, "--out", str(tmp_path)]) == EXIT_FAILED
     told = said()
     assert "connecting to the hand at /dev/ttyUSB97" in told
     assert "cannot open the hand's port /dev/ttyUSB97" in told
@@ -188,22 +190,33 @@ def test_a_hand_that_is_unplugged_while_it_closes_is_told(said: Say) -> None:
 
 @pytest.mark.realtime
 @pytest.mark.nightly
-def test_a_hand_that_is_unplugged_in_a_job_ends_it_with_the_reason(tmp_path: Path, said: Say) -> None:
-    with InspireEmulator() as emulator:
-        emulator.hold(400.0)
+def test_a_hand_that_is_unplugged_in_a_job_ends_it_with_the_reason(
+    tmp_path: Path, said: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulators: list[InspireEmulator] = []
 
-        def pull() -> None:
-            end = time.monotonic() + 120.0
-            while min(emulator.angles) > 700 and time.monotonic() < end:  # the fingers are open
-                time.sleep(0.1)
-            time.sleep(6.0)
-            emulator.unplug()
+    def emulated(*args: Any) -> InspireEmulator:
+        emulator = emulated_hand(*args)
+        assert isinstance(emulator, InspireEmulator)
+        emulators.append(emulator)
+        return emulator
 
-        pulled = threading.Thread(target=pull)
-        pulled.start()
-        command = ["hammer", "--config", str(INSPIRE), "--hand", "inspire", "--hand-port", emulator.port]
-        assert run([*command, "--seed", "100", "--perfect-perception", "--out", str(tmp_path)]) == EXIT_FAILED
-        pulled.join()
+    def pull() -> None:
+        end = time.monotonic() + 240.0
+        while time.monotonic() < end and not (emulators and min(emulators[0].angles) < 700):  # the fingers close
+            time.sleep(0.1)
+        time.sleep(6.0)
+        emulators[0].unplug()
+
+    monkeypatch.setattr(emulated_lab, "emulated_hand", emulated)
+    hand = yaml.safe_load(INSPIRE.read_text())["hand"]
+    hand["weighed"] = {"mass": 0.9, "center_of_mass": [0.0, 0.0, 0.06]}
+    station = lab(tmp_path, hand={**hand, "port": "/dev/ttyUSB97"}, strike={"deepest": 0.01})
+    pulled = threading.Thread(target=pull)
+    pulled.start()
+    options = ["--seed", "100", "--variant", "perfect_perception", "--real-time-factor", "0.4", "--out", str(tmp_path)]
+    assert run(["rehearse", "hammer", station, *options]) == EXIT_FAILED
+    pulled.join()
     told = said()
     assert "device fault" in told
-    assert f"the hand's port {emulator.port} is gone" in told
+    assert f"the hand's port {emulators[0].port} is gone" in told

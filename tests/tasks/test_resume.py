@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from rich.console import Console
 
 from tests.errors import raises
 from tests.rigs.job_rig import Bench, at_rest, grip_kept
 from tests.tasks.bench import Log, soon
-from toolee_robot.cli.hammering.stops import after_stop
+from toolee_robot.app.observer import JobObserver
+from toolee_robot.app.stops import after_stop
 from toolee_robot.control import StrikePlan
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
@@ -111,17 +111,18 @@ def test_a_hand_that_doubts_again_and_again_ends_the_job(bench: Bench, log: Log)
 # -- at the terminal -------------------------------------------------------------------------------------------------
 
 
-def _answers(*answers: str | Callable[[], str]) -> Callable[[str], str]:
-    left = list(answers)
+class Person(JobObserver):
+    """Answers from a list, then hangs up."""
 
-    def ask(question: str) -> str:
+    def __init__(self, *answers: str | Callable[[], str]) -> None:
+        self._left = list(answers)
+
+    def ask(self, question: str) -> str:
         assert question.endswith("? ")
-        if not left:
+        if not self._left:
             raise EOFError
-        answer = left.pop(0)
+        answer = self._left.pop(0)
         return answer if isinstance(answer, str) else answer()
-
-    return ask
 
 
 def test_a_person_at_the_terminal_resumes_it(
@@ -133,8 +134,7 @@ def test_a_person_at_the_terminal_resumes_it(
         bench.people.is_inside = False
         return "r"
 
-    ask = _answers("what?", leave)
-    result = after_stop(task, result, ask, Console(quiet=True), lambda: task.resume(confirmed=True))
+    result = after_stop(task, result, Person("what?", leave))
     assert result.outcome is Outcome.OUT_OF_STRIKES
     assert log.motions[-1] == "home"
     assert log.motions.count("strike") == 1
@@ -145,9 +145,9 @@ def test_a_person_at_the_terminal_takes_the_hammer_out(
     bench: Bench, log: Log, stopped: tuple[HammeringTask, HammerResult]
 ) -> None:
     task, result = stopped
-    ended = after_stop(task, result, _answers("t", "n"), Console(quiet=True), lambda: task.resume(confirmed=True))
+    ended = after_stop(task, result, Person("t", "n"))
     assert ended is result
     assert bench.hand.opened == 1
-    after_stop(task, result, _answers("t", "y"), Console(quiet=True), lambda: task.resume(confirmed=True))
+    after_stop(task, result, Person("t", "y"))
     assert bench.hand.opened == 2
     assert log.motions == ["to the handover"]

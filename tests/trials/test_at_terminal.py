@@ -16,34 +16,43 @@ from toolee_robot.trials import load_plan
 from toolee_robot.trials.results import Happened, read_results
 
 MAIN = "from toolee_robot.cli import main; main()"
-JOB = """
-import json, select, signal, sys, time
-signal.signal(signal.SIGTERM, signal.default_int_handler)  # as `toolee hammer` does
-print("job: at the terminal", sys.stdin.isatty(), sys.stderr.isatty(), file=sys.stderr)
-try:
-    print("job: moving?", file=sys.stderr, flush=True)
-    while not select.select([sys.stdin], [], [], 0.1)[0]:
-        pass  # a signal that came just before a read would wait for its end
-    interrupted = sys.stdin.readline() != "go\\n"
-except KeyboardInterrupt:
-    time.sleep(1.0)  # an arm takes its time to stop
-    print("job: the arm stands still", file=sys.stderr)
-    interrupted = True
-nail = {"name": "nail", "measured_protrusion_mm": None if interrupted else 0.3}
-print(json.dumps({
-    "success": not interrupted, "outcome": "interrupted" if interrupted else "flush", "reason": "for a test",
-    "strikes": 3, "tool": "a hammer", "nails": [nail], "stage_seconds": {}, "run_folder": None,
-}))
+CHEAP = (
+    """
+import select, sys, time
+import toolee_robot.app.job as app
+
+class Result:
+    def __init__(self, interrupted):
+        nail = {"name": "nail", "measured_protrusion_mm": None if interrupted else 0.3}
+        self.figures = {
+            "success": not interrupted, "outcome": "interrupted" if interrupted else "flush", "reason": "for a test",
+            "strikes": 3, "tool": "a hammer", "nails": [nail], "stage_seconds": {}, "run_folder": None,
+        }
+
+def run_job(spec, out, observer):
+    print("job: at the terminal", sys.stdin.isatty(), sys.stderr.isatty())
+    try:
+        print("job: moving?", flush=True)
+        while not select.select([sys.stdin], [], [], 0.1)[0]:
+            pass  # a signal that came just before a read would wait for its end
+        return Result(interrupted=sys.stdin.readline() != "go\\n")
+    except KeyboardInterrupt:
+        time.sleep(1.0)  # an arm takes its time to stop
+        print("job: the arm stands still")
+        return Result(interrupted=True)
+
+app.run_job = run_job
 """
-"""What stands in for `toolee hammer`: it asks at the terminal, and stops its arm on Ctrl-C."""
-CHEAP = f"import toolee_robot.trials.process as process; process._COMMAND = {JOB!r}; {MAIN}"
+    + MAIN
+)
+"""The command with a stand-in for the job: it asks at the terminal, and stops its arm on Ctrl-C."""
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 ANSWERS = {"go on later?": "r", "in mm,": "0.3", "does it lean": "n", "slip in the hand?": "n", "done again?": "y"}
 
 
 def written(folder: Path, **fields: object) -> Path:
     path = folder / "plan.yaml"
-    plan = {"name": "two", "first_seed": 1, "trials": 2, "options": ["--station", str(LAB)], **fields}
+    plan = {"name": "two", "first_seed": 1, "trials": 2, "where": {"run": str(LAB)}, **fields}
     path.write_text(json.dumps(plan))
     return path
 
@@ -105,12 +114,12 @@ def test_without_a_terminal_or_with_several_jobs_it_is_refused(tmp_path: Path) -
 @pytest.mark.sim
 @pytest.mark.nightly
 def test_a_rehearsal_stands_in_for_the_robot(tmp_path: Path) -> None:
-    """`toolee hammer` itself at the terminal, every device emulated; after a stop the person quits the job."""
+    """The job itself at the terminal, every device emulated; after a stop the person quits the job."""
     plan = written(
         tmp_path,
         trials=1,
         attended=True,
-        options=["--station", str(LAB), "--rehearse", "--controller-profile", "ideal"],
+        where={"rehearse": str(LAB), "profile": "ideal"},
         nails=[
             {
                 "name": "short", "diameter": 0.0022, "length": 0.025, "head_diameter": 0.006, "protrusion": 0.008,

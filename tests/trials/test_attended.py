@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
+from toolee_robot.app.job import JobSpec
+from toolee_robot.app.sources import Lab
+from toolee_robot.app.variant import Variant
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
-from toolee_robot.station import ToolData
-from toolee_robot.trials import Arm, TrialPlan, lead_trials, load_plan, run_trials, write_report
-from toolee_robot.trials.attended_plan import option
-from toolee_robot.trials.plan import NailSizes
+from toolee_robot.station import ToolData, load_lab_station
+from toolee_robot.trials import TrialPlan, lead_trials, load_plan, run_trials, write_report
+from toolee_robot.trials.plan import InRehearsal, InSimulation, NailSizes, OnRobot
 from toolee_robot.trials.results import Event, Happened, read_results
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 PEEN = ToolData("ball peen", 0.014, (0.05, 0.0, 0.27), (1.0, 0.0, 0.0), 0.6, (0.0, 0.0, 0.16))
 LONG = NailSizes("3.1 x 65", 0.0031, 0.065, 0.007, 0.03, 0.0026)
 PLAN = TrialPlan(
-    "two hammers", 1, 2, (Arm.FULL, Arm.NO_CORRECTION), options=("--station", str(LAB)), tools=("claw hammer", PEEN)
+    "two hammers", 1, 2, (Variant.FULL, Variant.NO_CORRECTION), where=OnRobot(str(LAB)), tools=("claw hammer", PEEN)
 )
 GOOD = ("r", "0.2", "n", "n", "y")
 """Ready; 0.2 mm over the wood, not bent; not slipped; counts."""
@@ -35,11 +35,11 @@ class Robot:
     """A job that believes that its nail is flush, unless it is the arm without correction."""
 
     def __init__(self) -> None:
-        self.options: list[tuple[str, ...]] = []
+        self.specs: list[JobSpec] = []
 
-    def __call__(self, options: Sequence[str]) -> dict[str, Any]:
-        self.options.append(tuple(options))
-        success = "--no-correction" not in options
+    def __call__(self, spec: JobSpec, out: Path) -> dict[str, Any]:  # noqa: ARG002
+        self.specs.append(spec)
+        success = spec.variant.corrects
         nail = {"name": "nail", "measured_protrusion_mm": 0.5 if success else None}
         return {
             "success": success, "outcome": "flush" if success else "nail_missed", "reason": "for a test",
@@ -50,8 +50,8 @@ class Robot:
 class Stopping(Robot):
     """One whose arm is stopped in every job."""
 
-    def __call__(self, options: Sequence[str]) -> dict[str, Any]:
-        return super().__call__(options) | {"stops": 2}
+    def __call__(self, spec: JobSpec, out: Path) -> dict[str, Any]:
+        return super().__call__(spec, out) | {"stops": 2}
 
 
 class Person:
@@ -86,11 +86,11 @@ def test_three_stops_end_the_session_and_the_next_one_goes_on(tmp_path: Path) ->
     """Each job counts its own stops; nobody may strike on until lunch with an arm that stops twice a nail."""
     person = Person(*8 * GOOD)
     robot = lead(PLAN, tmp_path, person, Stopping())
-    assert len(robot.options) == 2
+    assert len(robot.specs) == 2
     assert len(read_results(PLAN, tmp_path)[0]) == 2, "what was measured is kept"
     assert any("stopped 4 times with the tool in the hand" in line for line in person.read)
     assert events(PLAN, tmp_path)[-1].what is Happened.STOPPED
-    assert len(lead(PLAN, tmp_path, Person(*8 * GOOD)).options) == 6, "the stops of the session before do not count"
+    assert len(lead(PLAN, tmp_path, Person(*8 * GOOD)).specs) == 6, "the stops of the session before do not count"
 
 
 def test_every_trial_is_led_and_the_persons_calipers_are_the_outcome(tmp_path: Path) -> None:
@@ -100,10 +100,10 @@ def test_every_trial_is_led_and_the_persons_calipers_are_the_outcome(tmp_path: P
     assert [record.trial for record in records] == list(PLAN.jobs())
     assert all(record.success for record in records)
     assert {record.figures["robot"]["success"] for record in records} == {True, False}
-    assert all("--seed" not in options for options in robot.options), "on a robot a seed draws nothing"
-    setups = [option(options, "--setup") for options in robot.options]
-    assert setups.count(None) == 4, "the station file's own tool"
-    assert {yaml.safe_load(Path(setup).read_text())["tool"]["mass"] for setup in setups if setup} == {0.6}
+    assert all(isinstance(spec.source, Lab) for spec in robot.specs)
+    assert all("--seed" not in record.command for record in records), "on a robot a seed draws nothing"
+    tools = [spec.source.config.tool for spec in robot.specs]
+    assert tools.count(PEEN) == 4, "the others are the station file's own"
     text = "\n".join(person.read)
     assert "Trial 8 of 8" in text
     assert "claw hammer, 0.5 kg" in text
@@ -118,7 +118,7 @@ def test_arms_are_paired_in_blocks_in_an_order_that_the_hash_draws() -> None:
     assert sorted(map(str, order)) == sorted(map(str, plan.jobs()))
     blocks = list(zip(order[::2], order[1::2], strict=True))
     assert all((a.tool, a.seed) == (b.tool, b.seed) and a.arm is not b.arm for a, b in blocks)
-    first = sum(a.arm is Arm.FULL for a, _ in blocks)
+    first = sum(a.arm is Variant.FULL for a, _ in blocks)
     assert 10 <= first <= 30, "of 40: neither arm always comes first"
     assert [a.seed for a, _ in blocks] != sorted(a.seed for a, _ in blocks)
     assert order == replace(plan).order()
@@ -135,7 +135,7 @@ def test_whenever_the_terminal_closes_the_same_command_goes_on(tmp_path: Path, a
     assert done == after // len(GOOD)
     ended = after % len(GOOD) > 0  # the job, not yet measured
     lead(PLAN, tmp_path, Person(*answers[done * len(GOOD) + ended :]), robot)
-    assert len(robot.options) == 8
+    assert len(robot.specs) == 8
     assert len(read_results(PLAN, tmp_path)[0]) == 8
     assert [event.what for event in events(PLAN, tmp_path)].count(Happened.SESSION) == 2
 
@@ -149,7 +149,7 @@ def test_a_skipped_trial_is_not_done_and_is_asked_for_again(tmp_path: Path) -> N
     assert (made["finished"], made["of"], made["attended"]["skipped"]) == (7, 8, 1)
     assert made["attended"]["interruptions"][0]["reason"] == "no nails left"
     robot = lead(PLAN, tmp_path, Person(*GOOD))
-    assert len(robot.options) == 1
+    assert len(robot.specs) == 1
     write_report(PLAN, tmp_path)
     made = json.loads((tmp_path / "report.json").read_text())
     assert (made["finished"], made["attended"]["skipped"]) == (8, 0)
@@ -176,7 +176,7 @@ def test_no_answer_has_a_default(tmp_path: Path) -> None:
 def test_the_person_decides_whatever_the_robot_believes(
     tmp_path: Path, answers: tuple[str, ...], flush: bool, outcome: str
 ) -> None:
-    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), tools=())
+    plan = replace(PLAN, trials=1, arms=(Variant.FULL,), tools=())
     lead(plan, tmp_path, Person("r", *answers, "y"))
     (record,) = read_results(plan, tmp_path)[0]
     assert (record.success, record.figures["outcome"]) == (flush, outcome)
@@ -187,49 +187,49 @@ def test_the_person_decides_whatever_the_robot_believes(
 def test_the_papers_estimator_may_be_tried_on_a_robot(tmp_path: Path) -> None:
     """It needs no truth."""
     weights = untrained_paper_weights(tmp_path / "weights")
-    plan = replace(PLAN, trials=1, arms=(Arm.PAPER,), tools=(), paper_weights=str(weights))
+    plan = replace(PLAN, trials=1, arms=(Variant.PAPER,), tools=(), paper_weights=str(weights))
     robot = lead(plan, tmp_path / "out", Person(*GOOD))
-    assert option(robot.options[0], "--paper-weights") == str(weights)
+    assert robot.specs[0].paper_weights == weights
     missing, robot = replace(plan, paper_weights=str(tmp_path / "none")), Robot()
     with raises(AssetError, code="asset.missing"):
         lead(missing, tmp_path / "other", Person(*GOOD), robot)
-    assert not robot.options
+    assert not robot.specs
 
 
 def test_a_void_trial_is_kept_with_its_reason_and_done_again(tmp_path: Path) -> None:
-    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), tools=())
+    plan = replace(PLAN, trials=1, arms=(Variant.FULL,), tools=())
     robot = lead(plan, tmp_path, Person("r", "9", "n", "n", "n", "somebody bumped the table", *GOOD))
     (record,) = read_results(plan, tmp_path)[0]
     assert record.success
-    assert (len(robot.options), record.figures["tries"]) == (2, 2)
+    assert (len(robot.specs), record.figures["tries"]) == (2, 2)
     (void,) = [event for event in events(plan, tmp_path) if event.what is Happened.VOID]
     assert void.facts["reason"] == "somebody bumped the table"
     assert void.facts["figures"]["person"]["nails"][0]["protrusion_mm"] == 9.0
 
 
 def test_a_job_that_cannot_begin_is_no_trial(tmp_path: Path) -> None:
-    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), tools=())
+    plan = replace(PLAN, trials=1, arms=(Variant.FULL,), tools=())
     robot = Robot()
-    faults = iter([TooleeError("the robot does not answer"), None])
+    faults = iter([TooleeError("the robot does not answer"), KeyboardInterrupt(), None])
 
-    def job(options: Sequence[str]) -> dict[str, Any]:
+    def job(spec: JobSpec, out: Path) -> dict[str, Any]:
         if fault := next(faults):
             raise fault
-        return robot(options)
+        return robot(spec, out)
 
-    lead_trials(plan, tmp_path, Person("r", *GOOD).ask, lambda _: None, job)
+    lead_trials(plan, tmp_path, Person("r", "r", *GOOD).ask, lambda _: None, job)
     assert len(read_results(plan, tmp_path)[0]) == 1
-    (fault,) = [event for event in events(plan, tmp_path) if event.what is Happened.NOT_BEGUN]
-    assert fault.facts["reason"] == "the robot does not answer"
+    reasons = [event.facts["reason"] for event in events(plan, tmp_path) if event.what is Happened.NOT_BEGUN]
+    assert reasons == ["the robot does not answer", "it was interrupted before it began"]
 
 
 def test_a_command_that_is_killed_in_a_job_does_that_trial_again_and_tells_it(tmp_path: Path) -> None:
-    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), tools=())
+    plan = replace(PLAN, trials=1, arms=(Variant.FULL,), tools=())
 
-    def killed(_: Sequence[str]) -> dict[str, Any]:
-        raise KeyboardInterrupt
+    def killed(*_: object) -> dict[str, Any]:
+        raise SystemExit
 
-    with suppress(KeyboardInterrupt):
+    with pytest.raises(SystemExit):
         lead_trials(plan, tmp_path, Person("r").ask, lambda _: None, killed)
     person = Person(*GOOD)
     lead(plan, tmp_path, person)
@@ -258,7 +258,7 @@ def test_nails_and_woods_of_the_plan_are_told_to_person_and_job(tmp_path: Path) 
     plan = replace(
         PLAN,
         trials=1,
-        arms=(Arm.FULL,),
+        arms=(Variant.FULL,),
         tools=(),
         nails=("nail", LONG),
         woods={"oak": 0.68},
@@ -266,13 +266,12 @@ def test_nails_and_woods_of_the_plan_are_told_to_person_and_job(tmp_path: Path) 
     )
     person = Person(*2 * GOOD)
     robot = lead(plan, tmp_path, person)
-    told = {(option(options, "--nail"), Path(str(option(options, "--setup"))).read_text()) for options in robot.options}
-    work = {nail: yaml.safe_load(text)["work"] for nail, text in told}
-    assert work["nail"] == {"wood_specific_gravity": 0.68}
-    assert work[None] == {
-        "wood_specific_gravity": 0.68, "nail_diameter": 0.0031, "nail_length": 0.065, "nail_head_diameter": 0.007,
-        "nail_protrusion": 0.03, "pilot_hole_diameter": 0.0026,
-    }  # fmt: skip
+    works = {spec.nails: spec.source.config.work for spec in robot.specs}
+    assert {work.wood_specific_gravity for work in works.values()} == {0.68}
+    assert works["nail",].nail_length == load_lab_station(LAB).work.nail_length
+    long = works[()]
+    sizes = (long.nail_diameter, long.nail_length, long.nail_head_diameter, long.nail_protrusion)
+    assert (*sizes, long.pilot_hole_diameter) == (0.0031, 0.065, 0.007, 0.03, 0.0026)
     text = "\n".join(person.read)
     assert "3.1 x 65: 3.1 x 65 mm, head 7 mm, 30 mm over the wood, pilot hole 2.6 mm" in text
     assert "oak, specific gravity 0.68" in text
@@ -282,15 +281,12 @@ def test_nails_and_woods_of_the_plan_are_told_to_person_and_job(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        ({"arms": (Arm.FULL, Arm.PERFECT_PERCEPTION)}, "only a simulation knows"),
-        ({"arms": (Arm.ICP,)}, "nobody has measured"),
+        ({"arms": (Variant.FULL, Variant.PERFECT_PERCEPTION)}, "only a simulation knows"),
+        ({"arms": (Variant.ICP,)}, "nobody has measured"),
         ({"errors": "exact"}, "a station has its own"),
         ({"errors": {"ruler": 0.001}}, "a station has its own"),
-        ({"sweep": {"ruler": (0.001,)}}, "a station has its own"),
-        ({"options": ("--station", "a.yaml", "--perfect-perception")}, "only a simulation knows"),
-        ({"options": (), "attended": True}, "no station file"),
+        ({"where": InSimulation(), "attended": True}, "no station file"),
         ({"tools": ("a", PEEN, "a")}, "a name of its own"),
-        ({"nails": ("nail",), "options": ("--station", "a.yaml", "--nail", "nail")}, "--nail"),
     ],
 )
 def test_what_makes_no_sense_on_a_robot_is_refused_with_the_reason(change: dict[str, Any], what: str) -> None:
@@ -299,13 +295,13 @@ def test_what_makes_no_sense_on_a_robot_is_refused_with_the_reason(change: dict[
 
 
 def test_a_plan_on_a_robot_has_a_person_and_a_rehearsal_where_it_says_so(tmp_path: Path) -> None:
-    rehearsal = ("--station", str(LAB), "--rehearse")
+    rehearsal = InRehearsal(str(LAB))
     assert PLAN.led
-    assert not replace(PLAN, tools=(), options=rehearsal).led
-    assert replace(PLAN, tools=(), options=rehearsal, attended=True).led
+    assert not replace(PLAN, tools=(), where=rehearsal).led
+    assert replace(PLAN, tools=(), where=rehearsal, attended=True).led
     assert load_plan(LAB.with_name("robot_trials.yaml")).on_robot
     with pytest.raises(ValueError, match="drawn from the seed"):
-        replace(PLAN, options=rehearsal)
+        replace(PLAN, where=rehearsal)
     with raises(UserError, code="user.attended"):
         run_trials(PLAN, tmp_path)
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from toolee_robot.trials import Arm, Record, Trial
+from toolee_robot.app.variant import Variant
+from toolee_robot.trials import Record, Trial
 from toolee_robot.trials.statistics import by_size, compare, median, share
 
 
-def records(successes: str, arm: Arm = Arm.FULL) -> list[Record]:
+def records(successes: str, arm: Variant = Variant.FULL) -> list[Record]:
     return [
         Record(Trial(arm, i), {"success": c == "x", "errors": {"camera_mm": float(i)}, "strikes": i or None}, ())
         for i, c in enumerate(successes)
@@ -27,7 +28,7 @@ def test_intervals_are_wilsons(hits: int, of: int, low: float, high: float) -> N
 
 def test_pairs_are_compared_by_the_exact_test() -> None:
     """Ten pairs differ, one of them for the better: 2 (1 + 10) / 2^10."""
-    found = compare(records("x" + "." * 9 + "xx", Arm.ONE_VIEW), records("." + "x" * 9 + "xx"))
+    found = compare(records("x" + "." * 9 + "xx", Variant.ONE_VIEW), records("." + "x" * 9 + "xx"))
     assert (found.pairs, found.better, found.worse) == (12, 1, 9)
     assert found.p == pytest.approx(22 / 1024)
     assert compare(records("xx"), records("xx")).p == 1.0

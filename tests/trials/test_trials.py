@@ -8,41 +8,36 @@ import shlex
 import shutil
 import threading
 import time
-from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-import yaml
-from pyarrow import compute, parquet
+from pyarrow import parquet
 
 from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
+from toolee_robot.app.job import JobSpec
+from toolee_robot.app.simulated import Simulated
+from toolee_robot.app.variant import Variant
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
-from toolee_robot.frames import transform
 from toolee_robot.perception.weight_files import weights_hash
-from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sim_backend.cell_errors import NOMINAL, CellErrors, draw_errors
-from toolee_robot.tasks.hammering.learnt_grasp import LEAST_JOBS, learn_shift
-from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
-from toolee_robot.trials.attended_plan import option
+from toolee_robot.trials import Trial, TrialPlan, load_plan, run_trials, write_report
+from toolee_robot.trials.plan import InSimulation
 from toolee_robot.trials.report import ERRORS
-from toolee_robot.trials.results import RESULTS, Happened, Record, read_results
-from toolee_robot.trials.sweeps import UNITS
-from toolee_robot.trials.tasks import check_needed
+from toolee_robot.trials.results import RESULTS, Happened, Record, read_results, read_results_file
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-PLAN = TrialPlan("three hammers", 40, 3, (Arm.FULL, Arm.NO_CORRECTION), {"camera_position": 0.004})
+PLAN = TrialPlan("three hammers", 40, 3, (Variant.FULL, Variant.NO_CORRECTION), {"camera_position": 0.004})
 
 
-def job(options: Sequence[str]) -> dict[str, Any]:
-    """A job whose outcome follows from its options alone, as a simulated one's does."""
-    seed = int(options[options.index("--seed") + 1])
-    success = "--no-correction" not in options and seed != 41
+def job(spec: JobSpec, out: Path) -> dict[str, Any]:  # noqa: ARG001
+    """A job whose outcome follows from what it is alone, as a simulated one's does."""
+    seed = source(spec).seed
+    success = spec.variant.corrects and seed != 41
     return {
         "success": success,
         "outcome": "flush" if success else "nail_missed",
@@ -55,6 +50,11 @@ def job(options: Sequence[str]) -> dict[str, Any]:
     }
 
 
+def source(spec: JobSpec) -> Simulated:
+    assert isinstance(spec.source, Simulated)
+    return spec.source
+
+
 def finished(plan: TrialPlan, folder: Path) -> list[Record]:
     return read_results(plan, folder)[0]
 
@@ -64,73 +64,38 @@ def quietly(_: str) -> None:
 
 
 class Asked:
-    """Runs jobs, and keeps what was asked."""
+    """Does jobs, and keeps what was asked, and the folder of each."""
 
     def __init__(self) -> None:
-        self.options: list[list[str]] = []
+        self.specs: list[JobSpec] = []
+        self.outs: list[Path] = []
 
-    def __call__(self, options: Sequence[str]) -> dict[str, Any]:
-        self.options.append(list(options))
-        return job(options)
+    def __call__(self, spec: JobSpec, out: Path) -> dict[str, Any]:
+        self.specs.append(spec)
+        self.outs.append(out)
+        return job(spec, out)
 
 
-def test_every_arm_has_the_same_seeds_and_its_own_options(tmp_path: Path) -> None:
+def test_every_arm_has_the_same_seeds_and_its_own_variant(tmp_path: Path) -> None:
     asked = Asked()
     records = run_trials(PLAN, tmp_path, 1, quietly, asked)
     assert [record.trial for record in records] == [Trial(arm, s) for s in (40, 41, 42) for arm in PLAN.arms]
-    assert all(("--no-correction" in options) == (i % 2 == 1) for i, options in enumerate(asked.options))
-    assert all(
-        Path(options[options.index("--errors") + 1]).read_text() == "camera_position: 0.004\n"
-        for options in asked.options
-    )
+    assert [spec.variant for spec in asked.specs] == [*PLAN.arms] * 3
+    assert {source(spec).errors for spec in asked.specs} == {CellErrors(camera_position=0.004)}
+    errors = tmp_path / "errors.yaml"
+    assert errors.read_text() == "camera_position: 0.004\n"
+    assert records[1].repeated_by == f"toolee sim hammer --seed 40 --variant no_correction --errors {errors}"
     assert finished(PLAN, tmp_path) == records
 
 
 def test_seeds_that_are_left_out_are_made_up_for() -> None:
-    plan = replace(PLAN, arms=(Arm.FULL,), left_out=(41, 43))
+    plan = replace(PLAN, arms=(Variant.FULL,), left_out=(41, 43))
     assert [trial.seed for trial in plan.jobs()] == [40, 42, 44]
     assert plan.hash != PLAN.hash
     assert replace(plan, arms=PLAN.arms, left_out=()).hash == PLAN.hash
     for wrong in (39, 45):
         with pytest.raises(ValueError, match=f"left_out: {wrong}"):
             replace(plan, left_out=(41, wrong))
-
-
-def _earlier(folder: Path, X_hand_ee: list[list[float]]) -> str:
-    """Jobs of the whole system in a folder."""
-    for i in range(LEAST_JOBS):
-        looks = {"looks": [{"X_hand_ee": X_hand_ee}], "nominal_X_hand_ee": np.eye(4).tolist()}
-        whole = {"correction": True, "perfect_perception": False, "ablation": None, "hand": "inspire", "seed": i}
-        (folder / f"run{i}").mkdir(parents=True, exist_ok=True)
-        (folder / f"run{i}" / "summary.json").write_text(json.dumps({**looks, **whole}))
-    return str(folder)
-
-
-def test_the_learnt_grasp_needs_earlier_jobs_that_stay_as_they_are(tmp_path: Path) -> None:
-    earlier = _earlier(tmp_path / "earlier", np.eye(4).tolist())
-    plan = replace(PLAN, arms=(Arm.FULL, Arm.LEARNT_GRASP), learnt_from=earlier)
-
-    class Learns(Asked):
-        def __call__(self, options: Sequence[str]) -> dict[str, Any]:
-            folder = option(options, "--learnt-from")
-            learnt = None if folder is None else learn_shift(Path(folder), "inspire").figures
-            return {**super().__call__(options), "learnt_grasp": learnt}
-
-    asked = Learns()
-    run_trials(plan, tmp_path / "own", 1, quietly, asked)
-    given = [(option(one, "--ablation"), option(one, "--learnt-from")) for one in asked.options]
-    assert given == [(None, None), ("learnt_grasp", earlier)] * 3
-    for arms, folder in ((plan.arms, ""), ((Arm.FULL,), earlier)):
-        with pytest.raises(ValueError, match="learnt_from"):
-            replace(plan, arms=arms, learnt_from=folder)
-    for own in (tmp_path / "earlier", tmp_path / "earlier" / "own", tmp_path):
-        with raises(UserError, code="user.learnt_from_own"):
-            check_needed(plan, own, ())
-    with raises(UserError, code="user.too_few_runs"):
-        run_trials(replace(plan, learnt_from=str(tmp_path / "none")), tmp_path / "other", 1, quietly, asked)
-    _earlier(tmp_path / "earlier", transform(p=(0.0, 0.01, 0.0)).tolist())
-    with raises(UserError, code="user.other_jobs"):
-        run_trials(plan, tmp_path / "own", 1, quietly, asked)
 
 
 @pytest.mark.parametrize("after", [0, 1, 4])
@@ -143,7 +108,7 @@ def test_a_run_that_was_ended_goes_on_where_it_stopped(tmp_path: Path, after: in
     (tmp_path / "cut" / RESULTS).write_text("".join(lines[: 1 + after]) + torn)
     asked = Asked()
     records = run_trials(PLAN, tmp_path / "cut", 1, quietly, asked)
-    assert len(asked.options) == 6 - after
+    assert len(asked.specs) == 6 - after
     assert [(r.trial, r.figures) for r in records] == [(r.trial, r.figures) for r in whole]
     assert (tmp_path / "cut" / RESULTS).read_text().count("\n") == 7
 
@@ -153,34 +118,34 @@ def test_a_job_that_crashes_ends_no_other_and_is_tried_again(tmp_path: Path, job
     """One simulation that cannot be built once ended a plan of 720, with 62 jobs under way."""
     told: list[str] = []
 
-    def crashes(options: Sequence[str]) -> dict[str, Any]:
-        if "41" in options and "--no-correction" in options:
+    def crashes(spec: JobSpec, out: Path) -> dict[str, Any]:
+        if source(spec).seed == 41 and not spec.variant.corrects:
             raise TooleeError("it died", code="trials.crashed")
-        return job(options)
+        return job(spec, out)
 
     with raises(TooleeError, code="trials.crashed") as raised:
         run_trials(PLAN, tmp_path, jobs, told.append, crashes)
     assert "1 job crashed, and 1 of the trials are not done" in str(raised.value)
     records, events = read_results(PLAN, tmp_path)
-    lost = Trial(Arm.NO_CORRECTION, 41)
+    lost = Trial(Variant.NO_CORRECTION, 41)
     assert [record.trial for record in records] == [trial for trial in PLAN.jobs() if trial != lost]
     assert [(event.what, event.trial) for event in events] == [(Happened.NOT_BEGUN, lost)]
     assert any("seed 41: crashed: it died" in line for line in told)
     asked = Asked()
     assert len(run_trials(PLAN, tmp_path, jobs, quietly, asked)) == 6
-    assert len(asked.options) == 1
+    assert len(asked.specs) == 1
 
 
 def test_a_plan_whose_jobs_all_crash_is_given_up(tmp_path: Path) -> None:
-    asked: list[Sequence[str]] = []
+    asked = Asked()
 
-    def crashes(options: Sequence[str]) -> dict[str, Any]:
-        asked.append(options)
+    def crashes(spec: JobSpec, out: Path) -> dict[str, Any]:
+        asked(spec, out)
         raise TooleeError("no such device", code="trials.crashed")
 
     with raises(TooleeError, code="trials.crashed"):
         run_trials(PLAN, tmp_path, 1, quietly, crashes)
-    assert len(asked) <= 4  # the next one may have begun
+    assert len(asked.specs) <= 4  # the next one may have begun
     assert not finished(PLAN, tmp_path)
 
 
@@ -189,24 +154,24 @@ def test_jobs_that_crash_at_their_start_do_not_end_those_beside_them(tmp_path: P
     crashed = threading.Barrier(3, timeout=20.0)
     others = threading.Event()
 
-    def crashes(options: Sequence[str]) -> dict[str, Any]:
-        if "--no-correction" in options:
+    def crashes(spec: JobSpec, out: Path) -> dict[str, Any]:
+        if not spec.variant.corrects:
             crashed.wait()
             others.set()
             raise TooleeError("it died", code="trials.crashed")
         assert others.wait(20.0)
         time.sleep(0.2)
-        return job(options)
+        return job(spec, out)
 
     with raises(TooleeError, code="trials.crashed"):
         run_trials(PLAN, tmp_path, 6, quietly, crashes)
-    assert [record.trial.arm for record in finished(PLAN, tmp_path)] == [Arm.FULL] * 3
+    assert [record.trial.arm for record in finished(PLAN, tmp_path)] == [Variant.FULL] * 3
 
 
 @pytest.mark.sim(seconds=10)
 def test_a_job_that_is_refused_before_it_begins_is_no_result(tmp_path: Path) -> None:
     """It has no figures, which the report could not show."""
-    plan = replace(PLAN, trials=1, arms=(Arm.FULL,), errors={"kinematics": 0.1})
+    plan = replace(PLAN, trials=1, arms=(Variant.FULL,), errors={"kinematics": 0.1})
     with raises(TooleeError, code="trials.crashed") as raised:
         run_trials(plan, tmp_path, 1, quietly)
     assert "not those of a UR arm" in str(raised.value)
@@ -214,7 +179,7 @@ def test_a_job_that_is_refused_before_it_begins_is_no_result(tmp_path: Path) -> 
 
 
 def test_an_error_that_no_job_can_mend_ends_the_plan(tmp_path: Path) -> None:
-    def refused(_: Sequence[str]) -> dict[str, Any]:
+    def refused(*_: object) -> dict[str, Any]:
         raise UserError("no folder", code="user.option")
 
     with raises(UserError, code="user.option"):
@@ -224,9 +189,9 @@ def test_an_error_that_no_job_can_mend_ends_the_plan(tmp_path: Path) -> None:
 def test_the_outcomes_do_not_depend_on_how_many_run_side_by_side(tmp_path: Path) -> None:
     both = threading.Barrier(2, timeout=20.0)
 
-    def together(options: Sequence[str]) -> dict[str, Any]:
+    def together(spec: JobSpec, out: Path) -> dict[str, Any]:
         both.wait()  # two are under way at any time
-        return job(options)
+        return job(spec, out)
 
     one = run_trials(PLAN, tmp_path / "one", 1, quietly, job)
     two = run_trials(PLAN, tmp_path / "two", 2, quietly, together)
@@ -235,9 +200,9 @@ def test_the_outcomes_do_not_depend_on_how_many_run_side_by_side(tmp_path: Path)
 
 def test_a_job_that_the_machine_stalled_is_repeated_and_counted(tmp_path: Path) -> None:
     stalls = iter([True, True, False])
-    plan = replace(PLAN, trials=1, arms=(Arm.FULL,))
+    plan = replace(PLAN, trials=1, arms=(Variant.FULL,))
     (record,) = run_trials(
-        plan, tmp_path, 1, quietly, lambda options: {**job(options), "machine_stalled": next(stalls)}
+        plan, tmp_path, 1, quietly, lambda spec, out: {**job(spec, out), "machine_stalled": next(stalls)}
     )
     assert record.figures["tries"] == 3
 
@@ -268,7 +233,6 @@ def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Pa
     assert plan.hash.startswith("c786fec342f8")
     records = finished(plan, tmp_path)
     assert len(records) == len(list(plan.jobs())) == 1600
-    assert load_plan(kept / "sweep.yaml").hash.startswith("122b571a6722")
 
 
 def test_the_site_s_own_results_have_their_report_by_one_command(
@@ -280,7 +244,7 @@ def test_the_site_s_own_results_have_their_report_by_one_command(
     assert capsys.readouterr().out.count("199 of 200 flush (0.97 to 1.00)") == 2
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<b>200</b><span>distinct tools</span>" in page
-    assert page.count(">toolee hammer --seed 13019 --perfect-perception<") == 1
+    assert page.count(">toolee hammer --seed 13019 --perfect-perception (of the tag before-half)<") == 1
     assert "the hand has lost the tool" in page
     links = re.findall(r'href="([^"]*13019/[a-z.]*)"', page)
     assert {Path(link).name for link in links} == {"picture.png", "recording.mcap"}
@@ -311,8 +275,8 @@ def test_the_report_of_a_file_of_results_takes_a_folder_that_is_named(
 def test_a_run_s_folder_lies_in_that_of_its_trials(tmp_path: Path, run_folder: str) -> None:
     """A file of results may say anything: the report leads to no file outside."""
 
-    def elsewhere(options: Sequence[str]) -> dict[str, Any]:
-        return {**job(options), "run_folder": run_folder}
+    def elsewhere(spec: JobSpec, out: Path) -> dict[str, Any]:
+        return {**job(spec, out), "run_folder": run_folder}
 
     run_trials(PLAN, tmp_path, 1, quietly, elsewhere)
     for folder in (tmp_path, tmp_path / "runs", tmp_path / "runs" / "full"):
@@ -325,13 +289,17 @@ def test_a_run_s_folder_lies_in_that_of_its_trials(tmp_path: Path, run_folder: s
 
 
 def test_a_command_in_the_report_is_one_of_a_shell(tmp_path: Path) -> None:
-    plan = replace(PLAN, options=("--config", "my lab's; x.yaml"))
-    failed = next(record for record in run_trials(plan, tmp_path, 1, quietly, job) if not record.success)
-    page = write_report(plan, tmp_path).read_text()
-    commands = re.findall(r">toolee hammer ([^<]*)<", page)
+    (tmp_path / "my lab's; x.yaml").write_text("work: {nail_protrusion: 0.01}")
+    plan = replace(PLAN, where=InSimulation(str(tmp_path / "my lab's; x.yaml"), "UR10e"))
+    asked = Asked()
+    failed = next(record for record in run_trials(plan, tmp_path / "out", 1, quietly, asked) if not record.success)
+    config = source(asked.specs[0]).config
+    assert (config.work.nail_protrusion, config.arm.model) == (0.01, "UR10e")
+    page = write_report(plan, tmp_path / "out").read_text()
+    commands = re.findall(r">toolee (sim hammer [^<]*)<", page)
     assert list(failed.command) in [shlex.split(unescape(command)) for command in commands]
-    (first,) = re.findall(r"the first one by: toolee hammer ([^<]*)<", page)
-    assert "my lab's; x.yaml" in shlex.split(unescape(first))
+    (first,) = re.findall(r"the first one by: toolee ([^<]*)<", page)
+    assert str(tmp_path / "my lab's; x.yaml") in shlex.split(unescape(first))
 
 
 @pytest.mark.parametrize("name", ["sweep.jsonl", "rehearsals.jsonl", "accuracy.png", "nothing.jsonl"])
@@ -346,30 +314,24 @@ def test_a_file_without_a_plan_s_results_is_refused(tmp_path: Path, name: str) -
 
 def test_the_table_has_a_row_for_each_trial(tmp_path: Path) -> None:
     kept = EXAMPLES.parent / "docs" / "benchmark"
-    shutil.copy(kept / "sweep.jsonl", tmp_path / RESULTS)
-    plan = load_plan(kept / "sweep.yaml")
-    records = finished(plan, tmp_path)
-    write_report(plan, tmp_path)
+    plan = load_plan(kept / "distinct_hammers.yaml")
+    write_report(plan, tmp_path, kept / "distinct_hammers.jsonl")
     table = parquet.read_table(tmp_path / "trials.parquet")
     assert table.schema.metadata[b"hash"].decode() == plan.hash
-    rows = table.to_pylist()
-    assert len(rows) == len(records) == 700
-    for row, record in zip(rows, records, strict=True):
+    records = read_results_file(plan, kept / "distinct_hammers.jsonl")[0]
+    for row, record in zip(table.to_pylist(), records, strict=True):
+        assert (row["trial.arm"], row["trial.seed"]) == (record.trial.arm, record.trial.seed)
+        assert row["success"] == record.success
+        assert row["errors.camera_mm"] == record.figures["errors"]["camera_mm"]
         figures = record.figures
-        assert row["trial.arm"] == record.trial.arm
-        assert (row["trial.error"], row["trial.size"]) == (record.trial.error, record.trial.size)
-        assert row["success"] is figures["success"]
-        assert row["errors.camera_mm"] == figures["errors"]["camera_mm"]
         assert row["stage_seconds.strike"] == figures["stage_seconds"].get("strike"), "null where it came to no strike"
         assert [nail["outcome"] for nail in row["nails"]] == [nail["outcome"] for nail in figures["nails"]]
         assert row["command"].split() == list(record.command)
-    flush = table.filter(compute.equal(table["trial.error"], "payload")).column("success")
-    assert 0 < compute.sum(flush).as_py() < len(flush)
 
 
 def test_a_figure_of_several_kinds_is_text_in_the_table(tmp_path: Path) -> None:
-    def odd(options: Sequence[str]) -> dict[str, Any]:
-        made = job(options)
+    def odd(spec: JobSpec, out: Path) -> dict[str, Any]:
+        made = job(spec, out)
         return {**made, "odd": made["strikes"] if made["strikes"] % 2 else "none", "big": 2**70}
 
     run_trials(PLAN, tmp_path, 1, quietly, odd)
@@ -385,14 +347,15 @@ def test_a_plan_without_results_has_an_empty_table(tmp_path: Path) -> None:
 
 
 def test_every_seed_and_arm_gets_every_nail_in_every_wood(tmp_path: Path) -> None:
-    plan = replace(load_plan(EXAMPLES / "nail_trials.yaml"), trials=2, arms=(Arm.FULL, Arm.ONE_VIEW))
+    plan = replace(load_plan(EXAMPLES / "nail_trials.yaml"), trials=2, arms=(Variant.FULL, Variant.ONE_VIEW))
     asked = Asked()
     records = run_trials(plan, tmp_path, 1, quietly, asked)
     assert len({record.trial for record in records}) == 2 * 2 * 3 * 3
-    setups = [Path(options[options.index("--setup") + 1]) for options in asked.options]
-    told = {(work["nail_diameter"], work["wood_specific_gravity"]) for work in map(_work, setups)}
+    works = [spec.source.config.work for spec in asked.specs]
+    told = {(work.nail_diameter, work.wood_specific_gravity) for work in works}
     assert told == {(d, g) for d in (0.0022, 0.0025, 0.0031) for g in (0.35, 0.42, 0.68)}
-    assert len({options[options.index("--out") + 1] for options in asked.options}) == 2 * 3 * 3
+    assert len(set(asked.outs)) == 2 * 3 * 3
+    assert "--setup" in records[0].command, "a failed one is run again alone"
     assert finished(plan, tmp_path) == records
     page = write_report(plan, tmp_path).read_text()
     made = json.loads((tmp_path / "report.json").read_text())["arms"]["full"]["conditions"]
@@ -406,9 +369,9 @@ def test_every_seed_and_arm_gets_every_kind_of_sensor(tmp_path: Path) -> None:
     assert plan.hash != PLAN.hash
     asked = Asked()
     records = run_trials(plan, tmp_path, 1, quietly, asked)
-    given = [option(options, "--sensor") for options in asked.options]
+    given = [source(spec).sensor for spec in asked.specs]
     assert given == ["active-stereo", "active-stereo", "mixed", "mixed"] * 2
-    assert len({option(options, "--out") for options in asked.options}) == 4, "arm and sensor"
+    assert len(set(asked.outs)) == 4, "arm and sensor"
     assert finished(plan, tmp_path) == records
     write_report(plan, tmp_path)
     made = json.loads((tmp_path / "report.json").read_text())["arms"]["full"]["conditions"]
@@ -419,24 +382,24 @@ def test_every_seed_and_arm_gets_every_kind_of_sensor(tmp_path: Path) -> None:
 def paper(tmp_path: Path) -> TrialPlan:
     """A plan whose second arm is the paper's estimator."""
     weights = untrained_paper_weights(tmp_path / "weights")
-    return replace(PLAN, arms=(Arm.FULL, Arm.PAPER), paper_weights=str(weights))
+    return replace(PLAN, arms=(Variant.FULL, Variant.PAPER), paper_weights=str(weights))
 
 
 class PaperJobs(Asked):
     """Jobs that tell which weights they had."""
 
-    def __call__(self, options: Sequence[str]) -> dict[str, Any]:
-        weights = option(options, "--paper-weights")
-        return {**super().__call__(options), "paper_weights": weights and weights_hash(Path(weights))}
+    def __call__(self, spec: JobSpec, out: Path) -> dict[str, Any]:
+        weights = spec.paper_weights
+        return {**super().__call__(spec, out), "paper_weights": weights and weights_hash(weights)}
 
 
 def test_the_papers_arm_gets_its_weights_and_no_other_arm_does(paper: TrialPlan, tmp_path: Path) -> None:
     asked = PaperJobs()
     run_trials(paper, tmp_path / "out", 1, quietly, asked)
-    given = [(option(options, "--ablation"), option(options, "--paper-weights")) for options in asked.options]
-    assert given == [(None, None), ("paper", paper.paper_weights)] * 3
+    given = [(spec.variant, spec.paper_weights) for spec in asked.specs]
+    assert given == [(Variant.FULL, None), (Variant.PAPER, Path(paper.paper_weights))] * 3
     assert replace(paper, paper_weights="other").hash != paper.hash
-    for arms, weights in (((Arm.FULL, Arm.PAPER), ""), ((Arm.FULL,), paper.paper_weights)):
+    for arms, weights in (((Variant.FULL, Variant.PAPER), ""), ((Variant.FULL,), paper.paper_weights)):
         with pytest.raises(ValueError, match="paper_weights"):
             replace(paper, arms=arms, paper_weights=weights)
 
@@ -448,7 +411,7 @@ def test_a_plan_does_not_go_on_with_other_weights_of_the_papers_estimator(paper:
     untrained_paper_weights(Path(paper.paper_weights), seed=1)
     with raises(UserError, code="user.other_weights"):
         run_trials(paper, tmp_path / "out", 1, quietly, asked)
-    assert not asked.options
+    assert not asked.specs
 
 
 def test_weights_that_no_job_could_take_are_refused_before_the_first_one(paper: TrialPlan, tmp_path: Path) -> None:
@@ -459,11 +422,7 @@ def test_weights_that_no_job_could_take_are_refused_before_the_first_one(paper: 
     of_tools = untrained_paper_weights(tmp_path / "tools", "object-prior")
     with raises(UserError, code="user.paper_column"):
         run_trials(replace(paper, paper_weights=str(of_tools)), tmp_path / "b", 1, quietly, asked)
-    assert not asked.options
-
-
-def _work(setup: Path) -> dict[str, float]:
-    return dict(yaml.safe_load(setup.read_text())["work"])
+    assert not asked.specs
 
 
 @pytest.mark.parametrize(
@@ -473,22 +432,20 @@ def _work(setup: Path) -> dict[str, float]:
         ("arms: [ful]", "arms"),
         ("trials: 0", "trials"),
         ("errors: {camera_position: -1}", "errors"),
-        ("options: [--seed, '3']", "--seed"),
         ("seeds: 3", "seeds"),
-        ("sweep: {ruler: []}", "sweep"),
-        ("sweep: {ruler: [-0.001]}", "sweep"),
         ("nails: [{name: a, diameter: 0.003}]", "nails.0"),
         ("woods: {oak: 680}", "woods"),
-        ("options: [--setup, a.yaml]", "--setup"),
-        ("options: [--paper-weights, a]", "--paper-weights"),
-        ("options: [--sensor, mixed]", "--sensor"),
         ("sensors: [lidar]", "sensors"),
         ("sensors: [mixed, mixed]", "sensors"),
         ("arms: [paper]", "paper_weights"),
         ("instructions: look", "instructions"),
-        ("sensors: [mixed]\noptions: [--station, lab.yaml, --rehearse]", "sensors"),
-        ("sensors: [mixed]\noptions: [--arm, ur-rtde, --world, pybullet]", "sensors: they cannot be tried with"),
-        ("sensors: [mixed]\noptions: [--arm=ur-rtde, --robot-host, 127.0.0.2]", "sensors: they cannot be tried with"),
+        ("sensors: [mixed]\nwhere: {rehearse: lab.yaml}", "sensors"),
+        ("errors: exact\nwhere: {rehearse: lab.yaml}", "errors"),
+        ("where: {rehearse: lab.yaml, robot: UR10}", "where"),
+        ("where: {run: lab.yaml, real_time_factor: 0.5}", "where"),
+        ("options: [--station, lab.yaml]", "options"),
+        ("sweep: {ruler: [0.001]}", "sweep"),
+        ("arms: [learnt_grasp]", "arms"),
     ],
 )
 def test_what_is_no_plan_is_refused_by_the_field(tmp_path: Path, change: str, what: str) -> None:
@@ -522,14 +479,14 @@ def test_the_report_tells_shares_pairs_failures_and_distinct_tools(tmp_path: Pat
 
 
 def test_each_failure_leads_to_its_picture_and_its_recording(tmp_path: Path) -> None:
-    def kept(options: Sequence[str]) -> dict[str, Any]:
-        run = Path(options[options.index("--out") + 1], options[options.index("--seed") + 1])
+    def kept(spec: JobSpec, out: Path) -> dict[str, Any]:
+        run = out / str(source(spec).seed)
         run.mkdir(parents=True)
         for name in ("picture.png", "recording.mcap"):
             (run / name).touch()
-        return {**job(options), "run_folder": str(run)}
+        return {**job(spec, out), "run_folder": str(run)}
 
-    plan = replace(PLAN, trials=8, arms=(Arm.FULL,))
+    plan = replace(PLAN, trials=8, arms=(Variant.FULL,))
     (failed,) = [r for r in run_trials(plan, tmp_path, 1, quietly, kept) if not r.success]
     page = write_report(plan, tmp_path).read_text()
     run = f"runs/full/{failed.trial.seed}"
@@ -541,12 +498,12 @@ def test_each_failure_leads_to_its_picture_and_its_recording(tmp_path: Path) -> 
     shutil.rmtree(moved / "runs")
     page = write_report(plan, moved).read_text()
     assert 'href="runs' not in page, "no link leads nowhere"
-    assert f">toolee hammer {' '.join(failed.command)}<" in page, "how the failure is seen again"
+    assert f">{failed.repeated_by}<" in page, "how the failure is seen again"
 
 
 def test_a_nail_that_is_flush_for_the_robot_alone_is_a_failure_with_a_name(tmp_path: Path) -> None:
-    def deceived(options: Sequence[str]) -> dict[str, Any]:
-        return {**job(options), "success": False, "outcome": "flush", "reason": "the robot takes the nail for flush"}
+    def deceived(spec: JobSpec, out: Path) -> dict[str, Any]:
+        return {**job(spec, out), "success": False, "outcome": "flush", "reason": "the robot takes the nail for flush"}
 
     run_trials(replace(PLAN, trials=2), tmp_path, 1, quietly, deceived)
     page = write_report(replace(PLAN, trials=2), tmp_path).read_text()
@@ -556,90 +513,5 @@ def test_a_nail_that_is_flush_for_the_robot_alone_is_a_failure_with_a_name(tmp_p
     assert "conditions" not in page, "no trial has any"
 
 
-def swept(options: Sequence[str]) -> dict[str, Any]:
-    """A job that succeeds up to 4 mm of error of the camera, whatever the ruler's is."""
-    given = dict(line.split(": ") for line in Path(options[options.index("--errors") + 1]).read_text().splitlines())
-    success = float(given.get("camera_position", 0.0)) < 0.0041
-    return {**job(options), "success": success, "given": given, "outcome": "flush" if success else "nail_missed"}
-
-
-SWEEP = replace(
-    PLAN, trials=6, arms=(Arm.FULL,), errors={"balance": 0.003},
-    sweep={"camera_position": (0.002, 0.004, 0.006, 0.008), "ruler": (0.001, 0.005)},
-)  # fmt: skip
-
-
-def test_a_sweep_changes_one_error_at_a_time_of_the_same_seeds(tmp_path: Path) -> None:
-    records = run_trials(SWEEP, tmp_path, 1, quietly, swept)
-    assert len(records) == 6 * (1 + 4 + 2), "once with the errors as they are"
-    for record in records:
-        given = {name: float(value) for name, value in record.figures["given"].items()}
-        own = {} if record.trial.error is None else {record.trial.error: record.trial.size}
-        assert given == {"balance": 0.003, **own}
-    outs = {(record.trial.seed, record.command) for record in records}
-    assert len(outs) == len(records)
-    assert finished(SWEEP, tmp_path) == records
-    asked = Asked()
-    assert run_trials(SWEEP, tmp_path, 1, quietly, asked) == records
-    assert not asked.options, "all of them are there already"
-    assert replace(SWEEP, sweep={}).hash != SWEEP.hash
-    with pytest.raises(ValueError, match="exact"):
-        replace(SWEEP, errors="exact")
-
-
-def test_the_report_tells_the_size_that_is_too_much(tmp_path: Path) -> None:
-    plan = replace(SWEEP, trials=10)
-    run_trials(plan, tmp_path, 1, quietly, swept)
-    page = write_report(plan, tmp_path).read_text()
-    camera, ruler = json.loads((tmp_path / "report.json").read_text())["sweeps"]
-    assert camera["sizes"] == [0.002, 0.004, 0.006, 0.008], "the usual size is among them"
-    assert [(share["hits"], share["of"]) for share in camera["shares"]] == [(20, 20), (10, 10), (0, 10), (0, 10)]
-    assert ruler["sizes"] == [0.001, 0.005]
-    assert 0.004 < camera["limit"]["size"] < 0.006
-    low, size, high = (camera["limit"][name] for name in ("low", "size", "high"))
-    assert low - 1e-6 <= size <= high + 1e-6  # every seed has the same outcomes: but for what the fit is off by
-    assert ruler["too_much"] == "not up to 5"
-    assert "One error at a time" in page
-    assert "place, mm along each axis" in page
-
-
-def test_the_report_tells_success_by_the_handover_and_by_the_data_of_another_hammer(tmp_path: Path) -> None:
-    """What a job is told wrong of its tool, and how the tool is laid into the hand."""
-
-    def fails_far_off(options: Sequence[str]) -> dict[str, Any]:
-        file = Path(options[options.index("--errors") + 1]) if "--errors" in options else None
-        sizes = NOMINAL if file is None else read_record(file, CellErrors, "list of errors")
-        facts = draw_errors(sizes, int(options[options.index("--seed") + 1])).facts
-        success = abs(facts["handover_mm"] or 0.0) < 30.0
-        return {**job(options), "success": success, "outcome": "flush" if success else "tool_lost", "errors": facts}
-
-    sweep: dict[str, tuple[float, ...]] = {"handover": (0.5, 3.0), "other_tool": (0.5, 1.0)}
-    plan = replace(PLAN, trials=10, arms=(Arm.FULL,), errors="nominal", sweep=sweep)
-    records = run_trials(plan, tmp_path, 1, quietly, fails_far_off)
-    page = write_report(plan, tmp_path).read_text()
-    handover, other = json.loads((tmp_path / "report.json").read_text())["sweeps"]
-    assert (handover["sizes"], other["sizes"]) == ([0.5, 1.0, 3.0], [0.0, 0.5, 1.0])
-    assert [share["hits"] for share in other["shares"]] == [10, 10, 10]
-    assert [share["hits"] for share in handover["shares"]][:2] == [10, 10]
-    assert handover["shares"][2]["hits"] < 10
-    assert "<td>handover, times the nominal range</td>" in page.replace(' class="left"', "")
-    assert "of the way to another hammer" in page
-    table = parquet.read_table(tmp_path / "trials.parquet").to_pylist()
-    for row, record in zip(table, records, strict=True):
-        assert row["errors.handover_mm"] == record.figures["errors"]["handover_mm"]
-        assert row["errors.other_tool_percent"] == (
-            100.0 * row["trial.size"] if row["trial.error"] == "other_tool" else 0.0
-        )
-
-
 def test_every_error_has_a_name_in_the_report() -> None:
     assert set(ERRORS) == set(draw_errors(NOMINAL, 3).facts)
-    assert set(UNITS) == {field.name for field in fields(CellErrors)}
-
-
-def test_of_a_few_seeds_no_size_is_told_that_is_too_much(tmp_path: Path) -> None:
-    run_trials(SWEEP, tmp_path, 1, quietly, swept)
-    write_report(SWEEP, tmp_path)
-    told = json.loads((tmp_path / "report.json").read_text())["sweeps"]
-    assert [sweep["limit"] for sweep in told] == [None, None]
-    assert "too few seeds" in told[0]["too_much"]

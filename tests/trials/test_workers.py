@@ -20,9 +20,10 @@ import pytest
 
 from tests.errors import raises
 from tests.trials.test_trials import PLAN, job
+from toolee_robot.app.variant import Variant
 from toolee_robot.errors import TooleeError
 from toolee_robot.runtime.ray_cluster import on_ray
-from toolee_robot.trials import Arm, TrialPlan, run_trials
+from toolee_robot.trials import TrialPlan, run_trials
 from toolee_robot.trials.results import read_results
 from toolee_robot.trials.run import Workers, on_threads
 
@@ -143,9 +144,14 @@ def test_a_run_on_ray_is_interrupted_as_any_other(tmp_path: Path, number: signal
 @pytest.mark.nightly
 def test_a_job_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
     """Or that of a lost worker would go on beside its repetition."""
-    options = ["--seed", "101", "--exact", "--no-correction", "--json", "--out", str(tmp_path / "runs")]
-    code = f"from pathlib import Path; import toolee_robot.trials.process as p; p.run_job(Path.cwd(), {options})"
-    owner = subprocess.Popen([sys.executable, "-c", code])
+    code = (
+        "from pathlib import Path\nfrom toolee_robot.app.job import JobSpec\n"
+        "from toolee_robot.app.variant import Variant\n"
+        "from toolee_robot.app.simulated import Simulated, simulated_station\n"
+        "from toolee_robot.trials.process import run_apart\n"
+        "run_apart(JobSpec(Simulated(simulated_station(), 101), Variant.NO_CORRECTION), Path('runs'))"
+    )
+    owner = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path)
     _until(lambda: list((tmp_path / "runs").glob(".*.partial/recording.mcap")), "the job has begun")
     owner.kill()
     owner.wait()
@@ -182,8 +188,8 @@ def _until(condition: Callable[[], object], what: str) -> None:
 @pytest.mark.nightly
 @pytest.mark.usefixtures("one_core")
 def test_a_simulated_trial_has_the_same_outcome_on_ray(tmp_path: Path) -> None:
-    """Toolee hammer itself, in a process of the worker's: every figure that is no time of this machine's."""
-    plan = TrialPlan("tiny", 101, 1, (Arm.NO_CORRECTION,), "exact")
+    """The job itself, in a process of the worker's: every figure that is no time of this machine's."""
+    plan = TrialPlan("tiny", 101, 1, (Variant.NO_CORRECTION,), "exact")
     (here,) = run_trials(plan, tmp_path / "here", 1, str)
     (there,) = run_trials(plan, tmp_path / "there", None, str, workers=on_ray)
     assert {k: v for k, v in here.figures.items() if k not in OF_THE_RUN} == {

@@ -1,4 +1,4 @@
-"""`toolee hammer --view`: the page is there beside a job that runs, and the job ends as without it."""
+"""`toolee sim hammer --view`: the page is there beside a job that runs, and the job ends as without it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ def _address(job: subprocess.Popen[str]) -> str:
 @pytest.mark.nightly
 @pytest.mark.sim
 def test_a_job_is_shown_while_it_runs(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", _MAIN, "hammer", "--seed", "100", "--view", "--json", "--out", str(tmp_path)]
+    options = ["--seed", "100", "--view", "--json", "--out", str(tmp_path)]
+    command = [sys.executable, "-c", _MAIN, "sim", "hammer", *options]
     with subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True) as job:
         try:
             with urllib.request.urlopen(_address(job)) as served:

@@ -27,7 +27,7 @@ _MAIN = "from toolee_robot.cli import main; main()"
 def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a whole job."""
     out = tmp_path_factory.mktemp("runs")
-    command = [sys.executable, "-c", _MAIN, "hammer", "--seed", "100", "--json", "--out", str(out)]
+    command = [sys.executable, "-c", _MAIN, "sim", "hammer", "--seed", "100", "--json", "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=1200.0, check=True)
     assert json.loads(done.stdout)["success"]
     (folder,) = out.iterdir()
@@ -109,7 +109,19 @@ def test_it_opens_in_rerun(job: Path, tmp_path: Path) -> None:
 def test_a_killed_job_is_listed_and_shown_up_to_its_last_second(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = [sys.executable, "-c", _MAIN, "hammer", "--seed", "100", "--perfect-perception", "--out", "."]
+    command = [
+        sys.executable,
+        "-c",
+        _MAIN,
+        "sim",
+        "hammer",
+        "--seed",
+        "100",
+        "--variant",
+        "perfect_perception",
+        "--out",
+        ".",
+    ]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         deadline = time.monotonic() + 300.0

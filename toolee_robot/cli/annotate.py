@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.markup import escape
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line, text_table
+from toolee_robot.cli.output import text_table
 from toolee_robot.cli.serving import serve
+from toolee_robot.runtime.json_line import json_line
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,9 @@ from toolee_robot.errors import TooleeError, UserError
 EXIT_FAILED, EXIT_USER = 1, 2
 
 GROUPS: dict[str, tuple[str, str]] = {
-    "hammer": ("hammering.command", "Take a hammer from a person, look at it, and drive the nail"),
+    "sim": ("sim", "Do a job in simulation; nothing real moves"),
+    "rehearse": ("rehearse", "Do a job with your station file on emulated devices; nothing real moves"),
+    "run": ("run", "Do a job with the real robot; the arm moves"),
     "station": ("station.command", "Write, check, show and upgrade the station file of a lab"),
     "doctor": ("doctor", "Check a station before any motion: robot, devices, computer"),
     "arm": ("arm", "Move a UR arm slowly, for its bring-up"),

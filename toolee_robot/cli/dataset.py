@@ -20,10 +20,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.json_line import json_line
 from toolee_robot.sensor_kinds import SensorKind
 
 if TYPE_CHECKING:

@@ -16,10 +16,11 @@ from rich.markup import escape
 
 from toolee_robot.cli.host_info import describe_machine
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line, text_table
+from toolee_robot.cli.output import text_table
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.json_line import json_line
 
 if TYPE_CHECKING:
     from toolee_robot.perception.offline.evaluation.report import Table

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from toolee_robot.cli.output import json_line
+from toolee_robot.runtime.json_line import json_line
 
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 """A flag, off by default."""

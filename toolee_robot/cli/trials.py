@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from toolee_robot.cli.job_options import console_observer
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
+from toolee_robot.runtime.json_line import json_line
 
 if TYPE_CHECKING:
+    from toolee_robot.app.job import JobSpec
     from toolee_robot.trials import TrialPlan
     from toolee_robot.trials.run import Workers
 
@@ -30,8 +33,8 @@ class Trials:
     The folder keeps each result as soon as there is one. The same command again goes on where it stopped, whatever
     ended it; another plan is refused. A job that ended because the machine itself stalled is repeated, and counted.
 
-    A plan on a robot, whose options name a station file without --rehearse, leads a person through one trial after the
-    other, in an order drawn from the plan's hash.
+    A plan on a robot (`where: {run: STATION}`) leads a person through one trial after the other, in an order drawn from
+    the plan's hash.
 
     Exit code 0: all trials are done, however they ended, or the person stopped; 1: a job crashed; 2: invalid input;
     130: interrupted.
@@ -85,8 +88,6 @@ class Trials:
             console.print(
                 f"{arm:<20}{flush['hits']} of {flush['of']} flush ({flush['low']:.2f} to {flush['high']:.2f})"
             )
-        for sweep in made["sweeps"]:
-            console.print(f"{sweep['error']:<20}under 90 % from: {sweep['too_much']}")
         if plan.led and made["finished"] < made["of"]:
             console.print(f"{made['finished']} of {made['of']} trials are done: the same command goes on")
         console.print(f"report: {escape(str(page))}")
@@ -121,7 +122,14 @@ class Trials:
                 "a person is led through this plan at the terminal, and there is none: start it from one",
                 code="user.no_terminal",
             )
-        lead_trials(plan, out, lambda question: console.input(question, markup=False), tell)
+        lead_trials(plan, out, lambda question: console.input(question, markup=False), tell, partial(_job, console))
+
+
+def _job(console: Console, spec: JobSpec, out: Path) -> dict[str, Any]:
+    """Do a job of trials with a person, who answers at this terminal."""
+    from toolee_robot.app.job import run_job
+
+    return run_job(spec, out, console_observer(spec, console, asked=True)).figures
 
 
 COMMANDS = {"": Trials}

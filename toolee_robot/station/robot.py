@@ -48,7 +48,7 @@ class ArmLimits:
     (0, 0, -1) under a ceiling. The script of a program that the teach pendant saves has it as `set_gravity`, in the
     pendant's Base."""
     host: str | None = None
-    """Address of the arm's controller; null for the simulated arm. `toolee hammer --station` connects to it."""
+    """Address of the arm's controller; null for the simulated arm. `toolee run hammer` connects to it."""
     calibration: DhCalibration | None = None
     """Factory calibration of this arm, from its controller's calibration.conf; None for the model's nominal kinematics,
     which are a millimetre or two off."""

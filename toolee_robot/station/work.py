@@ -41,7 +41,7 @@ class NailConfig:
 
     __pydantic_config__ = STRICT
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
-    """What it is called in the summary, on the terminal and by `toolee hammer --nail`: letters, digits, - and _."""
+    """What it is called in the summary, on the terminal and by `--nail`: letters, digits, - and _."""
     xy: tuple[Place, Place]
     """Position of the nail's axis in `base`, x and y."""
     diameter: Shank | None = None

@@ -7,15 +7,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from toolee_robot.errors import ConfigError, TooleeError
-from toolee_robot.station import StationConfig, load_lab_station, with_setup
+from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.recovery import MAX_STOPS
-from toolee_robot.trials.attended_plan import option
 from toolee_robot.trials.judgement import Ask, choice, judged, words, yes
-from toolee_robot.trials.plan import TrialPlan
-from toolee_robot.trials.process import run_at_terminal
+from toolee_robot.trials.plan import InRehearsal, OnRobot, TrialPlan
 from toolee_robot.trials.results import Event, Happened, Record, Results, now
 from toolee_robot.trials.run import told
-from toolee_robot.trials.tasks import Job, Task, check_needed, task_of
+from toolee_robot.trials.tasks import Job, Task, check_paper_weights, station_of, task_of
 
 READY = "r: it is so, begin; s: skip this trial; q: stop, and go on later? "
 """The question before each trial."""
@@ -28,9 +26,7 @@ class _Stopped(Exception):
     """The person goes on later."""
 
 
-def lead_trials(
-    plan: TrialPlan, folder: Path, ask: Ask, tell: Tell = print, job: Job = run_at_terminal
-) -> list[Record]:
+def lead_trials(plan: TrialPlan, folder: Path, ask: Ask, tell: Tell, job: Job) -> list[Record]:
     """Lead a person through the trials of a plan that its folder does not have yet.
 
     Before each the person reads what to set up and says that it is so, skips the trial or stops; after it the person
@@ -42,20 +38,19 @@ def lead_trials(
         folder: Its folder; made where there is none.
         ask: Asks the person.
         tell: Tells the person.
-        job: Runs a job at the terminal.
+        job: Does a job, whose observer prompts and asks the person. An interrupt that reaches it stops the arm.
 
     Returns:
         The results, in the plan's order; not all where the person skipped some or stopped.
 
     Raises:
-        UserError: The folder holds another plan's trials (`user.other_plan`); or as of `check_needed`.
-        AssetError: As of `check_needed`.
+        UserError: The folder holds another plan's trials (`user.other_plan`); or as of `check_paper_weights`.
+        AssetError: As of `check_paper_weights`.
         ConfigError: The station file is not complete, or lacks a tool or nail of the plan (`config.plan`).
     """
-    station = load_lab_station(Path(str(option(plan.options, "--station"))))
-    _check(plan, station)
+    _check(plan, station_of(plan.where, None))
     with Results(plan, folder) as results:
-        check_needed(plan, folder, results.records)
+        check_paper_weights(plan, results.records)
         order = plan.order()
         tell(f"{len(results.done)} of {len(order)} trials are done, in the order that the plan's hash drew")
         results.note(Happened.SESSION)
@@ -69,7 +64,7 @@ def lead_trials(
                         )
                         raise _Stopped
                     task = task_of(plan, trial, folder)
-                    _Trial(plan, task, _station_of(station, task), results, ask, tell, i + 1, len(order), job).lead()
+                    _Trial(plan, task, results, ask, tell, i + 1, len(order), job).lead()
         except (_Stopped, EOFError, KeyboardInterrupt) as stop:
             results.note(Happened.STOPPED)
             tell("stopped: the same command goes on")
@@ -95,15 +90,12 @@ def _check(plan: TrialPlan, station: StationConfig) -> None:
             )
 
 
-def _station_of(station: StationConfig, task: Task) -> StationConfig:
-    """What the job is told of the station."""
-    setup = option(task.command, "--setup")
-    return station if setup is None else with_setup(station, Path(setup))
-
-
 def _digest(plan: TrialPlan) -> str:
     """SHA-256 of the station file, which a lab may change between trials."""
-    return hashlib.sha256(Path(str(option(plan.options, "--station"))).read_bytes()).hexdigest()
+    match plan.where:
+        case InRehearsal(station) | OnRobot(station):
+            return hashlib.sha256(Path(station).read_bytes()).hexdigest()
+    raise AssertionError("a person is led through trials with a station file alone")
 
 
 def _stops(events: Sequence[Event]) -> int:
@@ -116,17 +108,15 @@ class _Trial:
     """Leads a person through one trial."""
 
     def __init__(
-        self, plan: TrialPlan, task: Task, config: StationConfig, results: Results, ask: Ask, tell: Tell, number: int,
-        of: int, job: Job,
-    ) -> None:  # fmt: skip
-        self._plan, self._task, self._config, self._results = plan, task, config, results
+        self, plan: TrialPlan, task: Task, results: Results, ask: Ask, tell: Tell, number: int, of: int, job: Job
+    ) -> None:
+        self._plan, self._task, self._results, self._config = plan, task, results, task.spec.source.config
         self._ask, self._tell, self._number, self._of, self._job = ask, tell, number, of, job
 
     @property
     def _nails(self) -> tuple[str, ...]:
         """Those that are to be driven."""
-        one = option(self._task.command, "--nail")
-        return self._config.work.names if one is None else (one,)
+        return self._task.spec.nails or self._config.work.names
 
     def lead(self) -> None:
         trial, results = self._task.trial, self._results
@@ -175,10 +165,11 @@ class _Trial:
         results.note(Happened.BEGUN, trial, station=_digest(self._plan))
         begun = now()
         try:
-            figures = self._job(self._task.options)
-        except TooleeError as error:
-            results.note(Happened.NOT_BEGUN, trial, reason=str(error))
-            self._tell(f"The job came to no end of its own, and does not count: {error}")
+            figures = self._job(self._task.spec, self._task.out)
+        except (TooleeError, KeyboardInterrupt) as error:
+            reason = str(error) or "it was interrupted before it began"
+            results.note(Happened.NOT_BEGUN, trial, reason=reason)
+            self._tell(f"The job came to no end of its own, and does not count: {reason}")
             return
         results.note(Happened.ENDED, trial, figures={**figures, "begun": begun}, command=self._task.command)
 

@@ -58,7 +58,7 @@ class Judgement:
         disagree. Where both say that the job failed, the cause is the robot's.
 
         Args:
-            figures: The job's, as `toolee hammer --json` printed them.
+            figures: The job's, as of `run_job`.
 
         Returns:
             The trial's.

@@ -7,64 +7,20 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from enum import StrEnum
 from itertools import count, islice, product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from toolee_robot.app.variant import SIMULATED_ONLY, Variant
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.station import ToolData
 from toolee_robot.station.values import STRICT, Count, NotNegative, Positive
-from toolee_robot.trials.attended_plan import option, why_not_attended
 
-
-class Arm(StrEnum):
-    """What the jobs of an arm do otherwise than the whole system."""
-
-    FULL = "full"
-    """Nothing: the whole system."""
-    NO_CORRECTION = "no_correction"
-    """They strike with the nominal pose of the tool in the hand."""
-    PERFECT_PERCEPTION = "perfect_perception"
-    """They get the tool's true pose instead of the camera's."""
-    POSITION_ONLY = "position_only"
-    """They believe the estimated place of the face, and its nominal direction."""
-    NORMAL_ONLY = "normal_only"
-    """They believe the estimated direction of the face, and its nominal place."""
-    ONE_VIEW = "one_view"
-    """They look once where the whole system looks from several views."""
-    MASK_CENTROID = "mask_centroid"
-    """They take the mask's centroid for the face's place, and its nominal direction."""
-    ICP = "icp"
-    """They register the tool's own shape, which they are told, to the cloud (iterative closest point)."""
-    PAPER = "paper"
-    """They estimate poses by the paper's estimator."""
-    LEARNT_GRASP = "learnt_grasp"
-    """They believe the nominal pose of the tool in the hand, moved as the hand moved earlier tools in the mean."""
-
-    @property
-    def options(self) -> tuple[str, ...]:
-        """Options of `toolee hammer` of this arm."""
-        if self is Arm.FULL:
-            return ()
-        if self in (Arm.NO_CORRECTION, Arm.PERFECT_PERCEPTION):
-            return ("--" + self.value.replace("_", "-"),)
-        return ("--ablation", self.value)
-
-
-OWN = frozenset(
-    {"--seed", "--json", "--out", "--errors", "--exact", "--ablation", "--no-correction"}
-    | {"--setup", "--paper-weights", "--learnt-from", "--sensor"}
-)
-"""Options of `toolee hammer` that the plan's other fields say."""
-LATER = frozenset(
-    {"sweep", "attended", "instructions", "tools", "nails", "woods", "sensors", "paper_weights"}
-    | {"learnt_from", "left_out"}
-)
-"""Fields that count in the hash only where they say something: plans that were begun before have none of them."""
+FIRST = frozenset({"name", "first_seed", "trials", "arms", "errors"})
+"""Fields that count in the hash always; the others only where they say something, since published plans lack them."""
 Name = Annotated[str, Field(min_length=1, max_length=60)]
 
 
@@ -95,39 +51,64 @@ class Trial:
         arm: Its arm.
         seed: Its seed: hammer, grasp, room and errors, the same in every arm. On a robot, where a seed draws nothing,
             the number of the repetition.
-        error: The error that has a size of its own; None for none.
-        size: That size, in the error's unit.
         tool: Name of the tool that a person hands over; None where the plan lists none.
         nail: Name of the nail; None where the plan lists none.
         wood: Name of the wood; None where the plan lists none.
         sensor: Kind of the simulated depth camera; None where the plan lists none.
     """
 
-    arm: Arm
+    arm: Variant
     seed: int
-    error: str | None = None
-    size: float | None = None
     tool: str | None = None
     nail: str | None = None
     wood: str | None = None
-    sensor: str | None = None
+    sensor: SensorKind | None = None
 
     @property
-    def put_there(self) -> str:
-        """Tool, nail and wood, as the name of a file; empty where the plan lists none."""
-        return "-".join(slug(name) for name in (self.tool, self.nail, self.wood) if name is not None)
-
-    @property
-    def variation(self) -> str:
-        """What differs between trials of a seed and an arm, as the name of a folder; empty for nothing."""
-        error = "" if self.error is None else f"{self.error}-{self.size:g}"
-        return "-".join(part for part in (error, self.put_there, self.sensor) if part)
+    def put_there(self) -> tuple[str, ...]:
+        """Names of tool, nail and wood; without those that the plan does not list."""
+        return tuple(name for name in (self.tool, self.nail, self.wood) if name is not None)
 
     @property
     def conditions(self) -> str:
-        """The same in words."""
-        error = None if self.error is None else f"{self.error} {self.size:g}"
-        return ", ".join(part for part in (self.tool, self.nail, self.wood, self.sensor, error) if part)
+        """What differs between trials of a seed and an arm, in words; empty for nothing."""
+        return ", ".join(self.put_there + (() if self.sensor is None else (self.sensor,)))
+
+
+@dataclass(frozen=True)
+class InSimulation:
+    """Jobs as of `toolee sim hammer`."""
+
+    __pydantic_config__ = STRICT
+    config: str = ""
+    """Changes of the simulated station, a YAML file; empty for none."""
+    robot: Literal["UR10", "UR10e"] | None = None
+    """Model of the arm; null for the station's."""
+
+
+@dataclass(frozen=True)
+class InRehearsal:
+    """Jobs as of `toolee rehearse hammer`."""
+
+    __pydantic_config__ = STRICT
+    rehearse: Name
+    """The station file."""
+    real_time_factor: float | None = None
+    """Rate of the station's time relative to wall-clock time; null for the arm's default."""
+    profile: Literal["ideal", "harsh"] = "harsh"
+    """How the controller follows, measures and stops."""
+
+
+@dataclass(frozen=True)
+class OnRobot:
+    """Jobs as of `toolee run hammer`: a person is led through them, and the arm moves."""
+
+    __pydantic_config__ = STRICT
+    run: Name
+    """The station file."""
+
+
+Where = InSimulation | InRehearsal | OnRobot
 
 
 @dataclass(frozen=True)
@@ -141,16 +122,16 @@ class TrialPlan:
     """The first seed; on a robot the number of the first repetition, such as 1."""
     trials: Count
     """Number of seeds, one after the other but for those `left_out`; on a robot of repetitions."""
-    arms: Annotated[tuple[Arm, ...], Field(min_length=1)] = (Arm.FULL,)
+    arms: Annotated[tuple[Variant, ...], Field(min_length=1)] = (Variant.FULL,)
     """Arms, compared with the first one."""
     errors: Literal["nominal", "exact"] | dict[str, NotNegative] = "nominal"
     """Errors of what the jobs are told (docs/concepts/cell_errors.md): `nominal`, `exact`, or sizes of some,
     the others nominal."""
-    options: tuple[str, ...] = ()
-    """Further options of `toolee hammer`, such as `--station lab.yaml`, `--rehearse`."""
-    sweep: dict[str, Annotated[tuple[NotNegative, ...], Field(min_length=1)]] = field(default_factory=dict)
-    """Sizes of errors, each of which every seed and arm gets instead of the one in `errors`, one error at a time; once
-    they get none."""
+    where: Where = field(default_factory=InSimulation)
+    """In simulation `{config: YAML, robot: UR10e}`, with emulated devices `{rehearse: STATION, real_time_factor: 0.5}`,
+    on a robot `{run: STATION}`."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the networks run."""
     attended: bool = False
     """Whether a person is led through a rehearsal as through trials on a robot, which always are."""
     instructions: Annotated[str, Field(max_length=2000)] = ""
@@ -167,48 +148,43 @@ class TrialPlan:
     camera."""
     paper_weights: Annotated[str, Field(max_length=1000)] = ""
     """Folder of a training of the paper's estimator, for the arm `paper`, from where the trials are run."""
-    learnt_from: Annotated[str, Field(max_length=1000)] = ""
-    """Folder of earlier jobs with the same hand, for the arm `learnt_grasp`, from where the trials are run."""
     left_out: tuple[Annotated[int, Field(ge=0)], ...] = ()
     """Seeds that are left out, such as those that draw a tool which an earlier seed of the plan has."""
 
     def __post_init__(self) -> None:
-        if self.sweep and self.errors == "exact":
-            raise ValueError("sweep: the errors that are not swept are nominal, or sizes; not exact")
-        if len(set(self.arms)) < len(self.arms):
-            raise ValueError("arms: each one once")
-        if (Arm.PAPER in self.arms) != bool(self.paper_weights):
-            raise ValueError(
+        if reason := next(self._problems(), None):
+            raise ValueError(reason)
+
+    def _problems(self) -> Iterator[str]:
+        for name in ("arms", "sensors"):
+            if len(set(getattr(self, name))) < len(getattr(self, name)):
+                yield f"{name}: each one once"
+        if (Variant.PAPER in self.arms) != bool(self.paper_weights):
+            yield (
                 "paper_weights: the arm `paper` needs the folder of a training of the paper's estimator, and no other "
-                "arm does; without them `toolee hammer --ablation paper` tells how it is trained"
-            )
-        if (Arm.LEARNT_GRASP in self.arms) != bool(self.learnt_from):
-            raise ValueError(
-                "learnt_from: the arm `learnt_grasp` needs the folder of earlier jobs with the same hand, and no other "
-                "arm does"
+                "arm does; without it `toolee sim hammer --variant paper` tells how it is trained"
             )
         if never := sorted(set(self.left_out) - set(range(self.first_seed, self.seeds[-1]))):
-            raise ValueError(f"left_out: {', '.join(map(str, never))} would not come in this plan")
-        given = {option.split("=")[0].replace("_", "-") for option in self.options if option.startswith("--")}
-        if wrong := sorted(given & (OWN | ({"--nail"} if self.nails else set()))):
-            raise ValueError(f"options: {', '.join(wrong)} is said by the plan's other fields")
+            yield f"left_out: {', '.join(map(str, never))} would not come in this plan"
         for what, names in (("tools", names_of(self.tools)), ("nails", names_of(self.nails)), ("woods", self.woods)):
             if len({slug(name) for name in names}) < len(names):
-                raise ValueError(f"{what}: give each a name of its own, which differs in letters or digits")
-        if self.led and (reason := why_not_attended(self)):
-            raise ValueError(reason)
-        if not self.led and self.tools:
-            raise ValueError(
-                "tools: in a simulation the tool is drawn from the seed; a person hands over those of a plan on a robot"
-            )
-        if self.sensors and option(self.options, "--station") is not None:
-            raise ValueError("sensors: they are drawn in a simulation; a station has its own camera, so leave them out")
-        if self.sensors and option(self.options, "--arm") == "ur-rtde":
-            raise ValueError("sensors: they cannot be tried with `--arm ur-rtde` yet: leave one of them out")
-        if len(set(self.sensors)) < len(self.sensors):
-            raise ValueError("sensors: each one once")
-        if not self.led and self.instructions:
-            raise ValueError("instructions: nobody reads them in a simulation")
+                yield f"{what}: give each a name of its own, which differs in letters or digits"
+        if not isinstance(self.where, InSimulation) and (self.errors != "nominal" or self.sensors):
+            yield "errors, sensors: they are drawn in a simulation; a station has its own, so leave them out"
+        yield from self._of_a_person() if self.led else self._of_nobody()
+
+    def _of_a_person(self) -> Iterator[str]:
+        if isinstance(self.where, InSimulation):
+            yield "attended: `where` names no station file, so that nobody knows what a person hands over"
+        for arm in self.arms:
+            if reason := SIMULATED_ONLY.get(arm):
+                yield f"arms: {arm} makes no sense on a robot: {reason}"
+
+    def _of_nobody(self) -> Iterator[str]:
+        if self.tools:
+            yield "tools: in a simulation they are drawn from the seed; a person hands over those of a plan on a robot"
+        if self.instructions:
+            yield "instructions: nobody reads them in a simulation"
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -219,7 +195,7 @@ class TrialPlan:
     @property
     def on_robot(self) -> bool:
         """Whether the jobs move a real robot."""
-        return option(self.options, "--station") is not None and "--rehearse" not in self.options
+        return isinstance(self.where, OnRobot)
 
     @property
     def led(self) -> bool:
@@ -229,7 +205,10 @@ class TrialPlan:
     @property
     def hash(self) -> str:
         """SHA-256 of what the plan says, whatever its file looks like."""
-        said = {name: value for name, value in asdict(self).items() if name not in LATER or value}
+        plain, said = TrialPlan(self.name, self.first_seed, self.trials), asdict(self)
+        later = {name for name in said if name not in FIRST and getattr(self, name) == getattr(plain, name)}
+        of_first: dict[str, Any] = {"options": []}  # a field of the first plans, whose hashes are published
+        said = of_first | {name: value for name, value in said.items() if name not in later}
         return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
     def jobs(self) -> Iterator[Trial]:
@@ -238,18 +217,11 @@ class TrialPlan:
         Yields:
             Each trial.
         """
-        swept: list[tuple[str | None, float | None]]
-        swept = [(None, None), *((error, size) for error, sizes in self.sweep.items() for size in sizes)]
         for seed in self.seeds:
-            for error, size in swept:
-                for tool, nail, wood, sensor in self._conditions():
-                    for arm in self.arms:
-                        yield Trial(arm, seed, error, size, tool, nail, wood, sensor)
-
-    def _conditions(self) -> Iterator[tuple[str | None, ...]]:
-        none: tuple[str | None, ...] = (None,)
-        lists = (names_of(self.tools), names_of(self.nails), tuple(self.woods), self.sensors)
-        return product(*(names or none for names in lists))
+            put_there = (names_of(self.tools), names_of(self.nails), tuple(self.woods))
+            for tool, nail, wood in product(*(names or (None,) for names in put_there)):
+                for sensor, arm in product(self.sensors or (None,), self.arms):
+                    yield Trial(arm, seed, tool, nail, wood, sensor)
 
     def order(self) -> list[Trial]:
         """The jobs in the order in which they are run.
@@ -271,7 +243,7 @@ class TrialPlan:
         return hashlib.sha256(json.dumps([self.hash, *block]).encode()).hexdigest()
 
     def setup(self, trial: Trial) -> dict[str, Any]:
-        """What `toolee hammer --setup` is told of a trial.
+        """What `--setup` tells the job of a trial.
 
         Args:
             trial: The trial.

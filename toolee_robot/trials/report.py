@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -24,7 +23,6 @@ from toolee_robot.trials.report_attended import agreement, attended_section
 from toolee_robot.trials.results import Event, Record, read_results, read_results_file
 from toolee_robot.trials.run_links import RunLinks
 from toolee_robot.trials.statistics import Share, by_conditions, by_size, compare, median, of_arm, share
-from toolee_robot.trials.sweeps import Sweep, curves, sweeps
 from toolee_robot.trials.table import TABLE, write_table
 
 REPORT, FIGURES = "report.html", "report.json"
@@ -63,7 +61,7 @@ ERRORS = {
 }
 """Errors against which success is shown, and how the axis is called."""
 CONDITIONS = "conditions"
-"""Head of the column with a trial's nail, wood, tool, sensor or size of an error."""
+"""Head of the column with a trial's nail, wood, tool and sensor."""
 FALSE_FLUSH = "flush_by_the_robot_alone"
 """Outcome of a trial whose nail is flush for the robot and not for the judge, or the person."""
 
@@ -86,17 +84,16 @@ def write_report(plan: TrialPlan, folder: Path, results: Path | None = None) -> 
     records, events = read_results(plan, folder) if results is None else read_results_file(plan, results)
     folder.mkdir(parents=True, exist_ok=True)
     first = of_arm(records, plan.arms[0])
-    found = sweeps(plan, first)
-    made = _figures(plan, records, events, first, found)
+    made = _figures(plan, records, events, first)
     write_atomic(folder / FIGURES, (json.dumps(made, indent=1) + "\n").encode())
     runs = RunLinks(folder, folder if results is None else results.parent)
-    write_atomic(folder / REPORT, _page(plan, made, records, first, found, runs).encode())
+    write_atomic(folder / REPORT, _page(plan, made, records, first, runs).encode())
     write_table(records, plan.hash, folder / TABLE)
     return folder / REPORT
 
 
 def _figures(
-    plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], first: Sequence[Record], found: Sequence[Sweep]
+    plan: TrialPlan, records: Sequence[Record], events: Sequence[Event], first: Sequence[Record]
 ) -> dict[str, Any]:
     """The report's figures, for JSON."""
     arms = {}
@@ -123,15 +120,13 @@ def _figures(
         "of": sum(1 for _ in plan.jobs()),
         "distinct_tools": len(tools),
         "arms": arms,
-        "sweeps": [asdict(sweep) | {"too_much": sweep.told} for sweep in found],
         **({"attended": agreement(plan, records, events)} if plan.led else {}),
     }
 
 
 def _page(
-    plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], first: Sequence[Record], found: Sequence[Sweep],
-    runs: RunLinks,
-) -> str:  # fmt: skip
+    plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], first: Sequence[Record], runs: RunLinks
+) -> str:
     page = Page(plan.name, f"plan {plan.hash[:12]} · {made['finished']} of {made['of']} trials finished")
     page.section("Result")
     pair = "repetition" if plan.led else "seed"
@@ -174,45 +169,17 @@ def _page(
         page.paragraph("None.")
     if plan.led:
         attended_section(page, made["attended"])
-    elif plan.sweep:
-        _swept(page, plan, found)
     else:
         _drawn(page, plan, first)
     page.section("Every trial")
     head = ["arm", pair, CONDITIONS, "tool", "outcome", "strikes", "robot's time, s", "tries"]
     _listed(page, head, [_row(record, runs) for record in records], 5)
     page.section("The plan")
-    simulated = ("errors", "sweep") if plan.on_robot else ()
-    said = {name: _words(value) for name, value in asdict(plan).items() if name not in simulated}
+    said = {name: _words(value) for name, value in asdict(plan).items() if name != "errors" or not plan.on_robot}
     page.definitions(said | {"hash (SHA-256)": plan.hash})
     if records:
-        page.paragraph(
-            f"A trial is repeated by its own command, the first one by: toolee hammer {shlex.join(records[0].command)}"
-        )
+        page.paragraph(f"A trial is repeated by its own command, the first one by: {records[0].repeated_by}")
     return page.text()
-
-
-def _swept(page: Page, plan: TrialPlan, found: Sequence[Sweep]) -> None:
-    """The section of errors that were given sizes."""
-    page.section("One error at a time")
-    if not found:
-        page.paragraph("No trial is finished.")
-        return
-    page.table(["error", "under 90 % from"], [[sweep.axis[0], sweep.told] for sweep in found], left=2)
-    page.table(
-        ["error", "size", "flush", "95 % (Wilson)"],
-        [
-            [sweep.axis[0], f"{sweep.axis[1] * size:.3g}", f"{s.hits} of {s.of}", f"{s.low:.2f} to {s.high:.2f}"]
-            for sweep in found
-            for size, s in zip(sweep.sizes, sweep.shares, strict=True)
-        ],
-    )
-    caption = (
-        f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush while one error has this size and the "
-        "others are as in the plan, with 95 % intervals. Red: where a logistic curve falls under 90 %, with its 95 % "
-        "interval by resampled seeds."
-    )
-    page.picture(curves(found), caption)
 
 
 def _drawn(page: Page, plan: TrialPlan, records: Sequence[Record]) -> None:
@@ -287,7 +254,7 @@ def _failure(record: Record, runs: RunLinks, on_robot: bool) -> list[Any]:
     words = outcome.replace("_", " ")
     number, recording = runs.link(record, str(record.trial.seed), PICTURE), runs.link(record, "mcap", RECORDING)
     if not isinstance(recording, Markup) and not on_robot:
-        recording = f"toolee hammer {shlex.join(record.command)}"
+        recording = record.repeated_by
     return [number, recording, record.trial.conditions, f["tool"], stage, words, cause(f["reason"])]
 
 

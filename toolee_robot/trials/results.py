@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -15,9 +16,10 @@ from types import TracebackType
 from typing import Any, Self
 
 import toolee_robot
+from toolee_robot.app.variant import Variant
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.trials.plan import Arm, Trial, TrialPlan
+from toolee_robot.trials.plan import Trial, TrialPlan
 
 RESULTS = "trials.jsonl"
 """The file with the results."""
@@ -29,8 +31,8 @@ class Record:
 
     Attributes:
         trial: Which one.
-        figures: What `toolee hammer --json` printed, and `tries`; of a trial with a person also what that measured.
-        command: Options of `toolee hammer` that repeat it.
+        figures: The job's, and `tries`; of a trial with a person also what that measured.
+        command: Words of the command that repeats it, after `toolee`.
     """
 
     trial: Trial
@@ -41,6 +43,13 @@ class Record:
     def success(self) -> bool:
         """Whether the nail is flush."""
         return bool(self.figures["success"])
+
+    @property
+    def repeated_by(self) -> str:
+        """How it is repeated, in words."""
+        if self.command and self.command[0].startswith("--"):  # published results, by versions before that tag
+            return f"toolee hammer {shlex.join(self.command)} (of the tag before-half)"
+        return f"toolee {shlex.join(self.command)}"
 
 
 class Happened(StrEnum):
@@ -214,7 +223,7 @@ def _trial(trial: Trial) -> dict[str, Any]:
 
 
 def _to_trial(said: dict[str, Any]) -> Trial:
-    return Trial(**{**said, "arm": Arm(said["arm"])})
+    return Trial(**{**said, "arm": Variant(said["arm"])})
 
 
 def _record(line: dict[str, Any]) -> Record:

@@ -17,9 +17,9 @@ from typing import Protocol, TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.trials.plan import Trial, TrialPlan
-from toolee_robot.trials.process import run_job, stop_jobs
+from toolee_robot.trials.process import run_apart, stop_jobs
 from toolee_robot.trials.results import Happened, Record, Results
-from toolee_robot.trials.tasks import Job, Task, check_needed, run_task, task_of
+from toolee_robot.trials.tasks import Job, Task, check_paper_weights, run_task, task_of
 
 MOST_CRASHES = 3
 """Least number of jobs one after the other that crash, none ending between them, after which a plan is given up; where
@@ -50,7 +50,7 @@ def run_trials(
     folder: Path,
     jobs: int | None = 1,
     tell: Callable[[str], object] = print,
-    job: Job | None = None,
+    job: Job = run_apart,
     workers: Workers | None = None,
 ) -> list[Record]:
     """Run the trials of a plan that its folder does not have yet.
@@ -60,7 +60,7 @@ def run_trials(
         folder: Its folder; made where there is none.
         jobs: Number of jobs side by side; None for one per core.
         tell: Told of each finished job.
-        job: Runs a job; None for `toolee hammer` in a process of its own, in this working directory.
+        job: Does a job.
         workers: Where; None for this machine.
 
     Returns:
@@ -68,21 +68,21 @@ def run_trials(
 
     Raises:
         UserError: The folder holds another plan's trials (`user.other_plan`), or a person is led through this one's
-            (`user.attended`); or as of `check_needed`.
-        AssetError: As of `check_needed`.
+            (`user.attended`); or as of `check_paper_weights`.
+        AssetError: As of `check_paper_weights`.
+        ConfigError: A file that the plan names cannot be read, or a field is wrong or missing.
         TooleeError: Jobs did not come to an end of their own; code `trials.crashed`. The others are done before it is
             raised, unless so many crash one after the other (`MOST_CRASHES`) that the plan is given up.
     """
     if plan.led:
         raise UserError("a person is led through this plan's trials: `lead_trials`", code="user.attended")
     with Results(plan, folder) as results:
-        check_needed(plan, folder, results.records)
+        check_paper_weights(plan, results.records)
         todo = [task_of(plan, trial, folder) for trial in plan.order() if trial not in results.done]
         if results.done:
             tell(f"{len(results.done)} of {len(results.done) + len(todo)} trials are there already")
-        run = partial(_run, job or partial(run_job, Path.cwd()))
         crashed: list[_Crash] = []
-        with closing((workers or on_threads)(run, todo, jobs)) as finished:
+        with closing((workers or on_threads)(partial(_run, job), todo, jobs)) as finished:
             in_a_row, most = 0, max(MOST_CRASHES, jobs or cores())
             for ended in finished:
                 if isinstance(ended, Record):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import binomtest
 
-from toolee_robot.trials.plan import Arm
+from toolee_robot.app.variant import Variant
 from toolee_robot.trials.results import Record
 
 
@@ -73,8 +73,8 @@ def compare(arm: Sequence[Record], other: Sequence[Record]) -> Comparison:
     Returns:
         The comparison.
     """
-    reference = {replace(record.trial, arm=Arm.FULL): record.success for record in other}
-    mine = [(r.success, replace(r.trial, arm=Arm.FULL)) for r in arm]
+    reference = {replace(record.trial, arm=Variant.FULL): record.success for record in other}
+    mine = [(r.success, replace(r.trial, arm=Variant.FULL)) for r in arm]
     pairs = [(success, reference[trial]) for success, trial in mine if trial in reference]
     better = sum(a and not b for a, b in pairs)
     worse = sum(b and not a for a, b in pairs)
@@ -133,7 +133,7 @@ def median(records: Sequence[Record], figure: str) -> float | None:
     return float(np.median(known)) if known else None
 
 
-def of_arm(records: Sequence[Record], arm: Arm) -> list[Record]:
+def of_arm(records: Sequence[Record], arm: Variant) -> list[Record]:
     """The results of an arm.
 
     Args:
@@ -157,6 +157,6 @@ def by_conditions(records: Sequence[Record]) -> dict[str, list[Record]]:
     """
     sorted_: dict[str, list[Record]] = {}
     for record in records:
-        if words := replace(record.trial, error=None).conditions:
+        if words := record.trial.conditions:
             sorted_.setdefault(words, []).append(record)
     return sorted_

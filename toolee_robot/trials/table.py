@@ -24,7 +24,7 @@ def write_table(records: Sequence[Record], plan: str, path: Path) -> None:
     """Write a row for each trial, as Parquet.
 
     The columns are those of the trial (`trial.arm`, `trial.seed`, ...), the figures of its job by the names that
-    `toolee hammer --json` gives them (those inside others joined by a dot: `errors.camera_mm`), `command`, and in the
+    `--json` gives them (those inside others joined by a dot: `errors.camera_mm`), `command`, and in the
     file's metadata the plan's `hash`. A figure that a job lacks is null; of what a job has several of, such as nails,
     the column holds a list. A column whose values are of several kinds has them as JSON.
 

@@ -75,9 +75,9 @@ class Camera:
         else:
             config = sim_station() if self.config is None else load_station(self.config)
         console = Console(stderr=self.json, highlight=False)
+        from toolee_robot.app.run_folder import run_folder
         from toolee_robot.calibration.session import FILE
         from toolee_robot.cli.calibrate.camera_job import RECORD, CameraJob
-        from toolee_robot.cli.run_folder import run_folder
         from toolee_robot.runtime.yaml_edit import set_fields
 
         job = CameraJob(config, self.sheet, console)

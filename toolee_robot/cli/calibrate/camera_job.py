@@ -20,12 +20,12 @@ from toolee_robot.calibration.observation import camera_board
 from toolee_robot.calibration.record import CalibrationRecord, write_record
 from toolee_robot.calibration.session import Seen, Session, SessionPose, observe, read_session, write_session
 from toolee_robot.cli.calibrate.recorded_images import check_undistorted
-from toolee_robot.cli.output import json_line
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
 from toolee_robot.recording.calibration_report import calibration_report
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.json_line import json_line
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.station import StationConfig

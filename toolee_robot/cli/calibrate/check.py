@@ -11,9 +11,9 @@ import tyro
 from rich.console import Console
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
 from toolee_robot.frames import BaseFrame
+from toolee_robot.runtime.json_line import json_line
 
 
 @dataclass(frozen=True, kw_only=True)

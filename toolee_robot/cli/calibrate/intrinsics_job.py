@@ -19,12 +19,12 @@ from toolee_robot.calibration.intrinsics import calibrate_intrinsics, read_views
 from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, write_intrinsics
 from toolee_robot.calibration.observation import BoardView
 from toolee_robot.cli.calibrate.recorded_images import check_raw
-from toolee_robot.cli.output import json_line
 from toolee_robot.devices.cameras import StatedLens, StreamedCamera
 from toolee_robot.devices.cameras.recording import recording_of
 from toolee_robot.errors import StaleDataError, UserError
 from toolee_robot.hal import Clock
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.runtime.json_line import json_line
 from toolee_robot.station import SIMULATED, CameraConfig
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.stations.rehearsal.camera import emulated_stream

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
+from toolee_robot.runtime.json_line import json_line
 from toolee_robot.station import load_station, sim_station
 
 

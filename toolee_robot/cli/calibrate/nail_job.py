@@ -29,11 +29,11 @@ from toolee_robot.calibration.tip import read_touches
 from toolee_robot.calibration.wood import WoodPlane, fit_wood
 from toolee_robot.cli.calibrate.nail_checks import check_loads, check_near, mistake
 from toolee_robot.cli.calibrate.nail_fields import nail_fields
-from toolee_robot.cli.output import json_line
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, NotReadyError, UserError
 from toolee_robot.frames import Array, angle_between, transform_points
 from toolee_robot.hal import Station
+from toolee_robot.runtime.json_line import json_line
 from toolee_robot.runtime.yaml_edit import set_fields
 from toolee_robot.station import StationConfig
 from toolee_robot.station.work import LARGEST_TILT

@@ -12,10 +12,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
 from toolee_robot.cli.replaying.run_list import recording_of
 from toolee_robot.cli.serving import serve
 from toolee_robot.errors import UserError
+from toolee_robot.runtime.json_line import json_line
 
 if TYPE_CHECKING:
     from toolee_robot.recording.history import RunHistory

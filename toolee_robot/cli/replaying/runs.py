@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
 from toolee_robot.cli.replaying.run_list import Run, list_runs
+from toolee_robot.runtime.json_line import json_line
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Runs:
     """
 
     folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DIR")]] = Path("runs")
-    """The folder: what `toolee hammer --out` names."""
+    """The folder: what `--out` of a job names."""
     json: Flag = False
     """Print one line of JSON on standard output: a list, the oldest run first."""
 

@@ -14,11 +14,11 @@ import tyro
 from rich.console import Console
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.cli.train.images import Refinement, Segmentation
 from toolee_robot.cli.train.options import File
 from toolee_robot.cli.train.pose import Clouds, Pose
+from toolee_robot.runtime.json_line import json_line
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import tyro
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.json_line import json_line
 from toolee_robot.runtime.yaml_files import read_yaml
 
 CONFIG = "config.json"

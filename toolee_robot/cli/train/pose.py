@@ -11,7 +11,6 @@ import tyro
 from rich.console import Console
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.cli.train.options import (
     CHECKPOINT,
@@ -24,6 +23,7 @@ from toolee_robot.cli.train.options import (
     remember,
 )
 from toolee_robot.errors import UserError
+from toolee_robot.runtime.json_line import json_line
 
 Estimator = Literal["ours", "paper"]
 ColumnName = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]

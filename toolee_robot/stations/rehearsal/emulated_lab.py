@@ -32,7 +32,6 @@ from toolee_robot.sim_backend.remote.station import RemoteJudge
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.station import SIMULATED, HandConfig, StationConfig
-from toolee_robot.stations.driven_hand import SWITCH_INTERVAL
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal.camera import SeenScene, emulated_stream
 from toolee_robot.stations.rehearsal.hand import FingerCoupling
@@ -47,6 +46,9 @@ _LATE = (
 )  # fmt: skip
 """Codes of further errors that late programs alone explain where every device and the person are emulated."""
 _PORTS = (29999, 30004)
+SWITCH_INTERVAL = 0.0005
+"""Time after which a thread of this process must let another one run [s]: drivers and emulated devices keep to their
+wires' times."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,7 +84,7 @@ class HammeringTask:
         if grasp.ee_off and not correction:
             raise UserError(
                 "where the tool's face is, is not known, so that it cannot be struck with without a look at it: give "
-                "tool.face and tool.face_normal, or leave --no-correction out",
+                "tool.face and tool.face_normal, or leave --variant no_correction out",
                 code="user.unknown_face",
             )
         self._stops = Stops()

@@ -1,4 +1,4 @@
-"""`toolee hammer` from outside: what it prints, what it leaves, and that it can be stopped."""
+"""`toolee sim hammer` from outside: what it prints, what it leaves, and that it can be stopped."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _FIGURES = {
 def _start(folder: Path, *args: str) -> subprocess.Popen[str]:
     code = "from toolee_robot.cli import main; main()"
     return subprocess.Popen(
-        [sys.executable, "-c", code, "hammer", *args],
+        [sys.executable, "-c", code, "sim", "hammer", *args],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -135,7 +135,7 @@ def _tilts(folder: Path) -> list[_Tilt]:
 @pytest.fixture(scope="module")
 def corrected(tmp_path_factory: pytest.TempPathFactory) -> _Job:
     """Camera and networks in the loop."""
-    return _whole_job(tmp_path_factory.mktemp("corrected"), "--exact")
+    return _whole_job(tmp_path_factory.mktemp("corrected"), "--errors", "exact")
 
 
 def test_the_whole_job_ends_with_the_nail_flush(corrected: _Job) -> None:
@@ -150,7 +150,7 @@ def test_the_whole_job_ends_with_the_nail_flush(corrected: _Job) -> None:
 
 
 def test_the_corrected_job_is_as_accurate_as_measured(corrected: _Job) -> None:
-    """Bounds of twice what `toolee hammer --seed 101 --exact` gave: 0.81 mm, 0.22 deg, 0.54 mm."""
+    """Bounds of twice what `toolee sim hammer --seed 101 --errors exact` gave: 0.81 mm, 0.22 deg, 0.54 mm."""
     record = corrected.record
     assert 0.0 < record["pose_error_mm"] <= 1.62
     assert 0.0 < record["pose_error_deg"] <= 0.44
@@ -207,7 +207,7 @@ def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
 @pytest.mark.nightly
 def test_a_job_that_is_told_what_a_person_measures_drives_the_nail(tmp_path: Path) -> None:
     (tmp_path / "short.yaml").write_text("work: {nail_protrusion: 0.006}")
-    job = _whole_job(tmp_path, "--perfect-perception", "--config", "short.yaml")
+    job = _whole_job(tmp_path, "--variant", "perfect_perception", "--config", "short.yaml")
     assert job.returncode == 0, job.err
     assert job.record["outcome"] == "flush"
     errors = job.record["errors"]
@@ -226,7 +226,7 @@ def test_a_job_that_is_told_what_a_person_measures_drives_the_nail(tmp_path: Pat
 
 def test_without_correction_the_same_hammer_misses_the_nail(tmp_path: Path) -> None:
     """What the correction is worth: measured, the face passes 48 mm beside the nail, tilted by 17 deg."""
-    job = _whole_job(tmp_path, "--no-correction", "--exact")
+    job = _whole_job(tmp_path, "--variant", "no_correction", "--errors", "exact")
     record = job.record
     assert job.returncode == 1, job.err
     assert (record["success"], record["outcome"], record["nail"]) == (False, "nail_missed", "standing")
@@ -244,7 +244,7 @@ def test_without_correction_the_same_hammer_misses_the_nail(tmp_path: Path) -> N
 def test_the_papers_estimator_takes_the_pose_networks_place(tmp_path: Path) -> None:
     """Of a network that has learnt nothing the samples agree on no place, so that no nail is struck."""
     weights = untrained_paper_weights(tmp_path / "weights")
-    job = _whole_job(tmp_path, "--exact", "--ablation", "paper", "--paper-weights", str(weights))
+    job = _whole_job(tmp_path, "--errors", "exact", "--variant", "paper", "--paper-weights", str(weights))
     record = job.record
     assert job.returncode == 1, job.err
     assert (record["success"], record["strikes"], record["ablation"]) == (False, 0, "paper")
@@ -255,7 +255,7 @@ def test_the_papers_estimator_takes_the_pose_networks_place(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("sign", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
 def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal.Signals) -> None:
-    process = _start(tmp_path, "--perfect-perception", "--seed", "101", "--json")
+    process = _start(tmp_path, "--variant", "perfect_perception", "--seed", "101", "--json")
     assert process.stderr is not None
     for text in process.stderr:
         if text.startswith("Handover"):
@@ -275,7 +275,7 @@ def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal
 @pytest.mark.nightly
 def test_a_nail_out_of_reach_ends_the_job_with_a_reason_and_the_arm_parked(tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text("frame: base_link\nwork: {nail_xy: [2.5, 0.1]}")
-    process = _start(tmp_path, "--perfect-perception", "--seed", "101", "--json", "--config", "lab.yaml")
+    process = _start(tmp_path, "--variant", "perfect_perception", "--seed", "101", "--json", "--config", "lab.yaml")
     out, err = process.communicate(timeout=120)
     record = _line(out)
     assert process.returncode == 1, err
@@ -290,7 +290,9 @@ def test_a_nail_out_of_reach_ends_the_job_with_a_reason_and_the_arm_parked(tmp_p
 def test_a_nail_of_fifty_millimetres_needs_no_pilot_hole(tmp_path: Path, model: str) -> None:
     """The example's nail takes 21 J, more than five times the default one."""
     example = str(EXAMPLES / "long_nail.yaml")
-    job = _whole_job(tmp_path, "--perfect-perception", "--exact", "--config", example, "--robot", model)
+    job = _whole_job(
+        tmp_path, "--variant", "perfect_perception", "--errors", "exact", "--config", example, "--robot", model
+    )
     assert job.returncode == 0, job.err
     assert (job.record["outcome"], job.record["nail"], job.record["off_face_strikes"]) == ("flush", "flush", 0)
     assert job.record["strikes"] < 40

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from rich.console import Console
-
+from toolee_robot.app.observer import JobObserver
 from toolee_robot.errors import DeviceError
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.task import HammeringTask
@@ -18,48 +15,41 @@ ASKED_AFTER = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR, Outcome.TOOL_LOST, Out
 """Outcomes that leave the arm where it stopped, or at the handover with a tool whose weight is not known."""
 
 
-def after_stop(
-    task: HammeringTask,
-    result: HammerResult,
-    ask: Callable[[str], str],
-    console: Console,
-    resume: Callable[[], HammerResult],
-) -> HammerResult:
+def after_stop(task: HammeringTask, result: HammerResult, observer: JobObserver) -> HammerResult:
     """Ask a person what to do about a job that stopped with the tool in the hand, until it is out or the job has ended.
 
     Args:
         task: The job.
         result: Its result so far.
-        ask: Shows a question and returns the line that was typed; EOFError counts as quitting.
-        console: The console.
-        resume: Resumes the job, with its progress shown.
+        observer: Asks the person; where nobody answers, the job has ended.
 
     Returns:
         The job's last result.
     """
     while task.holds_tool and result.outcome in ASKED_AFTER:
-        console.print(result.reason, markup=False)
-        answer = _answer(ask, QUESTION if task.resumable else QUESTION_LAST)
+        answer = _answer(observer, f"{result.reason}\n{QUESTION if task.resumable else QUESTION_LAST}")
         if answer == "r" and task.resumable:
-            result = resume()
-        elif answer == "t" and _answer(ask, FIRM) == "y":
-            _take_out(task, console)
+            with observer.live():
+                result = task.resume(confirmed=True)
+        elif answer == "t" and _answer(observer, FIRM) == "y":
+            _take_out(task, observer)
         elif answer == "q":
             break
     return result
 
 
-def _take_out(task: HammeringTask, console: Console) -> None:
+def _take_out(task: HammeringTask, observer: JobObserver) -> None:
     try:
         opened = task.give_back()
     except DeviceError as error:
-        console.print(f"the hand did not open: {error}", markup=False)
+        observer.message(f"the hand did not open: {error}")
         return
-    console.print("the hand is open" if opened else "nobody confirmed that they hold the hammer: the hand stays closed")
+    observer.message("the hand is open" if opened else "nobody confirmed that they hold the hammer: it stays closed")
 
 
-def _answer(ask: Callable[[str], str], question: str) -> str:
+def _answer(observer: JobObserver, question: str) -> str:
     try:
-        return ask(question).strip().lower()[:1]
+        answer = observer.ask(question)
     except EOFError:
-        return "q"
+        answer = None
+    return "q" if answer is None else answer.strip().lower()[:1]

@@ -3,22 +3,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+from toolee_robot.app.observer import JobObserver
 from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array
 from toolee_robot.recording.pose_text import pose_text, sigma_text
-from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
+
+if TYPE_CHECKING:
+    from toolee_robot.viewer.live_page import LivePage  # needs the extra `viewer`
 
 _PHASES = {
     Stage.HANDOVER: "Handover",
@@ -45,17 +50,26 @@ _DOING = {
 }
 
 
-class ConsoleObserver(TaskObserver):
+class ConsoleObserver(JobObserver):
     """Writes stages, poses with their uncertainty, and the nail after each strike to a console.
 
     Args:
         console: The console.
         flush: Largest protrusion that counts as flush [m].
         nails: Number of nails that are to be driven.
+        ask: Asks the person at the terminal; None where nobody is there.
+        page: The page in the browser that shows the job, too; None for none.
     """
 
-    def __init__(self, console: Console, flush: float, nails: int = 1) -> None:
-        self._console = console
+    def __init__(
+        self,
+        console: Console,
+        flush: float,
+        nails: int = 1,
+        ask: Callable[[str], str] | None = None,
+        page: LivePage | None = None,
+    ) -> None:
+        self._console, self._ask, self._page = console, ask, page
         self._start = self._last = flush
         self._flush, self._nails, self._nail = flush, nails, 0
         self._progress = Progress(
@@ -80,13 +94,21 @@ class ConsoleObserver(TaskObserver):
             self._task = self._progress.add_task("starting", total=self._start - self._flush, protrusion="")
             yield
 
-    def prompt(self, text: str) -> None:
-        """Show what the person at the station is asked to do.
+    def doing(self, text: str) -> None:
+        self._console.print(f"[dim]{escape(text)}[/dim]")
 
-        Args:
-            text: The prompt.
-        """
+    def opened(self, title: str, mode: str, recorder: RunRecorder) -> None:
+        self._console.print(f"[bold]{escape(title)}[/bold]  [dim]{escape(mode)}[/dim]")
+        if self._page is not None:
+            self._page.follow(recorder)
+
+    def prompt(self, text: str) -> None:
         self._console.print(f"  [bold yellow]> {escape(text)}[/bold yellow]")
+        if self._page is not None:
+            self._page.prompt(text)
+
+    def ask(self, question: str) -> str | None:
+        return None if self._ask is None else self._ask(question)
 
     def stage_started(self, stage: Stage) -> None:
         if _PHASES[stage] != self._phase:

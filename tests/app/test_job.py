@@ -1,0 +1,103 @@
+"""`run_job` from inside: what its result says, and what it refuses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.errors import raises
+from toolee_robot.app.job import JobSpec, run_job
+from toolee_robot.app.simulated import Rehearsal, Simulated
+from toolee_robot.app.sources import Opened, Tell
+from toolee_robot.app.variant import Variant
+from toolee_robot.errors import DeviceError, StaleDataError, UserError
+from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.devices.arm import SimArm
+from toolee_robot.station import StationConfig, load_lab_station, sim_station
+from toolee_robot.tasks.hammering.grasp import nominal_grasp
+
+pytestmark = pytest.mark.sim(seconds=10)
+
+CONFIG = sim_station()
+LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
+WHY = "data came late, because this machine is busy. Close other programs"
+
+
+@dataclass(frozen=True)
+class DeadLink:
+    """A simulated station whose arm no longer answers."""
+
+    why: str
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    config: StationConfig = CONFIG
+    name: str = "dead"
+    real_time_factor: float | None = None
+    mode: str = "its arm's link is dead"
+
+    @contextmanager
+    def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:  # noqa: ARG002
+        def why_late(error: DeviceError) -> str:
+            assert isinstance(error, StaleDataError)
+            return self.why
+
+        with SimStation.build(CONFIG, 3, SimOptions()) as sim:
+            assert isinstance(sim.station.arm, SimArm)
+            sim.station.arm.cut_link()
+            sim.world.advance(0.5)
+            grasp = nominal_grasp(sim.tool, CONFIG)
+            yield Opened(sim.station, CONFIG, grasp, sim.tool.name, "a hammer", sim.judge, sim.tool, why_late)
+
+
+@pytest.mark.parametrize("why", [WHY, ""])
+def test_the_reason_of_a_job_that_ended_for_late_data_says_why_they_were_late(tmp_path: Path, why: str) -> None:
+    job = run_job(JobSpec(DeadLink(why), Variant.PERFECT_PERCEPTION), tmp_path)
+    reason = job.figures["reason"]
+    assert job.figures["outcome"] == job.result.outcome == "device_fault"
+    assert job.folder.name.endswith("-dead")
+    assert (job.folder / "summary.json").is_file()
+    assert "network link" in reason
+    assert reason.endswith(". Data came late, because this machine is busy. Close other programs") == bool(why)
+
+
+def test_a_job_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run_job(JobSpec(DeadLink(""), Variant.PERFECT_PERCEPTION), tmp_path)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("variant", "nails", "weights", "code"),
+    [
+        (Variant.FULL, ("left",), None, "user.nail"),
+        (Variant.PAPER, (), None, "user.no_paper_weights"),
+        (Variant.ICP, (), Path(), "user.no_paper_weights"),
+    ],
+)
+def test_what_is_no_job_is_refused(variant: Variant, nails: tuple[str, ...], weights: Path | None, code: str) -> None:
+    with raises(UserError, code=code):
+        JobSpec(Simulated(CONFIG, 0), variant, weights, nails)
+
+
+def test_a_seed_and_a_real_time_factor_are_within_bounds() -> None:
+    lab = load_lab_station(LAB)
+    with raises(UserError, code="user.seed"):
+        Simulated(CONFIG, -1)
+    with raises(UserError, code="user.real_time_factor"):
+        Rehearsal(lab, LAB, 0, factor=1.5)
+    assert Rehearsal(lab, LAB, 0).real_time_factor == 0.25
+
+
+def test_a_real_robots_job_loads_no_simulation() -> None:
+    """Neither its parts nor the job itself, with the networks."""
+    code = (
+        "import sys, toolee_robot.app.job, toolee_robot.app.sources\n"
+        "print([name for name in sys.modules if 'sim_backend' in name or name in ('pybullet', 'rehearsal')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,221 @@
+"""One hammering job: its setup, its run, and what it leaves."""
+
+from __future__ import annotations
+
+import time
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from toolee_robot.app.figures import Ran, job_figures, job_summary
+from toolee_robot.app.observer import JobObserver
+from toolee_robot.app.perceivers import job_networks, job_perceiver
+from toolee_robot.app.run_folder import run_folder
+from toolee_robot.app.sources import Opened, Source
+from toolee_robot.app.stops import after_stop
+from toolee_robot.app.variant import Variant
+from toolee_robot.end_effectors import Category
+from toolee_robot.errors import UserError
+from toolee_robot.perception.weight_files import weights_hash
+from toolee_robot.recording import PICTURE, RECORDING
+from toolee_robot.recording.observer import PictureCollector, RecordingObserver
+from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.recording.tool_file import tool_model
+from toolee_robot.runtime.code_version import code_version
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.gc_pause import gc_settled
+from toolee_robot.runtime.json_line import json_line
+from toolee_robot.runtime.latency_monitor import LatencyMonitor
+from toolee_robot.tasks.common.observer import Observers
+from toolee_robot.tasks.common.outcome import HammerResult, Outcome
+from toolee_robot.tasks.hammering.task import HammeringTask
+
+if TYPE_CHECKING:
+    from toolee_robot.sim_backend.ground_truth.verdict import Verdict  # a real station loads no simulation
+
+STALLED = 0.8
+"""Share of what the driver bears at most that a stall of the machine must have taken to excuse a job."""
+WRITTEN = {
+    Variant.PERFECT_PERCEPTION: "poses from the simulation's ground truth",
+    Variant.NO_CORRECTION: "no correction: the nominal in-hand pose is believed",
+}
+"""How a title names variants, if not by their names."""
+
+
+@dataclass(frozen=True)
+class JobSpec:
+    """A job to run.
+
+    Attributes:
+        source: Opens the devices.
+        variant: What it does otherwise than the whole system.
+        paper_weights: Folder of a training of the paper's estimator, for `Variant.PAPER` alone.
+        nails: Names of the nails to drive; empty for all.
+        device: torch device of the networks.
+
+    Raises:
+        UserError: There is no such nail (`user.nail`), or the paper's weights are missing or not wanted
+            (`user.no_paper_weights`).
+    """
+
+    source: Source
+    variant: Variant = Variant.FULL
+    paper_weights: Path | None = None
+    nails: tuple[str, ...] = ()
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        names = self.source.config.work.names
+        if unknown := [name for name in self.nails if name not in names]:
+            raise UserError(
+                f"--nail {unknown[0]}: the station's nails are {', '.join(names)} (work.nails)", code="user.nail"
+            )
+        if (self.variant is Variant.PAPER) != (self.paper_weights is not None):
+            from toolee_robot.perception.offline.research.paper_training import HOW_TO_TRAIN
+
+            raise UserError(
+                "--variant paper and --paper-weights DIR go together: the folder of a training of the paper's "
+                f"estimator, which is not shipped:\n{HOW_TO_TRAIN}",
+                code="user.no_paper_weights",
+            )
+
+    @property
+    def mode(self) -> str:
+        """What is real, and what the job does otherwise, in words."""
+        other = "" if self.variant is Variant.FULL else WRITTEN.get(self.variant, self.variant.replace("_", " "))
+        return ", ".join(words for words in (self.source.mode, other) if words)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What its records say of the variant."""
+        return {
+            "correction": self.variant.corrects,
+            "perfect_perception": self.variant.perfect,
+            "ablation": self.variant.ablation,
+            "paper_weights": None if self.paper_weights is None else weights_hash(self.paper_weights),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class JobResult:
+    """What came of a job.
+
+    Attributes:
+        result: What the robot knows.
+        verdict: What the simulation knows; None for a real station.
+        figures: The values that --json prints, by name.
+        folder: Folder with summary.json, recording.mcap and picture.png.
+    """
+
+    result: HammerResult
+    verdict: Verdict | None
+    figures: dict[str, Any]
+    folder: Path
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether a person interrupted it."""
+        return self.result.outcome is Outcome.INTERRUPTED
+
+
+def run_job(spec: JobSpec, out: Path, observer: JobObserver | None = None) -> JobResult:
+    """Do a job and write its folder, whatever its outcome.
+
+    An interrupt stops the arm and is reported. After a stop with the tool in the hand the observer is asked.
+
+    Args:
+        spec: The job.
+        out: Parent of the job's folder.
+        observer: Watches it, and answers for the person at the terminal; None for nobody.
+
+    Returns:
+        What came of it.
+
+    Raises:
+        TooleeError: The job could not begin.
+    """
+    observer = JobObserver() if observer is None else observer
+    with run_folder(out, spec.source.name) as folder:
+        observer.doing("loading the networks and building the station")
+        result, verdict, figures = _run(spec, folder.path, observer)
+        path = folder.keep()
+    return JobResult(result, verdict, {**figures, "run_folder": str(path)}, path)
+
+
+def _run(spec: JobSpec, folder: Path, observer: JobObserver) -> tuple[HammerResult, Verdict | None, dict[str, Any]]:
+    began, source = time.perf_counter(), spec.source
+    networks = None if spec.variant.perfect else job_networks(spec.paper_weights, spec.device)
+    collector = PictureCollector(source.config.task.flush_protrusion)
+    with (
+        gc_settled() as settle,
+        nullcontext() if source.real_time_factor is None else LatencyMonitor() as machine,
+        source.open(observer.prompt, observer.doing) as opened,
+        RunRecorder(folder / RECORDING, _metadata(spec, opened), observer.message) as recorder,
+    ):
+        observer.opened(opened.words, spec.mode, recorder)
+        if opened.shape is not None:
+            recorder.attach("tool.glb", "model/gltf-binary", tool_model(opened.shape))
+        perceiver, config = job_perceiver(spec.variant, networks, opened)
+        keeper = RecordingObserver(recorder, opened.station, opened.config)
+        task = HammeringTask(
+            opened.station, perceiver, config, opened.grasp,
+            correction=spec.variant.corrects,
+            observer=Observers(observer, keeper, collector), nails=spec.nails or source.config.work.names,
+        )  # fmt: skip
+        if machine is not None:
+            machine.begin()
+        settle()
+        result = _done(task, observer)
+        if result.fault is not None and (why := opened.why_late(result.fault)):
+            result = replace(result, reason=f"{result.reason}. {why[0].upper()}{why[1:]}")
+        stall = None if machine is None else machine.longest
+        verdict = None if opened.truth is None else opened.truth.verdict(result.estimates)
+        truths = () if opened.truth is None else opened.truth.strikes
+    seconds = time.perf_counter() - began
+    ran = Ran(result, verdict, truths, opened, seconds, stall, _stalled(source, opened, result, stall))
+    figures = job_figures(ran, {**source.facts, "real_time_factor": source.real_time_factor, **spec.facts})
+    write_atomic(folder / "summary.json", (json_line(job_summary(ran, figures)) + "\n").encode())
+    strikes = f"{figures['strikes']} strike{'' if figures['strikes'] == 1 else 's'}"
+    outcome = "Flush" if figures["success"] else str(figures["outcome"]).replace("_", " ").capitalize()
+    picture = collector.picture(f"{outcome} after {strikes}", f"{opened.words}, {spec.mode}")
+    if picture is not None:
+        write_atomic(folder / PICTURE, picture)
+    return result, verdict, figures
+
+
+def _done(task: HammeringTask, observer: JobObserver) -> HammerResult:
+    try:
+        with observer.live():
+            result = task.run()
+        return after_stop(task, result, observer)
+    except KeyboardInterrupt:
+        return task.result(Outcome.INTERRUPTED, "interrupted by a person; the arm was stopped")
+
+
+def _metadata(spec: JobSpec, opened: Opened) -> dict[str, Any]:
+    """What identifies the run, for its recording."""
+    X_tool_ee = opened.grasp.X_tool_ee
+    if opened.grasp.ee_off and opened.shape is not None:  # the shape is drawn where its face was seen
+        X_tool_ee = opened.shape.ee(Category.HAMMER_HEAD).X_tool_ee
+    return {
+        **spec.source.facts,
+        "correction": spec.variant.corrects,
+        "perfect_perception": spec.variant.perfect,
+        "code": code_version(),
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "tool": opened.tool,
+        "title": f"{opened.words}; {spec.mode}",
+        "X_hand_ee": opened.grasp.X_hand_ee,
+        "X_tool_ee": X_tool_ee,
+    }
+
+
+def _stalled(source: Source, opened: Opened, result: HammerResult, stall: float | None) -> bool:
+    """Whether the machine itself stalled for longer than the driver's bounds allow at this real-time factor."""
+    factor = source.real_time_factor
+    if factor is None or stall is None or result.outcome is not Outcome.DEVICE_FAULT:
+        return False
+    bounds = opened.config.supervisor
+    return stall * factor > STALLED * min(bounds.data_cycles, bounds.overruns) / opened.station.arm.rate

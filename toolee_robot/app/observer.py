@@ -1,0 +1,43 @@
+"""Who watches a job and answers for the person at the terminal."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+
+from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.tasks.common.observer import TaskObserver
+
+
+class JobObserver(TaskObserver):
+    """Base class of those who watch a job. This one shows nothing and answers nothing."""
+
+    def doing(self, text: str) -> None:
+        """Called with what is being set up, before the job begins."""
+
+    def prompt(self, text: str) -> None:
+        """Called with what the person at the station is to do."""
+
+    def opened(self, title: str, mode: str, recorder: RunRecorder) -> None:
+        """Called when the devices are open.
+
+        Args:
+            title: The tool in words.
+            mode: What is real and what is not, in words.
+            recorder: The recorder of the job.
+        """
+
+    def live(self) -> AbstractContextManager[None]:
+        """Context in which the task runs."""
+        return nullcontext()
+
+    def ask(self, question: str) -> str | None:
+        """Ask the person at the terminal after a stop.
+
+        Args:
+            question: The question.
+
+        Returns:
+            The line that was typed; None where nobody answers.
+        """
+        _ = question
+        return None

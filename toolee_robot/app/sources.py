@@ -1,0 +1,141 @@
+"""Where the devices of a job come from, and the lab's own station. Simulations and rehearsals are in `simulated`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from toolee_robot.errors import DeviceError
+from toolee_robot.hal import Station
+from toolee_robot.station import StationConfig, load_lab_station, with_setup
+from toolee_robot.stations.lab import LabStation
+from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp
+from toolee_robot.tools import ToolShape
+
+if TYPE_CHECKING:
+    from toolee_robot.sim_backend.ground_truth.verdict import Truth  # a real station loads no simulation
+
+Tell = Callable[[str], object]
+"""Shows a prompt to the person at the station."""
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """The devices of a job, and what it is told.
+
+    Attributes:
+        station: The devices.
+        config: What the station file says.
+        grasp: Nominal grasp of the tool that is handed over.
+        tool: Name of the tool.
+        words: The tool in words.
+        truth: Ground truth for the evaluation after the job; None for a real station.
+        shape: Shape of the tool, for pictures; None where nobody knows it.
+        why_late: Says what a device's error has to do with this computer; empty words for nothing.
+    """
+
+    station: Station
+    config: StationConfig
+    grasp: Grasp
+    tool: str
+    words: str
+    truth: Truth | None
+    shape: ToolShape | None = None
+    why_late: Callable[[DeviceError], str] = lambda _: ""
+
+
+class Source(Protocol):
+    """Opens the devices of a job."""
+
+    @property
+    def config(self) -> StationConfig:
+        """What the station file says."""
+
+    @property
+    def name(self) -> str:
+        """Name of a run, as part of its folder's."""
+
+    @property
+    def real_time_factor(self) -> float | None:
+        """Rate of the station's time relative to wall-clock time; None where it waits for the job."""
+
+    @property
+    def mode(self) -> str:
+        """What is real and what is not, in words; empty where nothing needs to be said."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What identifies the run, for its records."""
+
+    def open(self, tell: Tell, doing: Tell) -> AbstractContextManager[Opened]:
+        """Open the devices.
+
+        Args:
+            tell: Shows a prompt to the person at the station.
+            doing: Told what is connected to.
+
+        Returns:
+            The context in which they are open.
+        """
+
+
+def lab_station(file: Path, setup: Path | None = None) -> StationConfig:
+    """A lab's station for a job.
+
+    Args:
+        file: The station file.
+        setup: What is set up for the job; None for what the file says.
+
+    Returns:
+        The station.
+
+    Raises:
+        ConfigError: A file cannot be read, a field is wrong, or one that a lab measures is missing.
+    """
+    config = load_lab_station(file)
+    return config if setup is None else with_setup(config, setup)
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A lab's own station.
+
+    Attributes:
+        config: What the station file says.
+        station_file: The file.
+    """
+
+    config: StationConfig
+    station_file: Path
+
+    @property
+    def name(self) -> str:
+        """See `Source`."""
+        return "job"
+
+    @property
+    def real_time_factor(self) -> float | None:
+        """See `Source`."""
+        return 1.0
+
+    @property
+    def mode(self) -> str:
+        """See `Source`."""
+        return f"station of {self.station_file.name}"
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """See `Source`."""
+        return {"source": "lab", "seed": None, "arm": "ur-rtde", "controller_profile": None, "hand_driver": True}
+
+    @contextmanager
+    def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:
+        """See `Source`."""
+        doing(f"this moves a real {self.config.arm.model}; `toolee rehearse hammer` moves none")
+        with LabStation(self.config, tell, doing=doing) as lab:
+            tool = lab.tool
+            words = f"{tool.name.capitalize()}, {tool.weight_in_words}"
+            yield Opened(lab.station, self.config, measured_grasp(tool, self.config), tool.name, words, None)
