@@ -28,7 +28,7 @@ for name in sys.argv[1:]:
         sys.exit(f"{name} loads {bad}")
 """
 
-_OF_A_JOB = ("perception", "tasks", "stations", "control", "devices", "cli.hammering")
+_OF_A_JOB = ("perception", "tasks", "stations", "control", "devices", "app")
 
 _IMPORT_JOB = """
 import importlib, pkgutil, sys
