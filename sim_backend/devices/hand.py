@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
 
 from toolee_robot.errors import DeviceError, StaleDataError
-from toolee_robot.frames import inverse
+from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import HandState
 from toolee_robot.robots import PALM
 from toolee_robot.robots.fused import FUSED
@@ -24,6 +26,7 @@ STILL = 0.05  # [rad/s] below which a joint counts as standing
 STILL_TIME = 0.05  # [s] of standstill after which a joint counts as blocked
 PHASE_TIME = 0.8  # [s] longest time for one group of joints; a joint that still moves goes on during the next group
 CONTACT_FORCE = 0.3  # [N] above which a finger counts as touching
+COURSE = 4096  # positions that are kept: a minute
 AVERAGE_TIME = 0.06  # [s] over which the finger forces are averaged before the grip begins
 
 
@@ -53,6 +56,8 @@ class SimHand:
         self.temperature, self.fault = ROOM_TEMPERATURE, ""
         self.hangs = False
         self._last: HandState | None = None  # the last state received, while the link is down
+        self._course: deque[tuple[float, Array]] = deque(maxlen=COURSE)
+        world.observers.append(lambda sample: self._course.append((sample.stamp, sample.q_hand)))
 
     def __enter__(self) -> Self:
         self._open_device = True
@@ -93,6 +98,10 @@ class SimHand:
             message = f"the hand's newest state is {age:.2f} s old: check its cable, then start again"
             raise StaleDataError(message, code="stale_data.hand")
         return self._last
+
+    def course(self, since: float) -> Sequence[tuple[float, Array]]:
+        """The joints' positions every 16 ms, since a time [s]; see `hal.KeepsCourse`."""
+        return [(stamp, q) for stamp, q in self._course if stamp >= since]
 
     def cut_link(self) -> None:
         """Fault: the hand's states do not arrive, as with an unplugged cable; it keeps its grip."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cv2
+import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
 from tests.recording import small_run
 from toolee_robot.cli.app import run
@@ -60,15 +61,24 @@ def test_a_killed_run_is_finished_into_a_file_that_every_reader_opens(tmp_path: 
     assert history.station().work.nail_protrusion == 0.02
 
 
-@pytest.mark.nightly
-def test_a_video_shows_the_run(tmp_path: Path) -> None:
+@pytest.mark.sim(seconds=20)
+def test_a_gif_of_ten_seconds_shows_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("toolee_robot.viewer.gif.RATE", 0.4)
     _runs(tmp_path)
-    video = tmp_path / "run.mp4"
-    assert run(["replay", str(tmp_path / "20261124-101500-seed7"), "--video", str(video), "--speed", "4"]) == 0
-    capture = cv2.VideoCapture(str(video))
-    assert capture.get(cv2.CAP_PROP_FPS) == 25.0
-    assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == pytest.approx(4.3 / 4 * 25, abs=2)
-    _, first = capture.read()
-    capture.set(cv2.CAP_PROP_POS_FRAMES, 20)
-    _, later = capture.read()
-    assert cv2.absdiff(first, later).mean() > 1.0, "the arm has moved"
+    assert run(["replay", str(tmp_path / "20261124-101500-seed7"), "--gif", str(tmp_path / "run.gif")]) == 0
+    with Image.open(tmp_path / "run.gif") as gif:
+        pictures = [np.asarray(picture.convert("RGB")).astype(int) for picture in ImageSequence.Iterator(gif)]
+        assert gif.info["duration"] * len(pictures) == 10_000
+    assert abs(pictures[0] - pictures[-1]).mean() > 1.0, "the arm has moved"
+    assert run(["replay", str(tmp_path / "20261124-101500-seed7"), "--gif", str(tmp_path / "no" / "such.gif")]) == 2
+
+
+def test_damage_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("toolee_robot.viewer.look_again.look_again", lambda *_: [])
+    _runs(tmp_path)
+    path = tmp_path / "20261124-101500-seed7" / "recording.mcap"
+    data = bytearray(path.read_bytes())
+    data[data.index(b"tool.glb") + 5000] ^= 1
+    path.write_bytes(data)
+    assert run(["replay", str(path), "--json"]) == 0
+    assert "is damaged after" in capsys.readouterr().err

@@ -17,7 +17,7 @@ import numpy as np
 from tests.rigs.people import People
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
 from toolee_robot.control.dynamics.arm_dynamics import bound_stop
-from toolee_robot.frames import Array, inverse
+from toolee_robot.frames import inverse
 from toolee_robot.hal import Hand, HandState, MotionReport, Person, RgbdCamera, Station
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.sim_backend import SimOptions, SimStation
@@ -28,7 +28,7 @@ from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.station import StationConfig, TaskConfig, sim_station
 from toolee_robot.tasks.common.look import Perceiver
-from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.observer import HandCourse, TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, Stage
 from toolee_robot.tasks.hammering.grasp import Grasp, nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
@@ -114,9 +114,9 @@ class Log(TaskObserver):
     def planned(self, stamp: float, plan: StrikePlan) -> None:  # noqa: ARG002
         self.plan = plan
 
-    def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
+    def motion(self, name: str, report: MotionReport, hand: HandCourse) -> None:
         assert len(report.stamps) > 0
-        assert hand_joints.shape == (len(SHADOW_HAND.joints),)
+        assert all(q.shape == (len(SHADOW_HAND.joints),) for _, q in hand)
         self.motions.append(name)
         self.after.pop(name, _nothing)()
 

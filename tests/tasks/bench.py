@@ -8,10 +8,10 @@ import numpy as np
 
 from tests.rigs import job_rig
 from tests.rigs.job_rig import HOME, Bench
-from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.world import Sample
+from toolee_robot.tasks.common.observer import HandCourse
 from toolee_robot.tasks.common.outcome import Stage, Strike
 
 
@@ -34,9 +34,9 @@ class Log(job_rig.Log):
         assert seconds >= 0.0
         self.stages.append(("end", stage))
 
-    def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
+    def motion(self, name: str, report: MotionReport, hand: HandCourse) -> None:
         self.reports.append(report)
-        super().motion(name, report, hand_joints)
+        super().motion(name, report, hand)
 
     def strike(self, strike: Strike) -> None:
         self.strikes.append(strike)

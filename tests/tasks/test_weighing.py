@@ -17,7 +17,7 @@ from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control import RobotModel
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import LimitError, UserError
-from toolee_robot.frames import Array, inverse
+from toolee_robot.frames import inverse
 from toolee_robot.hal import HandState, MotionReport
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
@@ -26,7 +26,7 @@ from toolee_robot.sim_backend.station import draw_hammer
 from toolee_robot.sim_backend.ur_controller.robot.collision_detection import CollisionDetection
 from toolee_robot.sim_backend.world import Sample
 from toolee_robot.station import StationConfig, ToolData, sim_station
-from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.observer import HandCourse, TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 from toolee_robot.tasks.hammering.grasp import UNKNOWN_FACE, UNKNOWN_FACE_OFF, measured_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
@@ -69,7 +69,7 @@ class Until(TaskObserver):
     def message(self, text: str) -> None:
         self.messages.append(text)
 
-    def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:  # noqa: ARG002
+    def motion(self, name: str, report: MotionReport, hand: HandCourse) -> None:  # noqa: ARG002
         flange = self._robot.arm.fk(report.q_commanded)[:, :3, 3]
         speed = np.linalg.norm(np.diff(flange, axis=0), axis=1) / np.diff(report.stamps)
         self.fastest[name] = max(self.fastest.get(name, 0.0), float(np.max(speed)))

@@ -22,9 +22,11 @@ from toolee_robot.robots import load_robot
 from toolee_robot.station import sim_station
 from toolee_robot.viewer.live_page import LivePage
 from toolee_robot.viewer.rerun_page import RerunPage
+from toolee_robot.viewer.run_state import RunStates
 from toolee_robot.viewer.run_view import RunView, blueprint
 from toolee_robot.viewer.station_scene import CAMERA_BOX
 
+RUNS = Path(__file__).parents[2] / "docs" / "benchmark" / "runs"
 pytestmark = pytest.mark.sim(seconds=15)
 
 
@@ -65,6 +67,23 @@ def test_it_shows_the_run_by_time(tmp_path: Path) -> None:
     assert [row["text"][0].split(":")[0] for _, row in shown["decisions"]] == [
         "stage", "stage", "pose in hand", "stage", "the nail went in", "strike", "ended",
     ]  # fmt: skip
+
+
+def test_an_older_recording_is_shown_with_the_face_on_the_nail() -> None:
+    """The handle turns in the fingers in a strike, which no sensor sees: the believed face is 100 mm in the wood."""
+    path = RUNS / "full" / "20261129-032845-seed13019" / "recording.mcap"
+    history = read_history(path)
+    config = history.station()
+    states = RunStates(history, config)
+    lowest = 1.0
+    for stamp in history.joints.stamps:
+        X = states.at(stamp).X_base_ee
+        if X is not None:
+            p = X[:3, 3] - config.work.p_base_entry
+            height = p @ config.work.nail_axis
+            if np.linalg.norm(p - height * config.work.nail_axis) < max(config.work.block_size[:2]) / 2:
+                lowest = min(lowest, float(height))
+    assert -0.003 < lowest < 0.003, "on the wood beside the nail"
 
 
 def test_it_follows_a_job_that_runs(tmp_path: Path) -> None:

@@ -3,8 +3,8 @@
 Exit codes: 0 done; 1 the job failed; 2 invalid input (an option, a file); 130 interrupted (the arm was stopped).
 
 `toolee --help` imports no command, and `toolee GROUP ...` only the group's module. Such a module has `COMMANDS`: the
-class of each command by its name, with an empty name for a group that is itself the command. The module's docstring
-is the group's help, the class's docstring the command's.
+class of each command by its name; a group that is itself a command is named as the group, or with an empty name. The
+module's docstring is the group's help, the class's docstring the command's.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ GROUPS: dict[str, tuple[str, str]] = {
     "camera": ("camera", "Find, show, record and check an RGB-D camera"),
     "calibrate": ("calibrate.command", "Measure where camera, tool tip and nail are"),
     "trials": ("trials", "Run the jobs of a plan, and write their report"),
-    "replay": ("replaying.replay", "Show a recorded run"),
-    "runs": ("replaying.runs", "List recorded runs"),
+    "replay": ("replay", "Show a recorded run"),
+    "runs": ("replay", "List recorded runs"),
     "estimate": ("estimate", "Find tools and their poses in your own RGB-D files"),
     "annotate": ("annotate", "Click the tools in your own frames, to test on them"),
     "dataset": ("dataset", "Make a synthetic data set, look at it, check it"),
@@ -112,8 +112,9 @@ def parse(words: Sequence[str]) -> Command:
         raise _unknown(name, GROUPS, ())
     module = _module(name)
     commands: Mapping[str, type[Command]] = module.COMMANDS
-    if "" in commands:
-        return _parse_options(commands[""], (name,), rest)
+    alone = commands.get(name, commands.get(""))
+    if alone is not None:
+        return _parse_options(alone, (name,), rest)
     if not rest or rest[0] in ("-h", "--help"):
         summaries = {name: _joined(command.__doc__).split("\n")[0] for name, command in commands.items()}
         _list((name,), _joined(module.__doc__), summaries, asked=bool(rest))
@@ -125,8 +126,9 @@ def parse(words: Sequence[str]) -> Command:
 def command_paths() -> Iterator[tuple[str, ...]]:
     """The words of each command, in the order of the help."""
     for group in GROUPS:
-        for name in _module(group).COMMANDS:
-            yield (group, name) if name else (group,)
+        commands = _module(group).COMMANDS
+        for name in [group] if group in commands else commands:
+            yield (group, name) if name not in (group, "") else (group,)
 
 
 def _module(group: str) -> ModuleType:

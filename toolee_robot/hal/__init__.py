@@ -19,7 +19,7 @@ from toolee_robot.hal.arm import (
 )
 from toolee_robot.hal.camera import RgbdCamera
 from toolee_robot.hal.device import Clock, Device
-from toolee_robot.hal.hand import ClearsFaults, Hand, HandState
+from toolee_robot.hal.hand import ClearsFaults, Hand, HandState, KeepsCourse
 from toolee_robot.hal.person import CLEAR_TIME, Person, wait_until_clear
 from toolee_robot.hal.station import Station
 
@@ -36,6 +36,7 @@ __all__ = [
     "Hand",
     "HandGuidedArm",
     "HandState",
+    "KeepsCourse",
     "MotionOutcome",
     "MotionReport",
     "MotionWatch",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from toolee_robot.frames import Array
 from toolee_robot.hal.device import Device
 from toolee_robot.types import JointState
 
@@ -73,6 +75,14 @@ class Hand(Device, Protocol):
 
     def stop(self) -> None:
         """Stop the fingers and keep the grip; the hand never releases the object."""
+
+
+@runtime_checkable
+class KeepsCourse(Protocol):
+    """A hand that keeps what it measured, more closely than somebody else could ask for it."""
+
+    def course(self, since: float) -> Sequence[tuple[float, Array]]:
+        """The joints' positions, (n,) [rad], by time [s], since a time; those that are too old are forgotten."""
 
 
 @runtime_checkable

@@ -6,7 +6,7 @@ import json
 import struct
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.recording.messages import matrix
+from toolee_robot.recording.messages import matrix, plain
 from toolee_robot.recording.series import SeenDecision, SeenEstimate, SeenStatus, Series
 from toolee_robot.runtime.yaml_files import to_record
-from toolee_robot.station import ONLY_NAIL, StationConfig
+from toolee_robot.station import ONLY_NAIL, StationConfig, sim_station
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 LARGEST_IMAGE = 50_000_000
@@ -104,7 +104,8 @@ class RunHistory:
             raise UserError(
                 "the recording holds no station: only a job's recording can be shown", code="user.no_station_recorded"
             )
-        return to_record(json.loads(self.attachments["station.json"]), Path("station.json"), StationConfig, "station")
+        recorded = _completed(json.loads(self.attachments["station.json"]), plain(asdict(sim_station())))
+        return to_record(recorded, Path("station.json"), StationConfig, "station")
 
     def rgb(self, index: int) -> NDArray[np.uint8]:
         """A colour image, (H, W, 3), by its index."""
@@ -134,6 +135,13 @@ class RunHistory:
         if handler is not None:
             with self.lock:
                 handler(self, stamp, message)
+
+
+def _completed(recorded: Any, default: Any) -> Any:
+    """A recorded section of a station file, as this version has it: what older ones lacked was the simulation's."""
+    if not (isinstance(recorded, dict) and isinstance(default, dict)):
+        return recorded
+    return {k: _completed(recorded[k], value) if k in recorded else value for k, value in default.items()}
 
 
 def _positions(message: Any) -> Array:

@@ -20,7 +20,7 @@ from toolee_robot.recording.picture import NailCurve, draw
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.robots import ARM_JOINTS
 from toolee_robot.station import ONLY_NAIL, StationConfig
-from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.observer import HandCourse, TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
@@ -90,10 +90,10 @@ class RecordingObserver(TaskObserver):
         )
         self._recorder.record_decision(stamp, "plan", reason, data)
 
-    def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
-        # First, so that what is known of the hand is older than the motion: it held still meanwhile.
-        stamp = float(report.stamps[0]) if len(report.stamps) else self._clock.now()
-        self._recorder.record_joints(stamp, self._station.hand.joint_names, hand_joints, "/hand/measured")
+    def motion(self, name: str, report: MotionReport, hand: HandCourse) -> None:
+        # First, so that what is known of the hand is never younger than the motion that is drawn.
+        for stamp, q in hand:
+            self._recorder.record_joints(stamp, self._station.hand.joint_names, q, "/hand/measured")
         self._recorder.record_motion(name, report, ARM_JOINTS)
         self._status()
 

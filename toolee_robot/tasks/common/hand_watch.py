@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import DeviceError, GripError
+from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand, HandState
 
 PERIOD = 0.02
@@ -64,11 +65,13 @@ class HandWatch:
         stop: Stops the arm; called from another thread.
 
     Attributes:
+        course: The joints' positions, (n,) [rad], by time [s], as they were read.
         error: The error that stopped the arm, or None.
         doubted: Whether a single reading without a grip stopped the arm; `check_held` finds out whether it was true.
     """
 
     def __init__(self, hand: Hand, stop: Callable[[], None]) -> None:
+        self.course: list[tuple[float, Array]] = []
         self.error: Exception | None = None
         self.doubted = False
         self._hand = hand
@@ -86,6 +89,8 @@ class HandWatch:
     def _reason_to_stop(self) -> str:
         try:
             state = self._hand.state()
+            if not self.course or state.joints.stamp > self.course[-1][0]:
+                self.course.append((state.joints.stamp, state.joints.q))
             if not state.holding:
                 self.doubted = True
                 return "the hand does not report its grip"

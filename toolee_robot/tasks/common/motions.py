@@ -21,7 +21,7 @@ from toolee_robot.control.supervisor import Supervisor
 from toolee_robot.control.supervisor_checks import AT_REST
 from toolee_robot.errors import DeviceError, GripDoubtError, MotionFaultError, PersonNearError, PlanningError
 from toolee_robot.frames import Array
-from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
+from toolee_robot.hal import ContactGuard, KeepsCourse, MotionOutcome, MotionReport, Station
 from toolee_robot.station import StationConfig, check_upright
 from toolee_robot.tasks.common.hand_watch import HandWatch, check_held
 from toolee_robot.tasks.common.observer import TaskObserver
@@ -362,7 +362,7 @@ class Motions:
         except MotionFaultError as fault:
             if fault.report is not None and len(fault.report.stamps):
                 self.q = fault.report.q_commanded[-1]
-                self._report(name, fault.report)
+                self._report(name, fault.report, watch)
             raise
 
     def _flange(self) -> Array:
@@ -386,7 +386,7 @@ class Motions:
     def _done(self, name: str, report: MotionReport, hand: HandWatch | None) -> None:
         # The arm holds the commanded position, where the next motion must start; the servo's lag is zero at rest.
         self.q = report.q_commanded[-1]
-        self._report(name, report)
+        self._report(name, report, hand)
         if hand is not None and hand.error is not None:
             raise hand.error
         if self.held:
@@ -396,8 +396,13 @@ class Motions:
         if report.outcome is MotionOutcome.STOPPED:
             raise DeviceError(f"the arm was stopped during the motion {name!r}", code="device.stopped")
 
-    def _report(self, name: str, report: MotionReport) -> None:
+    def _report(self, name: str, report: MotionReport, watch: HandWatch | None) -> None:
         # A hand that no longer answers, or is gone, must not prevent the recording: any age of its state is accepted.
         with suppress(DeviceError):
             self._q_hand_seen = self._station.hand.state(max_age=np.inf).joints.q
-        self._observer.motion(name, report, self._q_hand_seen)
+        begin = float(report.stamps[0]) if len(report.stamps) else self._station.clock.now()
+        hand, course = self._station.hand, None if watch is None else watch.course
+        if course is not None and isinstance(hand, KeepsCourse):
+            course = list(hand.course(begin))
+        course = [(stamp, q) for stamp, q in course or () if stamp >= begin]
+        self._observer.motion(name, report, course or [(begin, self._q_hand_seen)])

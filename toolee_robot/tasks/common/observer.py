@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
+
+HandCourse = Sequence[tuple[float, Array]]
 
 
 class TaskObserver:
@@ -51,13 +55,13 @@ class TaskObserver:
             plan: The plan.
         """
 
-    def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
+    def motion(self, name: str, report: MotionReport, hand: HandCourse) -> None:
         """Called after a motion of the arm.
 
         Args:
             name: Name of the motion.
             report: What was commanded and measured.
-            hand_joints: Joint positions of the hand after the motion, (n,) [rad].
+            hand: Joint positions of the hand in the motion, (n,) [rad], by time [s]; one of a hand that holds no tool.
         """
 
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
@@ -117,9 +121,9 @@ class Observers(TaskObserver):
         for o in self._observers:
             o.planned(stamp, plan)
 
-    def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
+    def motion(self, name: str, report: MotionReport, hand: HandCourse) -> None:
         for o in self._observers:
-            o.motion(name, report, hand_joints)
+            o.motion(name, report, hand)
 
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         for o in self._observers:

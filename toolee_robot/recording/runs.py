@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -11,47 +10,17 @@ from typing import Any
 from toolee_robot.errors import UserError
 from toolee_robot.recording import RECORDING
 
-UNFINISHED = "unfinished"
-"""Outcome of a run without a summary: it goes on, or was killed."""
 
-
-@dataclass(frozen=True)
-class Run:
-    """A run in its folder.
-
-    Attributes:
-        folder: The folder.
-        date: When it began, local time.
-        source: simulation, rehearsal, lab; empty where unknown.
-        seed: Its seed; None for a lab's.
-        outcome: How it ended, or `UNFINISHED`.
-        success: Whether the nail is flush; None if unfinished.
-        strikes: Number of strikes; None if unfinished.
-        seconds: Wall-clock time [s]; None if unfinished.
-        robot_seconds: Time on the station's clock [s]; None if unfinished.
-        megabytes: Size of its files [MB].
-    """
-
-    folder: Path
-    date: datetime
-    source: str
-    seed: int | None
-    outcome: str
-    success: bool | None
-    strikes: int | None
-    seconds: float | None
-    robot_seconds: float | None
-    megabytes: float
-
-
-def list_runs(folder: Path) -> list[Run]:
+def list_runs(folder: Path) -> list[dict[str, Any]]:
     """The runs in a folder, the oldest first; what is no run's folder is left out.
 
     Args:
         folder: The folder.
 
     Returns:
-        The runs.
+        Of each run `folder`, `date`, `megabytes`, and of its summary `source`, `seed`, `outcome`, `success`, `strikes`,
+        `seconds`, `robot_seconds`. Without a summary, of a run that goes on or was killed, the outcome is "unfinished",
+        and the others are None.
 
     Raises:
         UserError: There is no such folder; code `user.no_runs`.
@@ -83,7 +52,7 @@ def _order(path: Path) -> str:
     return path.name.removeprefix(".")
 
 
-def _read(path: Path) -> Run:
+def _read(path: Path) -> dict[str, Any]:
     try:
         summary: dict[str, Any] = json.loads((path / "summary.json").read_text())
     except (OSError, ValueError):
@@ -93,8 +62,8 @@ def _read(path: Path) -> Run:
     except ValueError:
         date = datetime.fromtimestamp((path / RECORDING).stat().st_mtime)
     size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
-    get = summary.get
-    return Run(
-        path, date, get("source") or "", get("seed"), get("outcome") or UNFINISHED, get("success"), get("strikes"),
-        get("seconds"), get("robot_seconds"), size / 1e6,
-    )  # fmt: skip
+    told = {name: summary.get(name) for name in ("seed", "success", "strikes", "seconds", "robot_seconds")}
+    return {
+        "folder": str(path), "date": date.isoformat(), "source": summary.get("source") or "",
+        "outcome": summary.get("outcome") or "unfinished", "megabytes": size / 1e6, **told,
+    }  # fmt: skip

@@ -1,1 +1,0 @@
-"""`toolee replay` and `toolee runs`: what lies in `runs/`, and a look at one of them."""
