@@ -16,11 +16,11 @@ from pathlib import Path
 import pytest
 import serial
 
-from toolee_robot.devices.hands.inspire.tcp_port import TcpPort
-from toolee_robot.devices.hands.shadow.connection import Connection
-from toolee_robot.devices.hands.wire.port import SerialPort
+from toolee_robot.devices.hands.ports import SerialPort, TcpPort
+from toolee_robot.devices.hands.rosbridge import RosbridgeLine
 from toolee_robot.devices.ur.protocols import tcp
 from toolee_robot.errors import TooleeError, words_of
+from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
@@ -79,7 +79,7 @@ def test_a_number_inside_a_text_is_left_out_and_an_error_without_text_has_its_na
     [
         lambda folder: SerialPort(str(folder / "ttyUSB0"), 115200, 0.1),
         lambda _: TcpPort(f"tcp://127.0.0.1:{_free_port()}", 0.1),
-        lambda _: Connection(f"ws://127.0.0.1:{_free_port()}"),
+        lambda _: RosbridgeLine(f"ws://127.0.0.1:{_free_port()}", HostClock()),
         lambda _: tcp.connect("127.0.0.1", _free_port(), time.monotonic() + 1.0),
         lambda _: FaultClient("127.0.0.1", _free_port(), 1.0),
         lambda folder: read_yaml(folder, "file"),

@@ -7,21 +7,15 @@ with emulated_hand(config.hand) as emulator:
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 from toolee_robot.errors import ConfigError
-from toolee_robot.robots.hands.ability import ABILITY
-from toolee_robot.robots.hands.inspire import INSPIRE
-from toolee_robot.robots.hands.shadow import SHADOW
+from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.device_plugins import installed, load
-from toolee_robot.sim_backend.ability_hand import AbilityEmulator
-from toolee_robot.sim_backend.hand_wire import HandEmulator
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
-from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
+from toolee_robot.sim_backend.hands.kit import Address, HandEmulator
 from toolee_robot.station import HandConfig
 
-Address = tuple[str, int]
-"""Host and port."""
 LOOPBACK: Address = ("127.0.0.1", 0)
 """Where an emulated hand on TCP listens if nobody says otherwise."""
 Build = Callable[[HandConfig, Address, int, float], HandEmulator[Any]]
@@ -30,27 +24,8 @@ _ENTRIES = "hand_emulator"
 """Kind of the entry points by which packages bring emulators."""
 
 
-def _inspire(config: HandConfig, listen: Address, seed: int, pace: float) -> HandEmulator[Any]:
-    number = config.hand_id or 1
-    if config.port is not None and config.port.startswith("tcp://"):
-        return ModbusEmulator(listen, number, seed, pace)
-    return InspireEmulator(number, seed, pace)
-
-
-def _ability(config: HandConfig, _: Address, seed: int, pace: float) -> HandEmulator[Any]:
-    return AbilityEmulator(config.hand_id or 0x50, seed, pace)
-
-
-def _shadow(_: HandConfig, listen: Address, seed: int, pace: float) -> HandEmulator[Any]:
-    return ShadowEmulator(seed, pace, listen)
-
-
-EMULATORS: dict[str, Build] = {INSPIRE: _inspire, ABILITY: _ability, SHADOW: _shadow}
-"""Name in the station file -> its emulator."""
-
-
 def find_emulator(model: str) -> Build | None:
-    """Look up an emulator: one of `EMULATORS`, or one that an installed package brings (`hand_emulator.NAME`).
+    """Look up an emulator: one of a file here, or one that an installed package brings (`hand_emulator.NAME`).
 
     Args:
         model: The hand's name in the station file.
@@ -61,10 +36,11 @@ def find_emulator(model: str) -> Build | None:
     Raises:
         ConfigError: What a package names cannot be imported (`config.device_plugin`).
     """
-    if model in EMULATORS:
-        return EMULATORS[model]
-    entry = installed(_ENTRIES).get(model)
-    build: Build | None = None if entry is None else load(entry)
+    build: Build | None = None
+    if model in HAND_FILES:
+        build = import_module(f"{__name__}.{HAND_FILES[model]}").emulate
+    elif (entry := installed(_ENTRIES).get(model)) is not None:
+        build = load(entry)
     return build
 
 
@@ -88,6 +64,6 @@ def emulated_hand(
     """
     build = find_emulator(config.model)
     if build is None:
-        known = ", ".join((*EMULATORS, *installed(_ENTRIES)))
+        known = ", ".join((*HAND_FILES, *installed(_ENTRIES)))
         raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.no_emulator")
     return build(config, listen, seed, pace)

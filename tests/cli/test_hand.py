@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
+from toolee_robot.devices.hands import open_hand
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.hand_wire import HandEmulator, happen
 from toolee_robot.sim_backend.hands import emulated_hand
+from toolee_robot.sim_backend.hands.kit import HandEmulator, happen
 from toolee_robot.station import HandConfig, load_station
-from toolee_robot.stations.hand import open_hand
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PACES = {"inspire_rh56": 4.0, "ability_hand": 4.0, "shadow_right": 1.0}

@@ -13,13 +13,12 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.cli.app import EXIT_USER, run
-from toolee_robot.devices.hands.ability.line import HandLine as AbilityLine
-from toolee_robot.devices.hands.inspire.modbus_line import ModbusLine
-from toolee_robot.devices.hands.inspire.serial_line import SerialLine
+from toolee_robot.devices.hands.ability import AbilityLine
+from toolee_robot.devices.hands.inspire import ModbusLine, SerialLine
 from toolee_robot.errors import NoAnswerError, UserError
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.hand_wire import LineFault, happen
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator
+from toolee_robot.sim_backend.hands.inspire import InspireEmulator
+from toolee_robot.sim_backend.hands.kit import LineFault, happen
 
 
 def test_a_driver_finds_it_at_the_path_that_it_prints(
@@ -32,7 +31,7 @@ def test_a_driver_finds_it_at_the_path_that_it_prints(
     def drive() -> None:
         while not link.exists():
             pass
-        with SerialLine(str(link), 3) as line:
+        with contextlib.closing(SerialLine(str(link), 3)) as line:
             angles.append(line.read(1546, 2))
         os.write(theirs, b"\nnonsense\nshow\nunplug\n")
         os.close(theirs)
@@ -59,8 +58,8 @@ def test_the_ability_hand_answers_at_its_address_as_delivered(
     def drive() -> None:
         while not link.exists():
             pass
-        with AbilityLine(str(link), 0x50, HostClock()) as line:
-            positions.append(line.find().reply.positions)
+        with contextlib.closing(AbilityLine(str(link), 0x50, HostClock())) as line:
+            positions.append(line.find()[1].positions)
         os.write(theirs, b"heat index 75\npads off\nheat\nunplug\n")
         os.close(theirs)
 
@@ -86,7 +85,7 @@ def test_the_inspire_hand_on_tcp_answers_where_it_is_told_to_listen(
 
     def drive() -> None:
         while not angles:
-            with contextlib.suppress(NoAnswerError), ModbusLine(f"tcp://{address}", 3) as line:
+            with contextlib.suppress(NoAnswerError), contextlib.closing(ModbusLine(f"tcp://{address}", 3)) as line:
                 angles.append(line.read(1546, 2))
         os.write(theirs, b"echo\nunplug\n")
         os.close(theirs)

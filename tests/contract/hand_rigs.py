@@ -10,22 +10,24 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
+from toolee_robot.devices.hands import open_hand
 from toolee_robot.devices.hands.ability import AbilityHand
 from toolee_robot.devices.hands.inspire import InspireHand
 from toolee_robot.devices.hands.mount import MountedTool
+from toolee_robot.devices.hands.robotiq import RobotiqGripper
 from toolee_robot.devices.hands.shadow import ShadowHand
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
 from toolee_robot.robots import SHADOW_HAND, HandModel, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
-from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.devices.hand import SimHand
-from toolee_robot.sim_backend.hand_wire import HandEmulator
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
-from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
+from toolee_robot.sim_backend.hands.ability import AbilityEmulator
+from toolee_robot.sim_backend.hands.inspire import InspireEmulator, ModbusEmulator
+from toolee_robot.sim_backend.hands.kit import HandEmulator
+from toolee_robot.sim_backend.hands.robotiq import RobotiqEmulator
+from toolee_robot.sim_backend.hands.shadow import ShadowEmulator
 from toolee_robot.station import HandConfig, sim_station
-from toolee_robot.stations.hand import open_hand
 from toolee_robot.types import HandEfforts, HandMounting, ToolMount
 
 MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
@@ -154,6 +156,18 @@ class ShadowRig(EmulatedRig):
 
     def give(self) -> None:
         self._emulator.hold(55.0)
+
+
+class RobotiqRig(EmulatedRig):
+    """The Robotiq driver on the emulated gripper."""
+
+    def __init__(self, emulator: RobotiqEmulator) -> None:
+        super().__init__(emulator)
+        self.model = hand_model(HandConfig("robotiq_2f85", mounting=MOUNTING))
+        self.hand = RobotiqGripper(self.model, emulator.port, self.clock)
+
+    def give(self) -> None:
+        self._emulator.hold(150.0)
 
 
 class LabRig(Rig):

@@ -1,5 +1,8 @@
-"""What `hal.Hand` promises, asked of every hand: the simulated hand, the tool mount, and the drivers of the Inspire, on
-both of its wires, the Ability Hand and the Shadow Hand on their emulators; with --hand lab.yaml, the station file's."""
+"""What `hal.Hand` promises, asked of every hand.
+
+The simulated hand, the tool mount, and every driver on its emulator, the Inspire's on both of its wires; with --hand
+lab.yaml, the station file's.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,27 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
-from tests.contract.hand_rigs import AbilityRig, InspireRig, LabRig, MountRig, Rig, ShadowRig, SimRig, at_handover
+from tests.contract.hand_rigs import (
+    AbilityRig,
+    InspireRig,
+    LabRig,
+    MountRig,
+    Rig,
+    RobotiqRig,
+    ShadowRig,
+    SimRig,
+    at_handover,
+)
 from tests.contract.lab import asker, hand_of
 from tests.errors import raises
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.hal import Hand, HandState
 from toolee_robot.robots import PALM
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.ability_hand import AbilityEmulator
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator, ModbusEmulator
-from toolee_robot.sim_backend.shadow_hand import ShadowEmulator
+from toolee_robot.sim_backend.hands.ability import AbilityEmulator
+from toolee_robot.sim_backend.hands.inspire import InspireEmulator, ModbusEmulator
+from toolee_robot.sim_backend.hands.robotiq import RobotiqEmulator
+from toolee_robot.sim_backend.hands.shadow import ShadowEmulator
 from toolee_robot.station import sim_station
 
 TIERS = {
@@ -30,6 +44,7 @@ TIERS = {
     "inspire_tcp": pytest.mark.realtime(light=True),
     "ability": pytest.mark.realtime(light=True),
     "shadow": pytest.mark.realtime(light=True),
+    "robotiq": pytest.mark.realtime(light=True),
     "lab": pytest.mark.realtime,
 }
 
@@ -59,6 +74,9 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     elif request.param == "shadow":
         with ShadowEmulator() as shadow:
             yield ShadowRig(shadow)
+    elif request.param == "robotiq":
+        with RobotiqEmulator() as robotiq:
+            yield RobotiqRig(robotiq)
     else:
         with SimStation.build(sim_station(), 100, SimOptions(q_start=at_handover())) as simulation:
             yield SimRig(simulation)
@@ -68,7 +86,7 @@ def state(rig: Rig) -> HandState:
     return rig.hand.state(max_age=1.0)
 
 
-@on("simulated", "mount", "inspire", "inspire_tcp", "ability", "shadow", "lab")
+@on("simulated", "mount", "inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab")
 def test_its_state_is_that_of_its_model(rig: Rig) -> None:
     assert isinstance(rig.hand, Hand)
     assert rig.hand.joint_names == rig.model.joints
@@ -88,7 +106,7 @@ def test_its_state_is_that_of_its_model(rig: Rig) -> None:
         hand.state()
 
 
-@on("simulated", "mount", "inspire", "inspire_tcp", "ability", "shadow", "lab")
+@on("simulated", "mount", "inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab")
 def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
     with rig.hand as hand:
         hand.open()
@@ -111,7 +129,7 @@ def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
         assert opened[len(rig.model.wrist) :].max(initial=0.0) < 0.1
 
 
-@on("inspire", "inspire_tcp", "ability", "shadow", "lab", nightly=("simulated",))
+@on("inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab", nightly=("simulated",))
 def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
     with rig.hand as hand:
         hand.close()
@@ -120,7 +138,7 @@ def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
         assert np.abs(bent).max() > 0.8
 
 
-@on("lab", nightly=("simulated", "inspire", "inspire_tcp", "ability", "shadow"))
+@on("inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab", nightly=("simulated",))
 def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
     with rig.hand as hand:
         with raises(DeviceError, "device.timeout"):
@@ -134,7 +152,7 @@ def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
         assert state(rig).holding
 
 
-@on(nightly=("simulated", "inspire", "inspire_tcp", "ability", "shadow"))
+@on("inspire", "inspire_tcp", "ability", "shadow", "robotiq", nightly=("simulated",))
 def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None:
     with rig.hand as hand:
         rig.give()
@@ -148,7 +166,7 @@ def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None
         assert state(rig).holding
 
 
-@on("inspire", "inspire_tcp", "ability", "shadow", "lab")
+@on("inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab")
 def test_it_is_watched_and_stopped_by_other_threads_while_it_closes(rig: Rig) -> None:
     with rig.hand as hand, ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)

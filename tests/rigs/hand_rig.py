@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from tests.rigs.job_rig import ClosedHand
+from toolee_robot.devices.hands import open_hand
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Clock, Hand, HandState
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.hand import TICK, SimHand
-from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.hands import emulated_hand
+from toolee_robot.sim_backend.hands.kit import HandEmulator
 from toolee_robot.station import HandConfig
-from toolee_robot.stations.hand import open_hand
 from toolee_robot.stations.rehearsal.emulated_lab import SWITCH_INTERVAL
 from toolee_robot.types import HandEfforts, HandMounting
 

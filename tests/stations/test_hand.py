@@ -10,12 +10,13 @@ import pytest
 
 from tests.errors import raises
 from tests.robots.three_finger import THREE_FINGER_HAND
+from toolee_robot.devices.hands import hand_drivers, open_hand, wired_hand
 from toolee_robot.errors import ConfigError
 from toolee_robot.robots import HANDS, hand_model
+from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.hands import EMULATORS, emulated_hand
+from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.station import HandConfig
-from toolee_robot.stations.hand import WIRED_HANDS, hand_drivers, open_hand
 from toolee_robot.stations.interview import questions
 from toolee_robot.types import HandEfforts, HandMounting
 
@@ -44,7 +45,7 @@ def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypat
     assert ours == (THREE_FINGER_HAND, "here")
     drivers = hand_drivers()
     assert drivers["three_finger"] == "our_lab_hands:open_ours"
-    for name in (*WIRED_HANDS, "mount"):
+    for name in (*HAND_FILES, "mount"):
         assert drivers[name] == "toolee_robot", "ours stays ours"
 
 
@@ -52,12 +53,10 @@ OURS = """
 from dataclasses import replace
 
 from toolee_robot.robots.hands import INSPIRE_RH56
-from toolee_robot.sim_backend.hands import EMULATORS
-from toolee_robot.stations.hand import WIRED_HANDS
+from toolee_robot.devices.hands.inspire import KIND
+from toolee_robot.sim_backend.hands.inspire import emulate as EMULATOR
 
 MODEL = replace(INSPIRE_RH56, name="ours", label="our hand")
-KIND = WIRED_HANDS["inspire_rh56"]
-EMULATOR = EMULATORS["inspire_rh56"]
 """
 
 
@@ -87,10 +86,10 @@ def test_a_labs_own_package_brings_a_whole_hand(tmp_path: Path, monkeypatch: pyt
 
 
 def test_every_hand_on_a_wire_has_an_emulator() -> None:
-    assert set(EMULATORS) == set(WIRED_HANDS)
-    for name in WIRED_HANDS:
+    for name in HAND_FILES:
+        assert wired_hand(name) is not None
         with emulated_hand(HandConfig(name)) as emulator:
-            assert emulator.port.startswith("ws://127.0.0.1:" if name == "shadow_right" else "/dev/")
+            assert emulator.port.startswith({"sh": "ws://127.0.0.1:", "ro": "tcp://127.0.0.1:"}.get(name[:2], "/dev/"))
     with emulated_hand(HandConfig("inspire_rh56", port="tcp://192.168.11.210:6000")) as emulator:
         assert emulator.port.startswith("tcp://127.0.0.1:"), "not at the real hand's address"
     with raises(ConfigError, "config.no_emulator"):
@@ -104,6 +103,9 @@ def test_every_hand_on_a_wire_has_an_emulator() -> None:
         ("inspire_rh56", "tcp://192.168.11.210"),
         ("inspire_rh56", "ws://192.168.11.210:9090"),
         ("shadow_right", "tcp://192.168.11.210:9090"),
+        ("shadow_right", "/dev/ttyUSB0"),
+        ("robotiq_2f85", "/dev/ttyUSB0"),
+        ("robotiq_2f85", "192.168.56.101:63352"),
     ],
 )
 def test_a_port_that_the_hand_cannot_have(model: str, port: str) -> None:

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
+from toolee_robot.devices.hands import wired_hand
 from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.station import ToolEnvelope, load_lab_station, sim_station
-from toolee_robot.stations.hand import WIRED_HANDS
 from toolee_robot.stations.interview import Question, put, questions
 from toolee_robot.stations.lab import Purpose, check_purpose
 from toolee_robot.stations.open_fields import open_fields
@@ -61,7 +62,9 @@ def test_a_hand_is_asked_how_it_is_screwed_on_and_what_it_weighs() -> None:
 
 def test_every_hand_is_asked_for_what_its_driver_and_a_job_need() -> None:
     """What `open_hand` and `check_purpose` refuse to be without."""
-    for model, kind in WIRED_HANDS.items():
+    for model in HAND_FILES:
+        kind = wired_hand(model)
+        assert kind is not None
         names = {question.name for question in questions({"hand": {"model": model}})}
         efforts = {f"hand.efforts.{field.name}" for field in fields(HandEfforts)}
         assert "hand.port" in names

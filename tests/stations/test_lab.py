@@ -32,8 +32,8 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import angle_between, rotation_angle
 from toolee_robot.hal import ArmStatus
+from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.sim_backend.cell_errors import NOMINAL
-from toolee_robot.sim_backend.hands import EMULATORS
 from toolee_robot.station import StationConfig, load_lab_station, load_station
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
@@ -110,7 +110,7 @@ def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(
     config: StationConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell = job_cell(_with_hand(config, "shadow", port="ws://127.0.0.1:9090"), LAB, 1)
-    monkeypatch.delitem(EMULATORS, cell.measured.hand.model)  # as a hand for which a lab brought the driver alone
+    monkeypatch.delitem(HAND_FILES, cell.measured.hand.model)  # as a hand for which a lab brought the driver alone
     with raises(ConfigError, "config.no_emulator"):
         EmulatedLab(cell, print, FACTOR, "ideal")
 

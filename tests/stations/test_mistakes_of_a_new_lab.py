@@ -23,11 +23,11 @@ import yaml
 from tests.devices.cameras.toy_recording import toy_recording
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
-from toolee_robot.devices.hands.wire import port
+from toolee_robot.devices.hands import ports as port
 from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import SERIAL, SoftwareRealSense
 from toolee_robot.sim_backend.hands import emulated_hand
-from toolee_robot.sim_backend.inspire_hand import InspireEmulator
+from toolee_robot.sim_backend.hands.inspire import InspireEmulator
 from toolee_robot.station import CameraConfig, CameraDevice, sim_station
 from toolee_robot.stations import camera
 from toolee_robot.stations.rehearsal import emulated_lab

@@ -9,6 +9,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+from toolee_robot.devices.hands import open_hand
 from toolee_robot.devices.person.check_inputs import check_inputs
 from toolee_robot.devices.person.digital_inputs import open_person
 from toolee_robot.doctor.camera import check_lens, check_range
@@ -36,7 +37,6 @@ from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import SimStation, draw_handover
 from toolee_robot.station import UPRIGHT_WITHIN, StationConfig
 from toolee_robot.stations.camera import open_camera
-from toolee_robot.stations.hand import open_hand
 from toolee_robot.stations.ur import ur_driver
 
 Section = tuple[str, list[Finding]]

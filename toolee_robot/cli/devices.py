@@ -24,8 +24,8 @@ class Devices(JsonOption):
     """What to do."""
 
     def run(self) -> int:
+        from toolee_robot.devices.hands import hand_drivers
         from toolee_robot.stations.camera import camera_drivers
-        from toolee_robot.stations.hand import hand_drivers
 
         found = {"camera": camera_drivers(), "hand": hand_drivers()}
         table = Table("device", "driver", "from", box=None, pad_edge=False)

@@ -24,9 +24,6 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 
-_HANDS = {"inspire": ("inspire_rh56", 1000.0), "ability": ("ability_hand", 100.0), "shadow": ("shadow_right", 90.0)}
-"""What is emulated -> what a station file calls it, largest angle."""
-
 
 @dataclass(frozen=True)
 class EmulateHand:
@@ -45,43 +42,46 @@ class EmulateHand:
     those that there are. docs/how-to/inspire_hand.md, ability_hand.md and shadow_hand.md say what is emulated.
     """
 
-    hand: Annotated[Literal["inspire", "ability", "shadow"], tyro.conf.Positional]
-    """The hand: an Inspire RH56 on RS-485 or Modbus-TCP, a PSYONIC Ability Hand on a UART with byte stuffing, or a
-    right Shadow Hand behind a rosbridge."""
+    hand: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="HAND")]
+    """The hand: its name in a station file, such as robotiq_2f85; or inspire, ability, shadow, robotiq."""
     hand_id: Annotated[
         int | None, tyro.conf.arg(metavar="1..254", help_behavior_hint="(default: as delivered, 1 and 80)")
     ] = None
     """Its number on the line, of Modbus its unit identifier."""
     tcp: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None
-    """Where it listens (port 0: at a free one): the Shadow Hand's rosbridge, by default on this computer, or an Inspire
-    RH56 on Modbus-TCP instead of the pseudo-terminal."""
+    """Where it listens (port 0: at a free one), of a hand on a network; of an Inspire RH56 on Modbus-TCP instead of the
+    pseudo-terminal."""
     handle: Annotated[float | None, tyro.conf.arg(metavar="ANGLE", help_behavior_hint="")] = None
     """Something lies in the hand, met by fingers and thumb at this angle: 0 to 1000 as the Inspire counts, where 1000
-    is open; 0 to 100 deg of the Ability Hand and 0 to 90 deg of the Shadow Hand's knuckles, where 0 is open."""
+    is open; 0 to 100 deg of the Ability Hand, 0 to 90 deg of the Shadow Hand's knuckles, 0 to 255 of a Robotiq, where 0
+    is open."""
     link: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """A symbolic link to the pseudo-terminal, made for the time being."""
     seed: int = 0
     """Seed of the line's noise."""
 
     def run(self) -> int:
-        from toolee_robot.devices.hands.inspire.tcp_port import tcp_address
-        from toolee_robot.sim_backend.hand_wire import happen
+        from toolee_robot.devices.hands import wired_hand
+        from toolee_robot.devices.hands.ports import tcp_address
+        from toolee_robot.robots.hands import HAND_FILES
         from toolee_robot.sim_backend.hands import LOOPBACK, emulated_hand
+        from toolee_robot.sim_backend.hands.kit import happen
         from toolee_robot.station import HandConfig
 
-        if self.hand_id is not None and not 1 <= self.hand_id <= 254:
-            raise UserError(f"--hand-id {self.hand_id}: a hand's number is 1 to 254", code="user.option")
-        model, most = _HANDS[self.hand]
-        if self.handle is not None and not 0 <= self.handle <= most:
-            raise UserError(f"--handle {self.handle}: give 0 to {most:.0f}", code="user.option")
+        model = next((name for name, file in HAND_FILES.items() if self.hand in (name, file)), "")
+        kind = wired_hand(model)
+        if kind is None:
+            raise UserError(f"{self.hand!r} has no emulator: give one of {', '.join(HAND_FILES)}", code="user.option")
+        if self.hand_id is not None and not (kind.numbered and 1 <= self.hand_id <= 254):
+            raise UserError(f"--hand-id {self.hand_id}: {model} has none, or it is 1 to 254", code="user.option")
+        if self.tcp is not None and kind.scheme is None:
+            raise UserError(f"--tcp: {model} is on a serial port only", code="user.option")
+        listen = LOOPBACK if self.tcp is None else tcp_address(f"tcp://{self.tcp}")
+        config = HandConfig(model, port=self.tcp and f"{kind.scheme}://{self.tcp}", hand_id=self.hand_id)
         console = Console(stderr=True, highlight=False)
-        on_terminal = self.tcp is None and self.hand != "shadow"
-        if self.link is not None and not on_terminal:
-            raise UserError("--link is for a pseudo-terminal: leave it out with --tcp and shadow", code="user.option")
-        address = None if self.tcp is None else f"tcp://{self.tcp}"
-        config = HandConfig(model, port=None if self.hand == "shadow" else address, hand_id=self.hand_id)
-        listen = LOOPBACK if address is None else tcp_address(address)
         with emulated_hand(config, self.seed, listen=listen) as emulator, self._linked(emulator.port):
+            if self.handle is not None and not 0 <= self.handle <= emulator.most:
+                raise UserError(f"--handle {self.handle}: give 0 to {emulator.most:.0f}", code="user.option")
             emulator.hold(self.handle)
             print(emulator.port, flush=True)
             console.print(f"[bold]{emulator.label}[/bold]. [dim]Ctrl-C ends it.[/dim]")
@@ -104,6 +104,8 @@ class EmulateHand:
         if self.link is None:
             yield
             return
+        if "://" in port:
+            raise UserError("--link is for a pseudo-terminal: leave it out for a hand on a network", code="user.option")
         if self.link.is_symlink():
             self.link.unlink()
         try:

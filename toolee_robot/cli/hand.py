@@ -66,8 +66,8 @@ class HandOptions(JsonOption):
     @contextmanager
     def connected(self, config: HandConfig, console: Console) -> Iterator[Hand]:
         """Context with the hand; connecting moves nothing, and leaving it stops the fingers."""
+        from toolee_robot.devices.hands import open_hand
         from toolee_robot.runtime.clock import HostClock
-        from toolee_robot.stations.hand import open_hand
 
         console.print(f"[dim]asking the hand at {escape(str(config.port))}[/dim]")
         with open_hand(config, HostClock()) as hand:
@@ -244,9 +244,9 @@ class Efforts(HandOptions):
     def run(self) -> int:
         if not 0.0 < self.seconds < np.inf:
             raise UserError("--seconds must be more than 0, and finite", code="user.option")
+        from toolee_robot.devices.hands import efforts_of
         from toolee_robot.robots.hands.shadow import MOTORS
         from toolee_robot.runtime.clock import HostClock
-        from toolee_robot.stations.hand import efforts_of
 
         console = self.console
         now = largest = np.zeros(len(MOTORS))

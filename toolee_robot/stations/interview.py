@@ -11,6 +11,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
+from toolee_robot.devices.hands import hand_drivers, wired_hand
 from toolee_robot.errors import UserError
 from toolee_robot.frames import BaseFrame
 from toolee_robot.robots import MOUNT, find_hand
@@ -35,7 +36,6 @@ from toolee_robot.station import (
 )
 from toolee_robot.station.schema import field_docs
 from toolee_robot.stations.camera import AIRO, RECORDED, WITH_LENS, WITH_MODE, camera_drivers
-from toolee_robot.stations.hand import hand_drivers, wired_hand
 from toolee_robot.types import ArmModel, HandEfforts, HandMounting, HandWeight, ToolMount
 
 NONE = "none"

@@ -15,6 +15,7 @@ from typing import Any, Self
 from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.devices.cameras import CameraStream
 from toolee_robot.devices.cameras.lens_choice import UNKNOWN_LENS
+from toolee_robot.devices.hands import open_hand, wired_hand
 from toolee_robot.devices.person.digital_inputs import open_person
 from toolee_robot.errors import ConfigError, NotReadyError
 from toolee_robot.hal import Station
@@ -22,7 +23,6 @@ from toolee_robot.robots import MOUNT, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import StationConfig, ToolData, check_upright
 from toolee_robot.stations.camera import RECORDED, open_camera
-from toolee_robot.stations.hand import open_hand, wired_hand
 from toolee_robot.stations.ur import ur_driver
 
 

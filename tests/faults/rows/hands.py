@@ -18,7 +18,7 @@ from tests.rigs.job_rig import CONFIG, Bench
 from toolee_robot.errors import DeviceError
 from toolee_robot.robots.hands.inspire import INSPIRE
 from toolee_robot.robots.hands.shadow import SHADOW
-from toolee_robot.sim_backend.hand_wire import EmulatedHand, HandEmulator, LineFault, happen
+from toolee_robot.sim_backend.hands.kit import EmulatedHand, HandEmulator, LineFault, happen
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 
 REST, SWING = Phase.REST, Phase.SWING
@@ -204,7 +204,7 @@ def _holds(hand: DriverHand) -> bool:
     if not hand.emulator.plugged:
         return True
 
-    def is_near(emulated: EmulatedHand) -> bool:
+    def is_near(emulated: EmulatedHand[Any]) -> bool:
         emulated.run()
         motor = emulated.motors[0]
         return motor.met_at is not None and abs(motor.position - motor.met_at) < hand.kind.margin

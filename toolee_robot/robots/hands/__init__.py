@@ -1,12 +1,14 @@
 """The known hands, one `HandModel` each, and the tool mount.
 
-A new hand is a record: in a module of its own here with an entry in `HANDS`, or in a package of a lab, which names it
+A new hand is a record: in a file of its own here, which is found by itself, or in a package of a lab, which names it
 by an entry point `hand_model.NAME` of the group `toolee_robot.devices`. Its device driver is a `toolee_robot.hal.Hand`
 with the record's joints.
 """
 
 from dataclasses import replace
 from functools import lru_cache
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Protocol
 
 import numpy as np
@@ -21,8 +23,16 @@ from toolee_robot.robots.hands.shadow import SHADOW_HAND
 from toolee_robot.runtime.device_plugins import installed, load
 from toolee_robot.types import MOUNT, HandMounting, HandWeight, ToolMount
 
-HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND, INSPIRE_RH56, ABILITY_HAND)}
-"""Name in the station file -> hand."""
+_BROUGHT = [
+    (file.name, value)
+    for file in iter_modules(__path__)
+    for value in vars(import_module(f"{__name__}.{file.name}")).values()
+    if isinstance(value, HandModel)
+]
+HANDS: dict[str, HandModel] = {hand.name: hand for _, hand in _BROUGHT}
+"""Name in the station file -> hand: of every file here."""
+HAND_FILES: dict[str, str] = {hand.name: file for file, hand in _BROUGHT}
+"""Name in the station file -> the file here; that of its driver, and of its emulator, has the same name."""
 _ENTRIES = "hand_model"
 """Kind of the entry points by which packages bring models."""
 
@@ -136,6 +146,7 @@ def _with(hand: HandModel, torque: float | None, weighed: HandWeight | None) -> 
 __all__ = [
     "ABILITY_HAND",
     "HANDS",
+    "HAND_FILES",
     "INSPIRE_RH56",
     "MOUNT",
     "PALM",

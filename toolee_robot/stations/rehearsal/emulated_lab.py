@@ -22,11 +22,12 @@ from toolee_robot.errors import (
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
 from toolee_robot.robots import MOUNT
+from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.runtime.cpu_load import CpuLoad
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
-from toolee_robot.sim_backend.hands import EMULATORS, emulated_hand, find_emulator
+from toolee_robot.sim_backend.hands import emulated_hand, find_emulator
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge
 from toolee_robot.sim_backend.remote.world import RemoteWorld
@@ -106,7 +107,7 @@ class EmulatedLab:
         if hand != MOUNT and find_emulator(hand) is None:
             raise ConfigError(
                 f"the hand {hand!r} has no emulator, so that it cannot be rehearsed: those with one are "
-                f"{', '.join(EMULATORS)}, and a {MOUNT} needs none",
+                f"{', '.join(HAND_FILES)}, and a {MOUNT} needs none",
                 code="config.no_emulator",
             )
         self._cell, self._tell, self._purpose, self._doing = cell, tell, purpose, doing
@@ -204,7 +205,7 @@ class EmulatedLab:
             return hand
         model = RobotModel.of_station(self._cell.measured).description
         emulator = stack.enter_context(emulated_hand(hand, self._cell.seed, self._clock.real_time_factor))
-        stack.enter_context(FingerCoupling(world, emulator, model.hand_open))
+        stack.enter_context(FingerCoupling(world, emulator, model.hand_open, model.hand.opposing.name))
         return replace(hand, port=emulator.port)
 
 

@@ -13,7 +13,7 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.robots import PALM
 from toolee_robot.sim_backend.devices.coupled_fingers import Touched
-from toolee_robot.sim_backend.hand_wire import HandEmulator
+from toolee_robot.sim_backend.hands.kit import HandEmulator
 from toolee_robot.sim_backend.remote.station import Caller
 
 PERIOD = 0.02
@@ -23,8 +23,6 @@ STANDS = 0.005
 STANDS_FOR = 8
 OPENS = 0.08
 """Mean way of the joints towards the open hand, from where they gripped, after which the hand has let go [rad]."""
-THUMB = "thumb"
-"""The finger without which there is no grip."""
 GRIP_TIME = 1.0
 """Time for the assisted grip to begin [s]."""
 
@@ -38,10 +36,11 @@ class FingerCoupling:
         world: Sends requests to the world.
         emulator: The emulated hand.
         q_open: Positions of the joints of the open hand [rad].
+        opposing: The finger that opposes the others, without which there is no grip.
     """
 
-    def __init__(self, world: Caller, emulator: HandEmulator[Any], q_open: Array) -> None:
-        self._world, self._emulator, self._q_open = world, emulator, q_open
+    def __init__(self, world: Caller, emulator: HandEmulator[Any], q_open: Array, opposing: str) -> None:
+        self._world, self._emulator, self._q_open, self._opposing = world, emulator, q_open, opposing
         self._over = threading.Event()
         self._recent: deque[Array] = deque(maxlen=STANDS_FOR)
         self._met: set[str] = set()
@@ -90,7 +89,7 @@ class FingerCoupling:
     @property
     def _opposed(self) -> bool:
         """Whether thumb and fingers have met something: fingers that wait for the thumb stand as well."""
-        return THUMB in self._met and bool(self._met - {THUMB, PALM})
+        return self._opposing in self._met and bool(self._met - {self._opposing, PALM})
 
     @property
     def _stands(self) -> bool:

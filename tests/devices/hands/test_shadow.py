@@ -1,0 +1,265 @@
+"""The Shadow Hand's driver on the emulated hand, over a websocket: grasps, and what goes wrong with them."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from tests.devices.hands.conftest import EFFORTS
+from tests.errors import raises
+from toolee_robot.devices.hands.shadow import ShadowHand
+from toolee_robot.errors import ConfigError, DeviceError, NoAnswerError, ProtocolError, StaleDataError
+from toolee_robot.hal import HandState
+from toolee_robot.robots import HandModel
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.sim_backend.hands.kit import LineFault, happen
+from toolee_robot.sim_backend.hands.shadow import Hand, ShadowEmulator
+
+pytestmark = pytest.mark.realtime(light=True)
+
+HANDLE = 55.0
+"""Angle at which the knuckles meet a handle [deg]."""
+KNUCKLES = [0, 3, 6, 9]
+"""Of the emulated motors."""
+
+
+def eventually(condition: Callable[[], bool], within: float = 5.0) -> None:
+    end = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def told(hand: ShadowHand) -> HandState:
+    """Its state, however busy this machine is."""
+    return hand.state(max_age=2.0)
+
+
+def held(emulator: ShadowEmulator, hand: ShadowHand) -> None:
+    emulator.hold(HANDLE)
+    hand.close()
+    assert told(hand).holding
+    assert told(hand).fault == ""
+
+
+def test_entering_moves_nothing_and_leaving_keeps_the_grip(shadow: ShadowEmulator, shadow_model: HandModel) -> None:
+    shadow.tell(lambda hand: setattr(hand.motor("FFJ3"), "position", 30.0))
+    shadow.tell(lambda hand: setattr(hand.motor("FFJ3"), "jammed", True))
+    with ShadowHand(shadow_model, shadow.port, EFFORTS, HostClock()) as hand:
+        time.sleep(0.2)
+        assert shadow.angles == (30.0, *(0.0,) * 19)
+        assert told(hand).joints.q[shadow_model.joints.index("rh_FFJ3")] == pytest.approx(np.deg2rad(30.0), abs=2e-3)
+        assert hand.line_counts.requests == 0
+        shadow.tell(lambda hand: setattr(hand.motor("FFJ3"), "jammed", False))
+        held(shadow, hand)
+    stands = shadow.angles
+    time.sleep(0.3)
+    np.testing.assert_allclose(shadow.angles, stands, atol=0.2)
+    with ShadowHand(shadow_model, shadow.port, EFFORTS, HostClock()) as hand:
+        eventually(lambda: told(hand).holding)
+
+
+def test_joints_are_counted_as_the_model_counts_them(
+    shadow: ShadowEmulator, shadow_hand: ShadowHand, shadow_model: HandModel
+) -> None:
+    def stand(hand: Hand) -> None:
+        for name, angle in (("FFJ0", 60.0), ("MFJ4", 10.0), ("RFJ4", 10.0), ("THJ1", 40.0), ("THJ2", 15.0)):
+            motor = hand.motor(name)
+            motor.position, motor.jammed = angle, True
+
+    shadow.tell(stand)
+    expected = {"rh_FFJ1": 30.0, "rh_FFJ2": 30.0, "rh_MFJ4": -10.0, "rh_RFJ4": 10.0, "rh_THJ1": -40.0, "rh_THJ2": -15.0}
+
+    def as_expected() -> bool:
+        found = dict(zip(shadow_model.joints, np.rad2deg(told(shadow_hand).joints.q), strict=True))
+        return all(abs(angle - expected.get(joint, 0.0)) < 0.5 for joint, angle in found.items())
+
+    eventually(as_expected)
+
+
+def test_it_presses_with_the_grips_effort_and_lets_go_when_it_opens(
+    shadow: ShadowEmulator, shadow_hand: ShadowHand
+) -> None:
+    held(shadow, shadow_hand)
+    efforts: list[float] = []
+    shadow.tell(lambda hand: efforts.extend(motor.pressed for motor in hand.motors if motor.pressed > 0.0))
+    assert len(efforts) >= 9
+    assert max(efforts) < 1.5 * EFFORTS.grip, "not what the approach's speed adds"
+    forces = told(shadow_hand).contact_forces
+    assert set(forces) == {"thumb", "index", "middle", "ring", "little"}
+    assert all(0.8 < force / (EFFORTS.grip * EFFORTS.newtons_per_unit) < 1.5 for force in forces.values())
+    shadow_hand.open()
+    assert not told(shadow_hand).holding
+    assert max(shadow.angles[motor] for motor in KNUCKLES) < 2.0
+    assert max(told(shadow_hand).contact_forces.values()) == 0.0
+
+
+def test_the_grip_is_kept_up_and_a_slip_and_a_loss_are_seen(shadow: ShadowEmulator, shadow_hand: ShadowHand) -> None:
+    held(shadow, shadow_hand)
+    shadow.slip(1.5)
+    eventually(lambda: min(told(shadow_hand).contact_forces.values()) > 7.0)
+    assert told(shadow_hand).fault == "", "a little is no slip"
+    shadow.slip(5.0)
+    eventually(lambda: "slipped" in told(shadow_hand).fault)
+    shadow.hold(None)
+    eventually(lambda: not told(shadow_hand).holding, within=2.0)
+    shadow_hand.open()
+    assert told(shadow_hand).fault == ""
+
+
+def test_heat_is_a_fault_with_its_temperature(shadow: ShadowEmulator, shadow_hand: ShadowHand) -> None:
+    held(shadow, shadow_hand)
+    assert told(shadow_hand).temperature == pytest.approx(32.0)
+    happen(shadow, "heat MFJ0 64")
+    eventually(lambda: "MFJ0: too hot" in told(shadow_hand).fault)
+    assert told(shadow_hand).temperature == pytest.approx(64.0)
+    with raises(DeviceError, "device.hand_over_temperature"):
+        shadow_hand.close()
+    happen(shadow, "heat MFJ0 40")
+    eventually(lambda: "too hot" not in told(shadow_hand).fault)
+
+
+def test_a_broken_motor_is_a_fault(shadow: ShadowEmulator, shadow_hand: ShadowHand) -> None:
+    happen(shadow, "break THJ5")
+    eventually(lambda: "THJ5: A3950 H-bridge" in told(shadow_hand).fault)
+    with raises(DeviceError, "device.hand_motor"):
+        shadow_hand.close()
+
+
+def test_a_finger_that_does_not_move_passes_neither_for_open_nor_for_closed(
+    shadow: ShadowEmulator, shadow_hand: ShadowHand
+) -> None:
+    shadow_hand.open()
+    happen(shadow, "jam MFJ3")
+    with raises(DeviceError, "device.hand_stall") as stuck:
+        shadow_hand.close()
+    assert "middle (MFJ3)" in str(stuck.value)
+    happen(shadow, "jam RFJ0")
+    with raises(DeviceError, "device.hand_blocked") as blocked:
+        shadow_hand.open()
+    assert "ring (RFJ0)" in str(blocked.value)
+
+
+def test_commands_that_the_controllers_do_not_take_are_an_error(
+    shadow: ShadowEmulator, shadow_hand: ShadowHand
+) -> None:
+    shadow_hand.open()
+    happen(shadow, "controllers off")
+    with raises(DeviceError, "device.hand_command"):
+        shadow_hand.close()
+    assert "controllers" in told(shadow_hand).fault
+    happen(shadow, "controllers on")
+    shadow_hand.open()
+    eventually(lambda: told(shadow_hand).fault == "")
+
+
+def test_the_command_of_another_program_is_countermanded(shadow: ShadowEmulator, shadow_hand: ShadowHand) -> None:
+    held(shadow, shadow_hand)
+    sent = shadow_hand.line_counts.requests
+    joints: list[str] = []
+    shadow.tell(lambda hand: joints.extend(hand.controllers["/rh_trajectory_controller"].joints))
+    point = {"positions": [0.0] * len(joints), "time_from_start": {"secs": 0, "nsecs": 200_000_000}}
+    opening = {"joint_names": joints, "points": [point]}
+    with connect(shadow.port) as other:
+        other.send(json.dumps({"op": "publish", "topic": "/rh_trajectory_controller/command", "msg": opening}))
+        eventually(lambda: shadow_hand.line_counts.requests > sent)
+    time.sleep(0.5)
+    assert told(shadow_hand).holding
+    assert told(shadow_hand).fault == ""
+
+
+def test_motors_of_which_nothing_is_known_are_a_fault(shadow: ShadowEmulator, shadow_hand: ShadowHand) -> None:
+    assert told(shadow_hand).fault == ""
+    happen(shadow, "diagnostics off")
+    eventually(lambda: "nothing of its motors" in told(shadow_hand).fault)
+    happen(shadow, "diagnostics on")
+    eventually(lambda: told(shadow_hand).fault == "")
+
+
+@pytest.mark.parametrize("fault", list(LineFault))
+def test_messages_survive_what_becomes_of_them(
+    shadow: ShadowEmulator, shadow_hand: ShadowHand, fault: LineFault
+) -> None:
+    shadow.faults.upcoming(fault, 10)
+    number = shadow_hand.readings
+    eventually(lambda: shadow.faults.pending == 0 and shadow_hand.readings > number + 5)
+    eventually(lambda: shadow_hand.readings > number + 10)
+    assert told(shadow_hand).fault == ""
+    counts = shadow_hand.line_counts
+    if fault in (LineFault.DOUBLED, LineFault.LATE):
+        eventually(lambda: shadow_hand.line_counts.late > 0)
+    elif fault in (LineFault.CORRUPT, LineFault.SHORT, LineFault.GARBAGE):
+        assert counts.corrupt > 0
+
+
+def test_a_silent_hand_has_no_state_is_told_nothing_and_keeps_its_grip(
+    shadow: ShadowEmulator, shadow_hand: ShadowHand
+) -> None:
+    held(shadow, shadow_hand)
+    shadow.faults.muted = True
+    time.sleep(0.5)
+    with raises(StaleDataError, "stale_data.hand"):
+        shadow_hand.state()
+    sent = shadow_hand.line_counts.requests
+    with raises(StaleDataError, "stale_data.hand"):
+        shadow_hand.close()
+    assert shadow_hand.line_counts.requests == sent, "no old command waits in the network"
+    shadow.faults.muted = False
+    eventually(lambda: _answers(shadow_hand) and told(shadow_hand).holding)
+
+
+def _answers(hand: ShadowHand) -> bool:
+    try:
+        hand.state(0.5)
+    except StaleDataError:
+        return False
+    return True
+
+
+def test_readings_that_wait_in_the_network_are_not_taken_for_fresh(
+    shadow: ShadowEmulator, shadow_hand: ShadowHand
+) -> None:
+    told(shadow_hand)
+    shadow.faults.late_by = 0.5
+    shadow.faults.rates = {LineFault.LATE: 1.0}
+    time.sleep(1.2)
+    with raises(StaleDataError, "stale_data.hand"):
+        shadow_hand.state(max_age=0.1)
+    assert shadow_hand.reading(5.0).stamp < HostClock().now() - 0.3
+
+
+@pytest.mark.parametrize("url", ["/dev/ttyUSB0", "http://127.0.0.1:9090", "ws://"])
+def test_a_port_that_is_no_rosbridge(shadow_model: HandModel, url: str) -> None:
+    with raises(ConfigError, "config.hand_port"), ShadowHand(shadow_model, url, EFFORTS, HostClock()):
+        pass
+
+
+def test_nobody_there_or_somebody_else(shadow: ShadowEmulator, shadow_model: HandModel) -> None:
+    with (
+        raises(NoAnswerError, "no_answer.hand_port"),
+        ShadowHand(shadow_model, "ws://127.0.0.1:9", EFFORTS, HostClock()),
+    ):
+        pass
+    shadow.faults.muted = True
+    with (
+        raises(NoAnswerError, "no_answer.hand_silent") as silent,
+        ShadowHand(shadow_model, shadow.port, EFFORTS, HostClock()),
+    ):
+        pass
+    assert "/diagnostics, /joint_states" in str(silent.value)
+    shadow.faults.muted = False
+    shadow.faults.rates = {LineFault.SHORT: 1.0}
+    with raises(ProtocolError, "protocol.rosbridge"), ShadowHand(shadow_model, shadow.port, EFFORTS, HostClock()):
+        pass
+
+
+def test_efforts_that_are_higher_press_harder(shadow: ShadowEmulator, shadow_model: HandModel) -> None:
+    with ShadowHand(shadow_model, shadow.port, replace(EFFORTS, grip=450.0), HostClock()) as hand:
+        held(shadow, hand)
+        assert min(told(hand).contact_forces.values()) > 0.8 * 450.0 * EFFORTS.newtons_per_unit
