@@ -39,7 +39,7 @@ GROUPS: dict[str, tuple[str, str]] = {
     "estimate": ("estimate", "Find tools and their poses in your own RGB-D files"),
     "annotate": ("annotate", "Click the tools in your own frames, to test on them"),
     "dataset": ("dataset", "Make a synthetic data set, look at it, check it"),
-    "train": ("train.command", "Train the perception's networks"),
+    "train": ("train", "Train the perception's networks"),
     "evaluate": ("evaluate", "Measure the perception on a data set"),
     "devices": ("devices", "List the drivers that a station file may name"),
     "emulate": ("emulate", "Emulate a UR controller, or a hand, for a driver to talk to"),

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
+from toolee_robot.errors import UserError
 from toolee_robot.perception.offline.dataset.reserved import refuse_test_set
 from toolee_robot.perception.offline.training.loop import TrainingRun
-from toolee_robot.perception.offline.training.options import TrainingOptions
+from toolee_robot.perception.offline.training.options import CHECKPOINT, CONFIG, TrainingOptions, options_of, remember
 from toolee_robot.perception.weight_files import save_weights
 
 
@@ -41,6 +42,46 @@ class ImageTraining(TrainingOptions):
     def to_json(self) -> dict[str, Any]:
         """The options as a JSON object, without paths of this machine."""
         return {**asdict(self), "data": self.data.name, "out": self.out.name, "init": self.init is not None}
+
+
+Training = TypeVar("Training", bound=ImageTraining)
+
+
+def begin(
+    kind: type[Training],
+    given: dict[str, Any],
+    checkpoint: str = CHECKPOINT,
+    config: str = CONFIG,
+    **own: Path | None,
+) -> tuple[Training, bool]:
+    """Set up a training and store its options.
+
+    Args:
+        kind: The training.
+        given: Options of the command line, "data", "out", "init" and "config" (a file of options) among them.
+        checkpoint: Name of its checkpoint.
+        config: Name of the file that keeps its options.
+        **own: Options that no file may give.
+
+    Returns:
+        The training, and whether it continues from a checkpoint.
+
+    Raises:
+        UserError: The data are missing or a test set, an option is unknown, or another one than when it began.
+    """
+    data, out = given["data"], given["out"]
+    if not data.is_dir():
+        raise UserError(
+            f"--data {data} is not a folder: make it with `toolee dataset generate`", code="user.data_not_a_folder"
+        )
+    names = {f.name for f in fields(kind)} - {"data", "out", "model", "init", *own}
+    options = options_of(given, given["config"], names) | own
+    training = kind(data, out, init=given["init"], **options)
+    resumed = (out / checkpoint).is_file()
+    about = {name: getattr(training, name) for name in sorted(names)}
+    about |= {name: None if path is None else str(path) for name, path in own.items()}
+    remember(out, resumed, about, config)
+    return training, resumed
 
 
 class ImageTrainingRun(TrainingRun):

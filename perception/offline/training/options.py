@@ -1,11 +1,20 @@
-"""Options of every training."""
+"""Options of every training: their defaults, what a file and a command give, what is kept beside a checkpoint."""
 
 from __future__ import annotations
 
+import json
+import os
 from dataclasses import dataclass
-from typing import ClassVar
+from pathlib import Path
+from typing import Any, ClassVar
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.yaml_files import read_yaml
+
+CONFIG, CHECKPOINT = "config.json", "checkpoint.pt"
+"""Files in the folder of a training: its configuration and its state."""
+_MAY_CHANGE = {"minutes", "max_steps", "session_minutes", "device", "checkpoint_minutes", "log_every", "patience"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,3 +76,79 @@ class TrainingOptions:
         by_steps = steps / self.max_steps if self.max_steps else 0.0
         limit = self.minutes if self.minutes is not None else None if self.max_steps else self.USUAL_MINUTES
         return by_steps if limit is None else max(by_steps, minutes / limit)
+
+
+def options_of(given: dict[str, Any], file: Path | None, names: set[str]) -> dict[str, Any]:
+    """Collect the options of a training; those of the command line override those of the file.
+
+    Args:
+        given: Those of the command line; None where left out.
+        file: YAML or JSON file with options; None without one.
+        names: Names of the options.
+
+    Returns:
+        Name -> value of the options that are given.
+
+    Raises:
+        UserError: The file has an unknown option.
+    """
+    options: dict[str, Any] = {}
+    if file is not None:
+        read = read_yaml(file, "options")
+        if not isinstance(read, dict) or (unknown := sorted(set(map(str, read)) - names)):
+            what = f"has no option {', '.join(unknown)}" if isinstance(read, dict) else "is no mapping of options"
+            raise UserError(
+                f"--config {file}: {what}; there are {', '.join(sorted(names))}", code="user.unknown_option"
+            )
+        options |= read
+    return options | {k: v for k, v in given.items() if k in names and v is not None}
+
+
+def remember(out: Path, resume: bool, config: dict[str, Any], name: str = CONFIG) -> None:
+    """Store the configuration, or check that a resumed run uses the one it started with.
+
+    Args:
+        out: Folder of the training.
+        resume: Whether the training continues from a checkpoint.
+        config: The configuration.
+        name: Name of the configuration file.
+
+    Raises:
+        UserError: The configuration has changed.
+    """
+    path = out / name
+    if resume and path.is_file():
+        before = json.loads(path.read_text())
+        # The duration may change, what is learnt may not.
+        changed = {k for k in before.keys() | config.keys() if before.get(k) != config.get(k)} - _MAY_CHANGE
+        if changed:
+            raise UserError(
+                f"{out} was begun with another {', '.join(sorted(changed))} ({path}): use those values or "
+                "another --out",
+                code="user.config_changed",
+            )
+    if is_first():
+        make_folder(out)
+        write_atomic(path, (json.dumps(config, indent=1, default=str) + "\n").encode())
+
+
+def is_first() -> bool:
+    """Whether this process, of those that torchrun started, is the one that writes."""
+    return os.environ.get("RANK", "0") == "0"
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder if it is missing.
+
+    Args:
+        folder: The folder.
+
+    Raises:
+        UserError: It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(
+            f"cannot make the folder {folder}: {words_of(error)}", code="user.folder_not_writable"
+        ) from error

@@ -1,0 +1,315 @@
+"""Train the detector, its masks' refiner or the pose network, or fit how far they are to be trusted.
+
+Example: toolee train segmentation --data data/hard/train --out runs/segmentation
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+
+from toolee_robot.cli.options import Flag
+from toolee_robot.cli.progress import progress_bars
+from toolee_robot.errors import UserError
+from toolee_robot.runtime.json_line import json_line
+
+OutDir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
+File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+Number = Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")]
+Count = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
+
+
+@dataclass(frozen=True)
+class _Training:
+    """Options of every training."""
+
+    out: OutDir
+    """Checkpoint, weights with their configuration, log, TensorBoard curves (extra `train`)."""
+    config: File = None
+    """YAML or JSON of options, any subset; the command line's win."""
+    minutes: Number = None
+    """Wall-clock of the optimisation."""
+    max_steps: Count = None
+    """Budget in steps; with --minutes too, whichever ends first."""
+    batch: Count = None
+    """Examples a step, of each GPU."""
+    lr: Number = None
+    """Learning rate (default: 0.001)."""
+    seed: Count = None
+    """Of weights, order and augmentation (default: 0)."""
+    checkpoint_minutes: Number = None
+    """Between checkpoints (default: 2)."""
+    device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
+    init: Folder = None
+    """Start from the weights exported there."""
+    json: Flag = False
+    """Print one line of JSON last on standard output."""
+
+    def _given(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def _end(self, resumed: bool, **more: Any) -> int:
+        """Print the result if --json is given; return the exit code."""
+        from toolee_robot.perception.offline.training.options import is_first
+
+        if self.json and is_first():
+            print(json_line({"out": str(self.out), "resumed": resumed, **more}), flush=True)
+        return 0
+
+
+@dataclass(frozen=True)
+class _Data:
+    data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """The training split of a data set, which may still be growing."""
+
+
+@dataclass(frozen=True)
+class Segmentation(_Training, _Data):
+    """Train the detector (masks of end effectors and tools).
+
+    Example: toolee train segmentation --data data/hard/train --out runs/segmentation --minutes 20
+
+    The same command again continues from the last checkpoint in DIR. Several GPUs: torchrun --no-python
+    --nproc-per-node 4 toolee train segmentation, with the same options.
+    """
+
+    minutes: Number = None
+    """Wall-clock of the optimisation (default: 12)."""
+    batch: Count = None
+    """Images a GPU (default: 32)."""
+    wide: Number = None
+    """Share of images with apparent sizes from 0.35 to 4 times the rendered ones; above 0, all images also get bright,
+    plain and worn tools, stickers and print on them, coloured and mixed light, and the effects of cameras and depth
+    sensors (default: 0)."""
+    backgrounds: Folder = None
+    """Folder of photographs without tools, put behind, beside and on the rendered ones; it needs --wide."""
+    init_share: Number = None
+    """Share of the weights of --init in the exported ones (default: 0)."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.offline.detection.trainer import SegmentationTraining, train
+        from toolee_robot.perception.offline.training.image_training import begin
+
+        training, resumed = begin(SegmentationTraining, self._given(), backgrounds=self.backgrounds)
+        train(training)
+        return self._end(resumed)
+
+
+@dataclass(frozen=True)
+class Refinement(_Training, _Data):
+    """Train the refiner, which segments again, in enlarged crops, the end effectors that the detector found.
+
+    Example: toolee train refinement --data data/refine/train --detector runs/segmentation --out runs/segmentation
+
+    Take images that the detector was not trained on. The refiner is used where its weights lie beside the detector's:
+    --out may be their folder. The same command again continues from the last checkpoint there. Several GPUs: torchrun
+    --no-python --nproc-per-node 4 toolee train refinement, with the same options.
+    """
+
+    minutes: Number = None
+    """Wall-clock, from the first scene on (default: 15)."""
+    batch: Count = None
+    """Detections a GPU (default: 512)."""
+    lr: Number = None
+    """Learning rate (default: 0.002)."""
+    detector: Folder = None
+    """The detector's weights (default: those that ship)."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.offline.detection.refiner_trainer import CHECKPOINT, RefinementTraining, train
+        from toolee_robot.perception.offline.training.image_training import begin
+
+        training, resumed = begin(
+            RefinementTraining, self._given(), CHECKPOINT, "refinement_config.json", detector=self.detector
+        )
+        train(training)
+        return self._end(resumed)
+
+
+Estimator = Literal["ours", "paper"]
+ColumnName = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
+
+
+@dataclass(frozen=True)
+class Clouds:
+    """Keep the clouds of a data set's images, under true masks and the detector's, for the pose network's training.
+
+    Example: toolee train clouds data/hard/train --out runs/clouds.npz --workers 2
+
+    Take images that the detector was not trained on. The paper's estimator learns from true masks alone: say
+    --estimator paper, and the --column of its training.
+    """
+
+    data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    """A data set, or one split of it."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """Where the clouds go, for `toolee train pose --rendered FILE`."""
+    estimator: Estimator = "ours"
+    """Estimator that they train; paper: ToolEENet."""
+    column: ColumnName = None
+    """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
+    weights: Folder = None
+    """The detector's weights (default: those that ship)."""
+    limit: Count = None
+    """Images of each split (default: all)."""
+    minutes: Number = None
+    """Keep the clouds that are made within this time (default: until all are made)."""
+    workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
+    """Processes at a time."""
+    device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "cpu"
+    """Where the detector runs: cpu, cuda:1, or cuda: spread over all GPUs."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        console = Console(stderr=self.json, highlight=False)
+        from toolee_robot.perception.offline.rendered_clouds import rendered_clouds
+        from toolee_robot.perception.offline.research.tooleenet import column_of
+        from toolee_robot.perception.offline.training.options import make_folder
+
+        column = column_of(self.estimator, self.column)
+        if column is not None and self.weights is not None:
+            raise UserError(
+                "--weights: for --estimator paper the true masks are taken, no detector's", code="user.option"
+            )
+        # Before the work: it may take hours.
+        make_folder(self.out.parent)
+        with progress_bars(console) as report:
+            clouds = rendered_clouds(
+                self.data,
+                self.weights,
+                self.device,
+                self.workers,
+                self.limit,
+                partial(report, "scene folders"),
+                column,
+                self.minutes,
+            )
+        clouds.save(self.out)
+        shown = int(clouds.positive.sum())
+        kind = "whole tools" if clouds.of_tool.any() else "end effectors"
+        negatives = f" and {len(clouds) - shown} of other things" if column is None else ""
+        console.print(f"{shown} clouds of {kind}{negatives} in {self.out}")
+        if self.json:
+            print(json_line({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown}), flush=True)
+        return 0
+
+
+@dataclass(frozen=True)
+class Pose(_Training):
+    """Train the pose network on clouds that are made as they are needed.
+
+    Example: toolee train pose --out runs/pose --minutes 20
+
+    The same command again continues from the last checkpoint in DIR. Several GPUs: torchrun --no-python
+    --nproc-per-node 4 toolee train pose, with the same options.
+    """
+
+    minutes: Number = None
+    """Wall-clock of the optimisation (default: 9)."""
+    batch: Count = None
+    """Clouds a step, of each GPU (default: 512)."""
+    estimator: Estimator = "ours"
+    """paper: ToolEENet's own."""
+    column: ColumnName = None
+    """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
+    protocol: Literal["hard", "paper"] = "hard"
+    """Which data set's views the clouds are like."""
+    rendered: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = ()
+    """Clouds of rendered images to mix in, made by `toolee train clouds`."""
+    rendered_share: Number = None
+    """Of the clouds, where rendered ones are given (default: 0.5)."""
+    init_share: Number = None
+    """Of the weights of --init in those that are exported (default: 0)."""
+    train_seeds: Count = None
+    """Tools of each kind to learn from (default: 480)."""
+    test_seeds: Count = None
+    """Held-out tools of each kind (default: 30)."""
+    validation: Count = None
+    """Held-out clouds (default: 4096)."""
+    freeze_batchnorm: Number = None
+    """Share of the budget after which batch normalisation keeps its statistics (default: 0.25)."""
+    calibrate_only: Flag = False
+    """Validate and calibrate the weights that lie in --out, without training."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.offline.pose.config import TrainConfig
+        from toolee_robot.perception.offline.pose.recipe import DefaultRecipe
+        from toolee_robot.perception.offline.pose.trainer import train
+        from toolee_robot.perception.offline.research.tooleenet import PaperRecipe, column_of
+        from toolee_robot.perception.offline.synthetic_clouds.batch import PROTOCOLS
+        from toolee_robot.perception.offline.training.options import CHECKPOINT, options_of, remember
+
+        column = column_of(self.estimator, self.column)
+        config = TrainConfig(**options_of(self._given(), self.config, {f.name for f in fields(TrainConfig)}))
+        resumed = (self.out / CHECKPOINT).is_file()
+        about = {f.name: getattr(config, f.name) for f in fields(TrainConfig)}
+        about |= {"estimator": self.estimator, "column": column.name if column else None, "protocol": self.protocol}
+        if not self.calibrate_only:
+            remember(self.out, resumed, {**about, "rendered": [str(path) for path in self.rendered]})
+        clouds = PROTOCOLS[self.protocol]()
+        method: Any = DefaultRecipe(clouds_config=clouds) if column is None else PaperRecipe(column, clouds)
+        report = train(self.out, config, method, self.calibrate_only, self.init, self.rendered)
+        return self._end(resumed, report=report)
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Fit how far a pose under the detector's mask is to be trusted, once both networks are trained.
+
+    Example: toolee train trust --data data/hard-trust/train --weights runs/both --workers 2
+
+    Take data that neither network was trained on, and that nothing is reported on.
+    """
+
+    data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """A data set, or one split of it."""
+    weights: File = None
+    """Folder with the weights of both networks, where trust.json goes, too (default: those that ship)."""
+    frames: Annotated[int, tyro.conf.arg(metavar="N")] = 1000
+    """Without a tool, to render beside."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Of these frames."""
+    workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
+    """Processes at a time."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        console = Console(stderr=self.json, highlight=False)
+        from toolee_robot.perception.offline.fit_trust import fit_trust
+
+        with progress_bars(console) as report_progress:
+            report = fit_trust(
+                self.data,
+                self.weights,
+                self.frames,
+                self.seed,
+                self.workers,
+                partial(report_progress, "scene folders, then frames without a tool"),
+            )
+        console.print(
+            f"fitted on {report['poses']} poses in {report['images']} images and {report['frames_without_a_tool']} "
+            f"frames without a tool\n{report['usable_right']:.3f} of the usable poses are right, "
+            f"{report['right_usable']:.3f} of the right ones usable; {report['quiet']:.3f} of the frames without a "
+            "tool give none"
+        )
+        if self.json:
+            print(json_line(report), flush=True)
+        return 0
+
+
+COMMANDS = {
+    "segmentation": Segmentation,
+    "refinement": Refinement,
+    "clouds": Clouds,
+    "pose": Pose,
+    "trust": Trust,
+}
