@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -70,55 +72,24 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
     pitch = np.deg2rad(rng.uniform(-85.0, -20.0 if bench_view else 30.0))
     roll = rng.normal(0.0, 0.15) if rng.random() < 0.5 else rng.uniform(-np.pi, np.pi)
     X_world_camera = look(np.zeros(3), np.array([np.cos(pitch), 0.0, np.sin(pitch)]), roll)
-    bodies: list[Body] = []
-    placed: list[PlacedTool] = []
-    resting: list[ToolShape] = []
+    view = _View(intrinsics, X_world_camera)
     count = int(rng.choice([1, 2, 3], p=[0.2, 0.3, 0.5] if bench_view else [0.5, 0.3, 0.2])) if with_tools else 0
-    for k in range(count):
-        tool = pool.tool(rng)
-        if rng.random() < (0.85 if bench_view else 0.12 if k == 0 else 0.5):
-            resting.append(tool)
-            continue
-        X_world_tool = X_world_camera @ tool_in_view(tool, intrinsics, rng)
-        if any(np.linalg.norm(X_world_tool[:3, 3] - other.X_world_tool[:3, 3]) < 0.12 for other in placed):
-            continue
-        if rng.random() < (0.8 if k == 0 else 0.6):
-            item, hand = _held(rng, pool, tool, X_world_tool, len(placed) + 1)
-            bodies += hand
-            placed.append(item)
-        else:
-            placed.append(PlacedTool(tool, X_world_tool, None, False, len(placed) + 1, Stance.FLOATING))
-    shown = [corners_of([body]) for body in bodies]
-    shown += [transform_points(t.X_world_tool, np.asarray(t.tool.mesh.vertices)) for t in placed]
+    bodies, placed, resting = _tools(rng, pool, view, count, bench_view)
+    hands = [corners_of([body]) for body in bodies]
+    shown = hands + [transform_points(t.X_world_tool, np.asarray(t.tool.mesh.vertices)) for t in placed]
     lowest = min((float(points[:, 2].min()) for points in shown), default=np.inf) - 0.002
     if not with_tools and rng.random() < 0.6:
-        grasp = pool.any_grasp(rng)
-        X = X_world_camera @ transform(
-            random_rotation(rng), intrinsics.rays(random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
-        )
-        bodies += hand_bodies(grasp, HandStyle.varied(rng), X, HAND)
-    table: float | None = None
-    if bench_view:
-        table = min(float(rng.uniform(0.45, 1.0) * np.sin(pitch)), lowest)
-    elif resting or rng.random() < 0.7:
-        drop = rng.uniform(0.0, 0.1) if rng.random() < 0.4 else rng.uniform(0.1, 0.6)
-        table = float(min(lowest if np.isfinite(lowest) else -0.3, -0.2) - drop)
+        bodies += _empty_hand(rng, pool, view)
     bench: Bench | None = None
+    table = _table_height(rng, bench_view, bool(resting), lowest, pitch)
     if table is not None:
-        taken = [points[::4] for points in shown[: len(shown) - len(placed)]]
+        taken = [points[::4] for points in hands]
         taken += [transform_points(t.X_world_tool, t.tool.sample_surface(_SAMPLES, rng)[0]) for t in placed]
         bench = Bench(table, intrinsics, X_world_camera, pool.surfaces, taken, OBJECT)
-    for tool in resting:
-        there = None if bench is None else bench.place(tool, rng)
-        if there is None and placed:
-            continue
-        if there is None:
-            bench = table = None  # the camera does not see it: without it the tool may be anywhere
-        X, stance = there or (X_world_camera @ tool_in_view(tool, intrinsics, rng), Stance.FLOATING)
-        placed.append(PlacedTool(tool, X, None, False, len(placed) + 1, stance))
+    bench = _rest(rng, view, bench, resting, placed)
     for item in placed:
         bodies += tool_bodies(item.tool, item.X_world_tool, item.body_id, rng)
-    bodies += _objects(rng, pool.surfaces, intrinsics, X_world_camera, bench)
+    bodies += _objects(rng, pool.surfaces, view, bench)
     if bench is not None:
         if resting and rng.random() < 0.6:
             bench.add_small_parts(rng, int(rng.poisson(7.0)))
@@ -126,13 +97,84 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
     bodies += _occluders(rng, pool.surfaces, X_world_camera, placed)
     background = None
     if rng.random() < 0.85:
-        floor = (min(lowest, 0.0) if table is None else table) - float(rng.uniform(0.3, 1.2))
-        bodies += walls(rng, pool.surfaces, ROOM, floor)
+        ground = min(lowest, 0.0) if bench is None or table is None else table
+        bodies += walls(rng, pool.surfaces, ROOM, ground - float(rng.uniform(0.3, 1.2)))
     else:
         background = backdrop(rng, pool.surfaces)
     lights, ambient = uneven_light(rng) if rng.random() < _UNEVEN_SHARE else (lamps(rng), environment(rng))
     scene = Scene(bodies, lights, ambient, background)
     return SceneSample(scene, intrinsics, X_world_camera, tuple(placed), 0 if with_tools else 2)
+
+
+@dataclass(frozen=True)
+class _View:
+    """The camera: its intrinsics, and its pose in the world."""
+
+    intrinsics: CameraIntrinsics
+    X_world_camera: Array
+
+    def tool(self, tool: ToolShape, rng: np.random.Generator) -> Array:
+        """X_world_tool of a tool anywhere in view."""
+        return self.X_world_camera @ tool_in_view(tool, self.intrinsics, rng)
+
+
+def _tools(
+    rng: np.random.Generator, pool: Pool, view: _View, count: int, bench_view: bool
+) -> tuple[list[Body], list[PlacedTool], list[ToolShape]]:
+    """The hands of the tools that are held, the tools in the air, and those that are to rest on the table."""
+    hands: list[Body] = []
+    placed: list[PlacedTool] = []
+    resting: list[ToolShape] = []
+    for k in range(count):
+        tool = pool.tool(rng)
+        if rng.random() < (0.85 if bench_view else 0.12 if k == 0 else 0.5):
+            resting.append(tool)
+            continue
+        X_world_tool = view.tool(tool, rng)
+        if any(np.linalg.norm(X_world_tool[:3, 3] - other.X_world_tool[:3, 3]) < 0.12 for other in placed):
+            continue
+        if rng.random() < (0.8 if k == 0 else 0.6):
+            item, hand = _held(rng, pool, tool, X_world_tool, len(placed) + 1)
+            hands += hand
+            placed.append(item)
+        else:
+            placed.append(PlacedTool(tool, X_world_tool, None, False, len(placed) + 1, Stance.FLOATING))
+    return hands, placed, resting
+
+
+def _empty_hand(rng: np.random.Generator, pool: Pool, view: _View) -> list[Body]:
+    grasp = pool.any_grasp(rng)
+    R = random_rotation(rng)
+    p = view.intrinsics.rays(random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
+    X = view.X_world_camera @ transform(R, p)
+    return hand_bodies(grasp, HandStyle.varied(rng), X, HAND)
+
+
+def _table_height(
+    rng: np.random.Generator, bench_view: bool, needed: bool, lowest: float, pitch: float
+) -> float | None:
+    """Height of the table's top under what is held, whose lowest point is given [m]; None without a table."""
+    if bench_view:
+        return min(float(rng.uniform(0.45, 1.0) * np.sin(pitch)), lowest)
+    if not needed and rng.random() >= 0.7:
+        return None
+    drop = rng.uniform(0.0, 0.1) if rng.random() < 0.4 else rng.uniform(0.1, 0.6)
+    return float(min(lowest if np.isfinite(lowest) else -0.3, -0.2) - drop)
+
+
+def _rest(
+    rng: np.random.Generator, view: _View, bench: Bench | None, resting: list[ToolShape], placed: list[PlacedTool]
+) -> Bench | None:
+    """Place the tools that are to rest; returns the bench, None if a tool must be shown that finds no place on it."""
+    for tool in resting:
+        there = None if bench is None else bench.place(tool, rng)
+        if there is None and placed:
+            continue
+        if there is None:
+            bench = None  # the camera does not see it: without it the tool may be anywhere
+        X, stance = there or (view.tool(tool, rng), Stance.FLOATING)
+        placed.append(PlacedTool(tool, X, None, False, len(placed) + 1, stance))
+    return bench
 
 
 def _held(
@@ -151,20 +193,14 @@ def _held(
     return PlacedTool(tool, X_world_tool, X_world_hand, style.mirrored, body_id, Stance.HELD), bodies
 
 
-def _objects(
-    rng: np.random.Generator,
-    surfaces: Surfaces,
-    intrinsics: CameraIntrinsics,
-    X_world_camera: Array,
-    bench: Bench | None,
-) -> list[Body]:
+def _objects(rng: np.random.Generator, surfaces: Surfaces, view: _View, bench: Bench | None) -> list[Body]:
     """Put random objects on the bench, and return those in the air."""
     bodies: list[Body] = []
     for _ in range(rng.poisson(12.0 if rng.random() < 0.35 else 3.5)):
         size = float(np.exp(rng.uniform(np.log(0.03), np.log(0.35))))
         if bench is not None and rng.random() < 0.85 and bench.add_object(rng, size):
             continue
-        p = X_world_camera[:3, :3] @ intrinsics.rays(random_pixel(rng, -0.1)) * rng.uniform(0.7, 2.2)
+        p = view.X_world_camera[:3, :3] @ view.intrinsics.rays(random_pixel(rng, -0.1)) * rng.uniform(0.7, 2.2)
         X = transform(random_rotation(rng), p)
         bodies += any_object(rng, surfaces, X, OBJECT, size)
     return bodies
@@ -188,16 +224,19 @@ def _occluders(
             p = R[:, 0] * rng.uniform(0.2, 1.3) * reach
             X = transform(random_rotation(rng), X_world_camera[:3, 3] + share * sight + p)
             bodies += any_object(rng, surfaces, X, OBJECT, float(reach * rng.uniform(1.0, 3.0)))
-            continue
-        # A board or a rod with one edge in front of the EE.
-        board = rng.random() < 0.6
-        half = reach * (rng.uniform(0.8, 3.0) if board else rng.uniform(0.15, 0.7))
-        size = (2.0 * half, reach * rng.uniform(2.0, 6.0), 0.01) if board else (half, reach * rng.uniform(3.0, 8.0))
-        p = R[:, 0] * (half + rng.uniform(-0.5, 0.9) * reach)
-        R = R @ Rotation.from_rotvec(rng.normal(0.0, 0.25, 3)).as_matrix()
-        mesh = box(np.asarray(size)) if board else cylinder(size[0], size[1], 16)
-        if not board:
-            R = R @ _R_ROD
-        X = transform(R, X_world_camera[:3, 3] + share * sight + p)
-        bodies.append(Body(mesh, X, surfaces.material(rng), OBJECT))
+        else:
+            bodies.append(_edge(rng, surfaces, X_world_camera[:3, 3] + share * sight, R, reach))
     return bodies
+
+
+def _edge(rng: np.random.Generator, surfaces: Surfaces, p_world_sight: Array, R: Array, reach: float) -> Body:
+    """A board or a rod with one edge in front of an EE of that reach [m]."""
+    board = rng.random() < 0.6
+    half = reach * (rng.uniform(0.8, 3.0) if board else rng.uniform(0.15, 0.7))
+    size = (2.0 * half, reach * rng.uniform(2.0, 6.0), 0.01) if board else (half, reach * rng.uniform(3.0, 8.0))
+    p = R[:, 0] * (half + rng.uniform(-0.5, 0.9) * reach)
+    R = R @ Rotation.from_rotvec(rng.normal(0.0, 0.25, 3)).as_matrix()
+    mesh = box(np.asarray(size)) if board else cylinder(size[0], size[1], 16)
+    if not board:
+        R = R @ _R_ROD
+    return Body(mesh, transform(R, p_world_sight + p), surfaces.material(rng), OBJECT)
