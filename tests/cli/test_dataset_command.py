@@ -51,7 +51,7 @@ def test_it_can_be_looked_at(made: Path, tmp_path: Path, capsys: pytest.CaptureF
             assert views["ee"][measure]["mean_mm"] > 0
             assert views["ee"][measure]["variance_mm2"] >= 0
     assert sorted(p.name for p in out.iterdir()) == [
-        "distributions.png", "inspection.json", "montage_test.png", "montage_train.png", "shapes.png",
+        "inspection.json", "montage_test.png", "montage_train.png", "shapes.png",
     ]  # fmt: skip
     for path in out.glob("*.png"):
         assert np.asarray(Image.open(path).convert("L")).std() > 10, f"{path.name} shows something"

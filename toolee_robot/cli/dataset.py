@@ -176,7 +176,7 @@ class _Cost:
 
 @dataclass(frozen=True)
 class Inspect:
-    """Draw a data set: montage, distributions, and how alike the tools are (the paper's Fig. 3).
+    """Draw a data set: a montage, and how alike the tools are (the paper's Fig. 3).
 
     Example: toolee dataset inspect data/hard --out pictures
 
@@ -187,7 +187,7 @@ class Inspect:
     folder: _Folder
     """A data set made by `toolee dataset generate`."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: DIR-inspection)")] = None
-    """Where montage_train.png, montage_test.png, distributions.png, shapes.png and inspection.json go."""
+    """Where montage_train.png, montage_test.png, shapes.png and inspection.json go."""
     count: Annotated[int, tyro.conf.arg(metavar="N")] = 12
     """Images of each split in the montage."""
     pairs: Annotated[int, tyro.conf.arg(metavar="N")] = 100
@@ -217,8 +217,7 @@ class Inspect:
             for split in SPLITS:
                 if scene_folders(self.folder / split):
                     figures.montage(self.folder / split, self.count).save(out / f"montage_{split}.png")
-            figures.distributions(card).savefig(out / "distributions.png", dpi=110)
-            found = figures.shape_distances(self.folder, self.pairs)
+                found = figures.shape_distances(self.folder, self.pairs)
             if found.values:
                 figures.shape_figure(found).savefig(out / "shapes.png", dpi=110)
         record = {"spec": spec.to_json(), "splits": _summary(card), "shape_distances": found.to_json()}

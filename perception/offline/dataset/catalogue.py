@@ -15,7 +15,6 @@ from toolee_robot.errors import UserError
 from toolee_robot.perception.offline.dataset.custom_tools import CustomTool, CustomToolRecord
 from toolee_robot.perception.offline.dataset.instances import read_ply, tool_path
 from toolee_robot.perception.offline.dataset.records import INSTANCES, draw
-from toolee_robot.render import Mesh
 from toolee_robot.tools import TOOL_SPECS, Family, Tool, ToolKind, ToolShape, kinds_of, make_tool, tool_name
 from toolee_robot.tools.catalog import role as role_of
 from toolee_robot.tools.catalog import split as split_of
@@ -78,23 +77,8 @@ class Catalogue(ABC):
         """The tool; repeated calls return the same object while it is cached."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class StoredTool(ToolShape):
-    """A tool loaded from the cache of generated tools.
-
-    Attributes:
-        number: Number in the catalogue.
-        part_meshes: Render mesh of each part (`bodies.tool_meshes`), `tool` frame [m].
-    """
-
-    number: int
-    part_meshes: tuple[Mesh, ...]
-
-
 def number_of(tool: ToolShape) -> int:
     """Number of a tool in its catalogue."""
-    if isinstance(tool, StoredTool):
-        return tool.number
     if isinstance(tool, CustomTool):
         return _CUSTOM + tool.index
     assert isinstance(tool, Tool)

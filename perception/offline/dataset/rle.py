@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.errors import UserError
-
 
 def encode(mask: NDArray[np.bool_]) -> dict[str, object]:
     """{"size": [H, W], "counts": text} of a mask (H, W): runs of 0 and 1, column by column."""
@@ -19,29 +17,6 @@ def encode(mask: NDArray[np.bool_]) -> dict[str, object]:
     if counts[-1] == 0:  # the last run of 1 reaches the end
         counts.pop()
     return {"size": [int(height), int(width)], "counts": _compressed(counts)}
-
-
-def decode(rle: dict[str, object]) -> NDArray[np.bool_]:
-    """Decode a mask.
-
-    Args:
-        rle: The mask as `encode` gives it: "size", (H, W), and "counts".
-
-    Returns:
-        The mask, (H, W).
-
-    Raises:
-        UserError: It is not a COCO run-length encoding.
-    """
-    try:
-        height, width = (int(n) for n in rle["size"])  # type: ignore[attr-defined]
-        counts = _expanded(str(rle["counts"]))
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise UserError(f"not a COCO run-length encoding: {error!r}") from error
-    if min(counts, default=0) < 0 or sum(counts) != height * width:
-        raise UserError(f"the runs of a COCO mask cover {sum(counts)} pixels, not {height * width}")
-    values = np.arange(len(counts)) % 2 == 1
-    return np.repeat(values, counts).reshape((height, width), order="F")
 
 
 def _compressed(counts: list[int]) -> str:
@@ -60,22 +35,3 @@ def _compressed(counts: list[int]) -> str:
             more = x != -1 if c & 0x10 else x != 0
             text.append(chr((c | 0x20 if more else c) + 48))
     return "".join(text)
-
-
-def _expanded(text: str) -> list[int]:
-    counts: list[int] = []
-    i = 0
-    while i < len(text):
-        x, k, more = 0, 0, True
-        while more:
-            c = ord(text[i]) - 48
-            x |= (c & 0x1F) << (5 * k)
-            more = bool(c & 0x20)
-            i += 1
-            k += 1
-            if not more and c & 0x10:
-                x |= -1 << (5 * k)
-        if len(counts) > 2:
-            x += counts[-2]
-        counts.append(x)
-    return counts

@@ -16,10 +16,9 @@ from toolee_robot.frames import Array
 from toolee_robot.perception.offline.dataset.records import SHOWN_HAND
 from toolee_robot.perception.offline.evaluation import metrics
 from toolee_robot.perception.offline.evaluation.records import Case, Examples, Instance
-from toolee_robot.perception.offline.evaluation.shapes import ee_shape, spin_is_observable
+from toolee_robot.perception.offline.evaluation.shapes import ee_shape
 from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 from toolee_robot.perception.offline.research.tooleenet.estimator import NAME as PAPER
-from toolee_robot.perception.offline.research.tooleenet.representation import class_ambiguity
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult, with_hand
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.trust import Trust
@@ -44,9 +43,6 @@ class Estimates:
         spin_fixed: The same with the hand's pose, (N,) [rad].
         confidence: In [0, 1], (N,).
         usable: (N,) bool.
-        spin_told: Whether the view shows a hammer's spin, (N,) bool.
-        spin_observable: Predicted probability of that, (N,).
-        class_ambiguity_right: Whether the predicted S is the class's constant, (N,) bool.
         ms: Wall-clock time of the estimate, (N,) [ms].
     """
 
@@ -62,9 +58,6 @@ class Estimates:
     spin_fixed: Array
     confidence: Array
     usable: NDArray[np.bool_]
-    spin_told: NDArray[np.bool_]
-    spin_observable: Array
-    class_ambiguity_right: NDArray[np.bool_]
     ms: Array
 
     def __len__(self) -> int:
@@ -220,7 +213,7 @@ def answer(estimator: CloudEstimator, trust: Trust, question: Question) -> Answe
         if instance is None or instance.target:
             ranked = Ranked(case.image, case.category, probability, result.X_camera_ee, usable)
     if question.best and instance is not None and asked_for(instance, estimator.of_tool):
-        row = _row(instance, case, result, usable, ms)
+        row = _row(instance, result, usable, ms)
     return Answer(ranked, case.instance, row)
 
 
@@ -244,7 +237,7 @@ def summary(examples: Examples, of_tool: bool, answers: Iterable[Answer]) -> tup
         if each.row is not None:
             by_instance[each.number] = each.row
     rows = [
-        by_instance.get(number) or _row(instance, None, None, False, 0.0)
+        by_instance.get(number) or _row(instance, None, False, 0.0)
         for number, instance in enumerate(examples.instances)
         if asked_for(instance, of_tool)
     ]
@@ -262,20 +255,17 @@ def asked_for(instance: Instance, of_tool: bool) -> bool:
 
 
 _NO_POINTS = np.empty((0, 3))
-_TYPES = (int, bool, *[float] * 9, bool, bool, float, bool, float)
+_TYPES = (int, bool, *[float] * 9, bool, float)
 _INF = float("inf")
 
 
-def _row(
-    instance: Instance, case: Case | None, result: PoseResult | None, usable: bool, ms: float
-) -> tuple[object, ...]:
+def _row(instance: Instance, result: PoseResult | None, usable: bool, ms: float) -> tuple[object, ...]:
     category, X_true = instance.category, instance.X_camera_ee
     index = CATEGORIES.index(category)
-    observable = case is not None and case.cloud.usable and spin_is_observable(instance, case)
     if result is None:
         nan = float("nan")
         errors = (_INF, _INF, _INF, _INF, _INF, _INF, nan, nan)
-        return (index, instance.held_out, *errors, 0.0, False, observable, nan, False, ms)
+        return (index, instance.held_out, *errors, 0.0, False, ms)
     X, group = result.X_camera_ee, category.symmetry
     shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
     K = instance.intrinsics
@@ -284,7 +274,6 @@ def _row(
         spin = metrics.paper_rule_angle(X[:3, :3], X_true[:3, :3], np.zeros(3))
         fixed = with_hand(result, HoldingHand(instance.X_camera_hand, SHOWN_HAND.grasp.R_hand_tool)).X_camera_ee
         spin_fixed = metrics.paper_rule_angle(fixed[:3, :3], X_true[:3, :3], np.zeros(3))
-    said = np.asarray(result.ambiguous) > 0.5
     return (
         index,
         instance.held_out,
@@ -298,8 +287,5 @@ def _row(
         spin_fixed,
         result.confidence,
         usable,
-        observable,
-        result.hypotheses.spin_observable,
-        bool((said == class_ambiguity()[index].numpy().astype(bool)).all()),
         ms,
     )

@@ -29,14 +29,14 @@ def tables(estimates: Estimates) -> dict[str, Any]:
         estimates: Its estimates.
 
     Returns:
-        Group to "table", "symmetry" and "confidence". The table has a row of all metrics for each category that
+        Group to "table" and "confidence". The table has a row of all metrics for each category that
         occurs, and as "average" the mean over the categories.
     """
     result: dict[str, Any] = {}
     for group, chosen in zip(GROUPS, (estimates.held_out, ~estimates.held_out), strict=True):
         part = estimates.rows(chosen)
         if len(part):
-            result[group] = {"table": _table(part), "symmetry": _symmetry(part), "confidence": confidence(part)}
+            result[group] = {"table": _table(part), "confidence": confidence(part)}
     return result
 
 
@@ -89,28 +89,6 @@ def _kept(name: str, e: Estimates, chosen: NDArray[np.bool_]) -> dict[str, float
 
 def _quantiles(unit: str, values: Array, before: str = "") -> dict[str, float | None]:
     return {f"{before}{k}_{unit}": v for k, v in metrics.quantiles(values).items()}
-
-
-def _symmetry(e: Estimates) -> dict[str, Any]:
-    """Accuracy of the predicted symmetry.
-
-    The share of views whose predicted S is the class's constant; of those that may show the spin, such as a hammer
-    head's, the share whose spin is rightly called observable.
-    """
-    cued = [i for i, category in enumerate(CATEGORIES) if category.spec.spin_cues]
-    hammers = e.rows(e.made & np.isin(e.category, cued))
-    right = (hammers.spin_observable > 0.5) == hammers.spin_told
-    each = [
-        float(right[hammers.spin_told == observable].mean())
-        for observable in (True, False)
-        if (hammers.spin_told == observable).any()
-    ]
-    return {
-        "class_symmetry_accuracy": float(e.class_ambiguity_right[e.made].mean()) if e.made.any() else None,
-        "spin_observability_accuracy": float(right.mean()) if len(right) else None,
-        "spin_observability_balanced": float(np.mean(each)) if each else None,
-        "views_that_tell_the_spin": float(hammers.spin_told.mean()) if len(hammers) else None,
-    }
 
 
 def confidence(e: Estimates) -> dict[str, Any] | None:

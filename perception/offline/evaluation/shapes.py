@@ -13,7 +13,6 @@ from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
 from toolee_robot.perception.offline.dataset.instances import ee_mesh
 from toolee_robot.perception.offline.evaluation.records import Case, Instance
-from toolee_robot.perception.offline.pose.losses import SPIN_PIXELS
 
 _VERTICES = 400
 
@@ -51,24 +50,6 @@ def ee_shape(catalogue: Catalogue, tool: int, ee: int) -> EeShape:
     if len(vertices) > _VERTICES:
         vertices = vertices[np.random.default_rng(0).permutation(len(vertices))[:_VERTICES]]
     return EeShape(vertices, vertices.min(0), vertices.max(0), float(pdist(vertices).max()))
-
-
-def spin_is_observable(instance: Instance, case: Case) -> bool:
-    """Whether a view shows the spin about a free axis, by the rule that labels training clouds.
-
-    Args:
-        instance: The EE with its true pose.
-        case: A mask of it, with its cloud.
-
-    Returns:
-        True if enough points of symmetry-breaking parts are in the cloud, or the rest of the tool is seen off the axis.
-    """
-    if not instance.category.spec.spin_cues:
-        return False
-    z = instance.X_camera_ee[:3, 2]
-    if case.cloud.direction is not None and float(np.linalg.norm(np.cross(case.cloud.direction, z))) > 0.3:
-        return True
-    return spin_points(instance, case) >= SPIN_PIXELS
 
 
 def spin_points(instance: Instance, case: Case) -> int:

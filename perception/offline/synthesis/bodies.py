@@ -9,7 +9,6 @@ from functools import lru_cache
 import numpy as np
 
 from toolee_robot.frames import Array, frame_from_axes
-from toolee_robot.perception.offline.dataset.catalogue import StoredTool
 from toolee_robot.perception.offline.dataset.records import SHOWN_HAND
 from toolee_robot.render import Body, Material, Mesh, Pattern
 from toolee_robot.render.palette import any_color, any_glove_color, any_skin_tone, finish, linear, skin_tone
@@ -24,8 +23,6 @@ _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 @lru_cache(maxsize=128)
 def tool_meshes(tool: ToolShape) -> tuple[Mesh, ...]:
     """Render mesh of each part of a tool that has a share of the outer surface, `tool` frame [m]."""
-    if isinstance(tool, StoredTool):
-        return tool.part_meshes
     faces = np.asarray(tool.mesh.faces)
     return tuple(
         Mesh.build(tool.mesh.vertices, faces[tool.face_parts == part])

@@ -24,7 +24,6 @@ from toolee_robot.perception.offline.dataset.scene_writer import write_scene
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
 from toolee_robot.perception.offline.synthesis.bodies import forget_tools
 from toolee_robot.perception.offline.synthesis.example import examples_of
-from toolee_robot.perception.offline.synthesis.tool_cache import ToolCache
 from toolee_robot.render.device import checked
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.tools import TOOL_SPECS
@@ -162,8 +161,6 @@ def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
         The scene.
     """
     catalogue = spec.catalogue(out)
-    if not spec.tools:
-        catalogue = ToolCache(catalogue, out)
     examples = examples_of(spec, job.split, job.first, job.last, catalogue)
     write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
     forget_tools()

@@ -23,7 +23,6 @@ from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.io import bop_images
 from toolee_robot.perception.offline.dataset import rle
-from toolee_robot.perception.offline.dataset.catalogue import GENERATED, number_of
 from toolee_robot.perception.offline.dataset.clouds import read_clouds
 from toolee_robot.perception.offline.dataset.figures import distances
 from toolee_robot.perception.offline.dataset.files import SUMS, read_json, write_sums
@@ -32,9 +31,7 @@ from toolee_robot.perception.offline.dataset.instances import read_ply
 from toolee_robot.perception.offline.dataset.scene_reader import load
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.offline.dataset.validate import validate
-from toolee_robot.perception.offline.synthesis.bodies import tool_meshes
 from toolee_robot.perception.offline.synthesis.generate import generate
-from toolee_robot.perception.offline.synthesis.tool_cache import TOOL_CACHE, ToolCache
 from toolee_robot.runtime.files import sha256
 
 pytestmark = pytest.mark.sim
@@ -44,7 +41,6 @@ KILLED = """
 import sys
 from pathlib import Path
 from toolee_robot.perception.offline.synthesis.generate import generate
-from toolee_robot.perception.offline.synthesis.tool_cache import TOOL_CACHE, ToolCache
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 if __name__ == "__main__":
     generate(DatasetSpec("hard", 6, 11, 0.3, 2), Path(sys.argv[1]), 1, lambda done, total: print(done, flush=True))
@@ -153,7 +149,6 @@ def test_run_lengths_are_cocos() -> None:
         mask = rng.random((37, 53)) < share
         own = rle.encode(mask)
         assert own["counts"] == coco_mask.encode(np.asfortranarray(mask.astype(np.uint8)))["counts"].decode()
-        assert np.array_equal(rle.decode(own), mask)
 
 
 def test_the_card_names_what_is_held_out(whole: Path) -> None:
@@ -334,23 +329,3 @@ def test_shape_distances() -> None:
     row = np.column_stack([np.arange(10.0), np.zeros(10), np.zeros(10)])
     assert distances(row, row) == (0.0, 0.0, 0.0)
     assert distances(row, row + np.array([3.0, 0.0, 0.0])) == pytest.approx((0.6, 3.0, 3.0))
-
-
-def test_a_tool_from_the_tool_cache_is_the_one_that_was_drawn(tmp_path: Path) -> None:
-    number = GENERATED.numbers("train")[7]
-    drawn, first, second = GENERATED.tool(number), ToolCache(GENERATED, tmp_path), ToolCache(GENERATED, tmp_path)
-    for tool in (first.tool(number), second.tool(number)):
-        assert number_of(tool) == number
-        assert tool.name == drawn.name
-        assert [(p.label, p.material) for p in tool.parts] == [(p.label, p.material) for p in drawn.parts]
-        assert [ee.category for ee in tool.ees] == [ee.category for ee in drawn.ees]
-        pairs: list[tuple[Any, Any]] = [(tool.mesh.vertices, drawn.mesh.vertices), (tool.mesh.faces, drawn.mesh.faces)]
-        pairs += [(tool.face_parts, drawn.face_parts), (tool.handle.radii_x, drawn.handle.radii_x)]
-        pairs += [(new.X_tool_ee, old.X_tool_ee) for new, old in zip(tool.ees, drawn.ees, strict=True)]
-        for mesh, other in zip(tool_meshes(tool), tool_meshes(drawn), strict=True):
-            pairs += [(mesh.vertices, other.vertices), (mesh.faces, other.faces)]
-            pairs.append((mesh.corner_normals, other.corner_normals))
-        for new, old in pairs:
-            np.testing.assert_array_equal(new, old)
-    assert first.tool(number) is first.tool(number)
-    assert len(list((tmp_path / TOOL_CACHE).iterdir())) == 1
