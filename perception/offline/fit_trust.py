@@ -21,13 +21,12 @@ from toolee_robot.frames import Array
 from toolee_robot.perception import weight_files
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
-from toolee_robot.perception.offline.dataset.reserved import refuse_test_set
-from toolee_robot.perception.offline.dataset.spec import generated_catalogue_of
-from toolee_robot.perception.offline.evaluation.empty_frames import empty_frame
+from toolee_robot.perception.offline.dataset.spec import generated_catalogue_of, refuse_test_set
 from toolee_robot.perception.offline.evaluation.estimates import Ranked, estimate_case
 from toolee_robot.perception.offline.evaluation.examples import Part, parts, read_part
 from toolee_robot.perception.offline.evaluation.pose import right_poses
 from toolee_robot.perception.offline.evaluation.records import Examples
+from toolee_robot.perception.offline.evaluation.run import empty_frame
 from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.perception.pose import PoseEstimator, confidence
 from toolee_robot.perception.trust import FEATURES, Trust, features

@@ -12,8 +12,7 @@ from toolee_robot.render.scene import Rendering
 from toolee_robot.render.sensors.depth_sensors import random_reading
 from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors
 from toolee_robot.render.sensors.registration import Registration, hidden_from
-from toolee_robot.render.sensors.smooth_noise import in_patches, smooth_noise
-from toolee_robot.render.sensors.surface import Surface
+from toolee_robot.render.sensors.surface import Surface, in_patches, smooth_noise
 from toolee_robot.render.sensors.triangulation import TriangulatingCamera
 from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.types import CameraIntrinsics

@@ -39,8 +39,7 @@ class Annotate:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.offline.annotation.frame_set import FrameSet
-        from toolee_robot.perception.offline.annotation.session import Session
+        from toolee_robot.perception.offline.annotation.frame_set import FrameSet, Session
 
         console = Console(stderr=self.json, highlight=False)
         frames = FrameSet(self.folder, self.clicks)

@@ -159,8 +159,7 @@ class EvaluatePhotographs:
     def run(self) -> int:
         from toolee_robot.perception.offline.evaluation import report
         from toolee_robot.perception.offline.evaluation.ledger import Ledger
-        from toolee_robot.perception.offline.evaluation.photograph_scores import evaluate
-        from toolee_robot.perception.offline.evaluation.photographs import read_photographs
+        from toolee_robot.perception.offline.evaluation.photographs import evaluate, read_photographs
         from toolee_robot.perception.pipeline import ToolPerception
 
         console = Console(stderr=self.json, highlight=False)

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import warp as wp
+from scipy.ndimage import gaussian_filter
 
 from toolee_robot.frames import Array, inverse
 from toolee_robot.render.device import DeviceArray, empty, launch, put, rows_of
 from toolee_robot.render.kernels import light as kernels
 from toolee_robot.render.kernels import shadows
-from toolee_robot.render.kernels.texture import Surface
-from toolee_robot.render.noise import noise_table
-from toolee_robot.render.rays.backends import tracer_of
-from toolee_robot.render.rays.tracer import Found
+from toolee_robot.render.kernels.texture import TABLE_SIZE, Surface
+from toolee_robot.render.mesh import Mesh
+from toolee_robot.render.rays.tracer import Found, Tracer
 from toolee_robot.render.scene import Light, Scene
 from toolee_robot.render.surroundings import sky_maps
 
@@ -179,3 +179,37 @@ class _Look:
     sky: DeviceArray
     nobody: DeviceArray
     nothing: DeviceArray
+
+
+_BLUR = 16.0 / 3
+"""Standard deviation of the blur [cells]; features have a size of about 16 cells."""
+
+
+@lru_cache
+def noise_table(device: str) -> DeviceArray:
+    """(128^3,) float32: tileable noise, uniform in [0, 1] by rank, the same in every process."""
+    rng = np.random.Generator(np.random.PCG64(20240717))
+    smooth = gaussian_filter(rng.standard_normal((TABLE_SIZE,) * 3).astype(np.float32), _BLUR, mode="wrap")
+    smooth /= smooth.std()
+    # Normal to uniform by the logistic approximation of the normal distribution function.
+    table = (1.0 / (1.0 + np.exp(-1.702 * smooth))).reshape(-1).astype(np.float32)
+    return put(table, wp.float32, device)
+
+
+def tracer_of(meshes: Sequence[tuple[Mesh, Array]], device: str) -> Tracer:
+    """Build the ray tracer of a device: Embree on the CPU, Warp's trees on a GPU.
+
+    Args:
+        meshes: The meshes, each with its X_camera_body, (4, 4).
+        device: Warp device.
+
+    Returns:
+        The tracer.
+    """
+    if device == "cpu":
+        from toolee_robot.render.rays.embree import EmbreeTracer
+
+        return EmbreeTracer(meshes)
+    from toolee_robot.render.rays.bvh import BvhTracer
+
+    return BvhTracer(meshes, device)

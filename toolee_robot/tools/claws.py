@@ -10,8 +10,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.tools.hammer_heads import Head, body_piece, face_section, poll_piece
 from toolee_robot.tools.materials import Material, steel
-from toolee_robot.tools.sections import superellipse
-from toolee_robot.tools.solids import Convex, Piece, loft
+from toolee_robot.tools.solids import Convex, Piece, loft, superellipse
 
 _RINGS = 26
 """Number of sections of a claw."""

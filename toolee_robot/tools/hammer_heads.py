@@ -13,8 +13,7 @@ import numpy as np
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.tools.materials import Material, steel
-from toolee_robot.tools.sections import regular_polygon, stack, superellipse
-from toolee_robot.tools.solids import Piece, loft_piece
+from toolee_robot.tools.solids import Piece, loft_piece, regular_polygon, stack, superellipse
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.frames import frame_from_axes
-from toolee_robot.tools.assembly import assemble
 from toolee_robot.tools.claws import claw_head, hanging_claw_head
 from toolee_robot.tools.hammer_heads import Head, ball_peen_head, club_head, cross_peen_head, sledge_head
 from toolee_robot.tools.handles import hammer_handle, turned_handle
 from toolee_robot.tools.mallet_heads import mallet_head, tenderiser_head, wooden_mallet_head
-from toolee_robot.tools.model import EndEffector, Tool, ToolKind
+from toolee_robot.tools.model import EndEffector, Tool, ToolKind, assemble
 
 
 @dataclass(frozen=True)

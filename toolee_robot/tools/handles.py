@@ -10,8 +10,7 @@ from scipy.interpolate import PchipInterpolator
 from toolee_robot.frames import Array
 from toolee_robot.tools.materials import FIBERGLASS, RUBBER, RUBBER_COLORED, WOOD, Material, steel, varied
 from toolee_robot.tools.model import Handle
-from toolee_robot.tools.sections import stack, superellipse
-from toolee_robot.tools.solids import Piece, loft_piece
+from toolee_robot.tools.solids import Piece, loft_piece, stack, superellipse
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.frames import Array, rotation_z, transform
 from toolee_robot.tools.hammer_heads import Head, body_piece, double_faced, face_section
 from toolee_robot.tools.materials import ALUMINIUM, BRASS, PLASTIC, RUBBER, STEEL_BRIGHT, WOOD, steel, varied
-from toolee_robot.tools.sections import stack, superellipse
-from toolee_robot.tools.solids import extrude, loft_piece, place
+from toolee_robot.tools.solids import extrude, loft_piece, place, stack, superellipse
 
 
 def mallet_head(rng: np.random.Generator) -> Head:

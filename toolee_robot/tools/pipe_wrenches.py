@@ -12,7 +12,6 @@ import numpy as np
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, frame_from_axes, transform
-from toolee_robot.tools.assembly import assemble
 from toolee_robot.tools.materials import (
     ALUMINIUM,
     STEEL_BRIGHT,
@@ -22,9 +21,21 @@ from toolee_robot.tools.materials import (
     Material,
     varied,
 )
-from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind
-from toolee_robot.tools.sections import lobes, stack, superellipse
-from toolee_robot.tools.solids import Convex, Piece, cross_section, extrude, loft, loft_piece, move, place, prism_points
+from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind, assemble
+from toolee_robot.tools.solids import (
+    Convex,
+    Piece,
+    cross_section,
+    extrude,
+    lobes,
+    loft,
+    loft_piece,
+    move,
+    place,
+    prism_points,
+    stack,
+    superellipse,
+)
 
 _UPRIGHT = transform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 """Takes an extrusion of an outline (x, z) to the tool frame."""

@@ -9,7 +9,6 @@ from scipy.interpolate import PchipInterpolator
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import transform
-from toolee_robot.tools.assembly import assemble
 from toolee_robot.tools.materials import (
     PLASTIC,
     RUBBER,
@@ -20,9 +19,20 @@ from toolee_robot.tools.materials import (
     Material,
     varied,
 )
-from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind
-from toolee_robot.tools.sections import hexagon, lobes, regular_polygon, stack, superellipse
-from toolee_robot.tools.solids import Convex, Piece, extrude, loft, loft_piece, prism_points
+from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind, assemble
+from toolee_robot.tools.solids import (
+    Convex,
+    Piece,
+    extrude,
+    hexagon,
+    lobes,
+    loft,
+    loft_piece,
+    prism_points,
+    regular_polygon,
+    stack,
+    superellipse,
+)
 
 TipShape = Callable[[np.random.Generator, float, float, Material], tuple[Piece, float]]
 """Generator of a tip: takes the random generator, the radius of the shaft [m], tool z of the end of the tip [m] and the

@@ -269,3 +269,114 @@ def unite(pieces: list[Any]) -> tuple[trimesh.Trimesh, NDArray[np.int64]]:
     for run, original_id in enumerate(mesh.run_original_id):
         owner[runs[run] : runs[run + 1]] = index[int(original_id)]
     return trimesh.Trimesh(np.asarray(mesh.vert_properties[:, :3], np.float64), faces, process=False), owner
+
+
+def superellipse(exponent: float, points: int = 32) -> Array:
+    """Unit superellipse |x|^n + |y|^n = 1.
+
+    Args:
+        exponent: The exponent n; 2 is a circle, 4 and above a rounded square.
+        points: Number of points, M.
+
+    Returns:
+        The outline, counter-clockwise, (M, 2).
+    """
+    t = 2 * np.pi * np.arange(points) / points
+    c, s = np.cos(t), np.sin(t)
+    return np.column_stack([np.sign(c) * np.abs(c) ** (2 / exponent), np.sign(s) * np.abs(s) ** (2 / exponent)])
+
+
+def regular_polygon(sides: int, points: int = 32, corner: float = 0.0) -> Array:
+    """Regular polygon with inradius 1 and one side normal to x.
+
+    Args:
+        sides: Number of sides.
+        points: Number of points, M.
+        corner: Blend with the unit circle, in [0, 1): 0 keeps the corners sharp.
+
+    Returns:
+        The outline, counter-clockwise, (M, 2).
+    """
+    t = 2 * np.pi * np.arange(points) / points
+    half = np.pi / sides
+    r = 1.0 / np.cos((t + half) % (2 * half) - half)
+    r = (1 - corner) * r + corner
+    return r[:, None] * np.column_stack([np.cos(t), np.sin(t)])
+
+
+def hexagon(flats: float) -> Array:
+    """Corners (6, 2) of a hexagon `flats` across, two of its sides normal to y."""
+    t = np.arange(6) * np.pi / 3
+    return 0.5 * flats / np.cos(np.pi / 6) * np.column_stack([np.cos(t), np.sin(t)])
+
+
+def lobes(count: int, depth: float, points: int = 48) -> Array:
+    """Unit circle with flutes.
+
+    Args:
+        count: Number of flutes.
+        depth: Depth of a flute as a share of the radius.
+        points: Number of points, M.
+
+    Returns:
+        The outline, counter-clockwise, (M, 2).
+    """
+    t = 2 * np.pi * np.arange(points) / points
+    r = 1.0 - depth * (0.5 - 0.5 * np.cos(count * t)) ** 2
+    return r[:, None] * np.column_stack([np.cos(t), np.sin(t)])
+
+
+def stack(z: Any, a: Any, b: Any = None, section: Array | None = None, x: Any = 0.0) -> Array:
+    """Rings of a loft along z.
+
+    Args:
+        z: Heights of the rings (N,) [m].
+        a: Half-widths along x, scalar or (N,) [m].
+        b: Half-widths along y, scalar or (N,) [m]; `a` if None.
+        section: Unit sections, (M, 2) or (N, M, 2); a circle if None.
+        x: Centres of the rings along x, scalar or (N,) [m].
+
+    Returns:
+        Rings (N, M, 3) [m].
+    """
+    z = np.asarray(z, dtype=np.float64)
+    a = np.broadcast_to(np.asarray(a, dtype=np.float64), z.shape)
+    b = a if b is None else np.broadcast_to(np.asarray(b, dtype=np.float64), z.shape)
+    x = np.broadcast_to(np.asarray(x, dtype=np.float64), z.shape)
+    unit = superellipse(2.0) if section is None else section
+    unit = np.broadcast_to(unit, (len(z), *unit.shape[-2:]))
+    return np.stack(
+        [x[:, None] + a[:, None] * unit[..., 0], b[:, None] * unit[..., 1], np.repeat(z[:, None], unit.shape[1], 1)],
+        axis=-1,
+    )
+
+
+def mass_properties(bodies: Iterable[tuple[trimesh.Trimesh, float]]) -> tuple[float, Array, Array]:
+    """Mass properties of a set of homogeneous bodies.
+
+    Args:
+        bodies: Closed, outward-oriented meshes [m], each with its density [kg/m^3].
+
+    Returns:
+        Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg m^2], in the axes of the meshes.
+    """
+    mass, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+    for mesh, density in bodies:
+        m, c, S = _moments(mesh)
+        mass += density * m
+        first += density * c
+        second += density * S
+    com = first / mass
+    about_com = second - mass * np.outer(com, com)
+    return mass, com, np.trace(about_com) * np.eye(3) - about_com
+
+
+def _moments(mesh: trimesh.Trimesh) -> tuple[float, Array, Array]:
+    """Volume, its first moment (3,) and second moment (3, 3) about the origin, summed over tetrahedra."""
+    T = mesh.vertices.view(np.ndarray)[mesh.faces.view(np.ndarray)]
+    v = np.einsum("ij,ij->i", T[:, 0], np.cross(T[:, 1], T[:, 2])) / 6.0
+    s = T.sum(1)
+    first = np.einsum("i,ij->j", v, s) / 4.0
+    # Integral of x x^T over a tetrahedron with one corner at the origin: V/20 (sum_i x_i x_i^T + s s^T).
+    second = (np.einsum("i,iaj,iak->jk", v, T, T) + np.einsum("i,ij,ik->jk", v, s, s)) / 20.0
+    return float(v.sum()), first, second

@@ -14,8 +14,18 @@ import numpy as np
 
 from toolee_robot.frames import Array, transform
 from toolee_robot.tools.materials import STEEL_BRIGHT, Material, varied
-from toolee_robot.tools.sections import hexagon, stack, superellipse
-from toolee_robot.tools.solids import Convex, Piece, cross_section, extrude, loft, place, prism_points
+from toolee_robot.tools.solids import (
+    Convex,
+    Piece,
+    cross_section,
+    extrude,
+    hexagon,
+    loft,
+    place,
+    prism_points,
+    stack,
+    superellipse,
+)
 
 
 @dataclass(frozen=True, eq=False)

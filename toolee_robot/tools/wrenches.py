@@ -6,11 +6,20 @@ import numpy as np
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, frame_from_axes, transform
-from toolee_robot.tools.assembly import assemble
 from toolee_robot.tools.materials import PLASTIC, RUBBER, RUBBER_COLORED, STEEL_BRIGHT, STEEL_DARK, Material, varied
-from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind
-from toolee_robot.tools.sections import hexagon, stack, superellipse
-from toolee_robot.tools.solids import Convex, Piece, extrude, loft, loft_piece, move, place
+from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind, assemble
+from toolee_robot.tools.solids import (
+    Convex,
+    Piece,
+    extrude,
+    hexagon,
+    loft,
+    loft_piece,
+    move,
+    place,
+    stack,
+    superellipse,
+)
 from toolee_robot.tools.wrench_heads import WrenchHead, adjustable_head, open_head, ring_head
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.errors import UserError
+from toolee_robot.perception.offline.annotation.clicks import PROTOCOL, Role
+from toolee_robot.perception.offline.annotation.frame_set import Session
 from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd
-from toolee_robot.perception.offline.annotation.protocol import PROTOCOL, Role
-from toolee_robot.perception.offline.annotation.session import Session
 from toolee_robot.viewer.annotation_scene import COLORS, AnnotationScene
 
 ZOOMS = {"whole": 1.0, "3x": 3.0, "8x": 8.0}

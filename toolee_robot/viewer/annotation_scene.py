@@ -15,10 +15,9 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform_points
-from toolee_robot.perception.offline.annotation.clicks import Click
+from toolee_robot.perception.offline.annotation.clicks import Click, Role
 from toolee_robot.perception.offline.annotation.frame_set import AnnotatedFrame
 from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd
-from toolee_robot.perception.offline.annotation.protocol import Role
 from toolee_robot.types import CameraIntrinsics
 
 View = Literal["photograph", "cloud"]

@@ -6,10 +6,15 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, angle_between, frame_from_axes
-from toolee_robot.perception.offline.annotation.depth_sample import depth_sigma, noise_factor
+from toolee_robot.perception.offline.annotation.clicks import Role
 from toolee_robot.perception.offline.annotation.fit import Rows
-from toolee_robot.perception.offline.annotation.measurements import CALIPER, CLICK, Measurements
-from toolee_robot.perception.offline.annotation.protocol import Role
+from toolee_robot.perception.offline.annotation.measurements import (
+    CALIPER,
+    CLICK,
+    Measurements,
+    depth_sigma,
+    noise_factor,
+)
 
 INSIDE, INSIDE_SIGMA = 0.85, 0.15
 """How far the axis lies behind the depth that is measured about a click, as a share of the radius: 1 on the shaft's

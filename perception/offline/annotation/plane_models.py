@@ -12,10 +12,16 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, angle_between, cross, frame_from_axes
-from toolee_robot.perception.offline.annotation.depth_sample import depth_sigma, noise_factor
+from toolee_robot.perception.offline.annotation.clicks import Role, Shape
 from toolee_robot.perception.offline.annotation.fit import Fit, Rows
-from toolee_robot.perception.offline.annotation.measurements import CALIPER, CLICK, Measurement, Measurements
-from toolee_robot.perception.offline.annotation.protocol import Role, Shape
+from toolee_robot.perception.offline.annotation.measurements import (
+    CALIPER,
+    CLICK,
+    Measurement,
+    Measurements,
+    depth_sigma,
+    noise_factor,
+)
 
 STEEPEST = np.deg2rad(80.0)
 """Angle between ray and normal beyond which a plane's tilt and edge are not told from a photograph [rad]."""

@@ -21,7 +21,7 @@ from toolee_robot.errors import UserError
 from toolee_robot.perception.detection.config import DetectorConfig, working_size
 from toolee_robot.perception.detection.detector import CLASSES, Detector
 from toolee_robot.perception.detection.detector_weights import WEIGHTS_NAME, load_detector
-from toolee_robot.perception.offline.dataset.reserved import refuse_test_set
+from toolee_robot.perception.offline.dataset.spec import refuse_test_set
 from toolee_robot.perception.offline.detection.backgrounds import Backgrounds
 from toolee_robot.perception.offline.detection.images import DeviceImages, augment
 from toolee_robot.perception.offline.detection.losses import DetectorLoss, instances_from_maps

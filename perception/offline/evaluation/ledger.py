@@ -15,8 +15,7 @@ from typing import Any
 import toolee_robot
 from toolee_robot.errors import AssetError, UserError, words_of
 from toolee_robot.perception.offline.dataset.files import SUMS
-from toolee_robot.perception.offline.dataset.reserved import PHOTOGRAPHS, are_test_photographs
-from toolee_robot.perception.offline.dataset.spec import DatasetSpec, root_of
+from toolee_robot.perception.offline.dataset.spec import PHOTOGRAPHS, DatasetSpec, are_test_photographs, root_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR, weights_hash
 from toolee_robot.runtime.files import sha256
 

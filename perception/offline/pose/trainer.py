@@ -1,4 +1,4 @@
-"""Training of the pose network on synthetic clouds: `toolee train pose`."""
+"""Training of the pose network on synthetic clouds, of which a buffer is replayed: `toolee train pose`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, Generic
 
@@ -16,13 +16,10 @@ from torch import Tensor, nn
 
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.offline.pose import validation
-from toolee_robot.perception.offline.pose.batchnorm import freeze_batchnorm
 from toolee_robot.perception.offline.pose.config import TrainConfig
 from toolee_robot.perception.offline.pose.recipe import DefaultRecipe, Net, TrainingRecipe
-from toolee_robot.perception.offline.pose.replay_buffer import ReplayBuffer
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudSource, Mixture
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds
-from toolee_robot.perception.offline.synthetic_clouds.source import CloudSource, Mixture
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
     Float32,
     SurfaceSamples,
@@ -274,3 +271,65 @@ def train(
         if init is not None:
             trainer.start_from(init)
         return trainer.calibrate() if calibrate_only else trainer.run()
+
+
+class ReplayBuffer:
+    """A ring buffer of clouds on the device: new ones replace the oldest, batches are drawn at random.
+
+    Args:
+        first: The first clouds.
+        capacity: Number of clouds that it holds.
+
+    Attributes:
+        made: Number of clouds added so far.
+    """
+
+    def __init__(self, first: CloudBatch, capacity: int) -> None:
+        self._rows = {
+            f.name: torch.empty(
+                (capacity, *getattr(first, f.name).shape[1:]),
+                dtype=getattr(first, f.name).dtype,
+                device=first.points.device,
+            )
+            for f in fields(CloudBatch)
+        }
+        self._capacity, self._filled, self._next = capacity, 0, 0
+        self.made = 0
+        self.add(first)
+
+    def add(self, batch: CloudBatch) -> None:
+        """Add clouds in place of the oldest ones."""
+        device = batch.points.device
+        index = (self._next + torch.arange(len(batch), device=device)) % self._capacity
+        for name, rows in self._rows.items():
+            rows[index] = getattr(batch, name)
+        self._next = (self._next + len(batch)) % self._capacity
+        self._filled = min(self._filled + len(batch), self._capacity)
+        self.made += len(batch)
+
+    def draw(self, n: int, generator: torch.Generator) -> CloudBatch:
+        """Draw clouds at random, with replacement.
+
+        Args:
+            n: How many.
+            generator: Random generator, on the buffer's device.
+
+        Returns:
+            The clouds.
+        """
+        index = torch.randint(self._filled, (n,), device=generator.device, generator=generator)
+        return CloudBatch(**{name: rows[index] for name, rows in self._rows.items()})
+
+
+def freeze_batchnorm(net: nn.Module, frozen: bool) -> None:
+    """Switch layers of batch normalisation between running statistics, kept, and their batch's.
+
+    Their weights learn either way.
+
+    Args:
+        net: The network.
+        frozen: Whether the running statistics are used and kept.
+    """
+    for module in net.modules():
+        if isinstance(module, nn.BatchNorm1d):
+            module.train(not frozen)

@@ -8,10 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, inverse, random_rotation, rotation_z, transform, transform_points
 from toolee_robot.perception.offline.dataset.records import FARTHEST, NEAREST
-from toolee_robot.perception.offline.synthesis.clutter import any_object, corners_of, settled
+from toolee_robot.perception.offline.synthesis.clutter import Surfaces, any_object, corners_of, settled
 from toolee_robot.perception.offline.synthesis.placement import Stance, on_plane, random_pixel
 from toolee_robot.perception.offline.synthesis.resting import Support, across, leaning, lying, standing
-from toolee_robot.perception.offline.synthesis.surfaces import Surfaces
 from toolee_robot.render import Body
 from toolee_robot.render.mesh import box
 from toolee_robot.tools import ToolShape

@@ -25,7 +25,7 @@ from toolee_robot.perception.offline.synthesis.bodies import (
     hand_bodies,
     tool_bodies,
 )
-from toolee_robot.perception.offline.synthesis.clutter import any_object, backdrop, corners_of, walls
+from toolee_robot.perception.offline.synthesis.clutter import Surfaces, any_object, backdrop, corners_of, walls
 from toolee_robot.perception.offline.synthesis.placement import (
     PlacedTool,
     Pool,
@@ -37,7 +37,6 @@ from toolee_robot.perception.offline.synthesis.placement import (
     random_pixel,
     tool_in_view,
 )
-from toolee_robot.perception.offline.synthesis.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.mesh import box, cylinder

@@ -20,7 +20,7 @@ from toolee_robot.frames import (
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED, Catalogue
 from toolee_robot.perception.offline.dataset.records import FARTHEST, HEIGHT, NEAREST, WIDTH
 from toolee_robot.perception.offline.synthesis.bodies import Grasp, random_grasp
-from toolee_robot.perception.offline.synthesis.surfaces import Surfaces
+from toolee_robot.perception.offline.synthesis.clutter import Surfaces
 from toolee_robot.render import Scene
 from toolee_robot.tools import ToolShape
 from toolee_robot.types import CameraIntrinsics

@@ -23,9 +23,9 @@ from toolee_robot.perception.offline.synthesis.bodies import (
     tool_bodies,
     tuple_of,
 )
+from toolee_robot.perception.offline.synthesis.clutter import Surfaces
 from toolee_robot.perception.offline.synthesis.hard import ARM, HAND, OBJECT, ROOM
 from toolee_robot.perception.offline.synthesis.placement import PlacedTool, Pool, SceneSample, Stance, look, sees_an_ee
-from toolee_robot.perception.offline.synthesis.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
 from toolee_robot.render.mesh import box, cylinder, sphere
 from toolee_robot.render.palette import any_color, finish, skin_tone

@@ -1,12 +1,14 @@
-"""Configuration of the synthetic training clouds, and a batch of them."""
+"""Training clouds: configuration of the synthetic ones, a batch, sources of batches, random numbers."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
+from toolee_robot.errors import UserError
 from toolee_robot.perception.pose.canonical import PATCHES, POINTS, CanonicalCloud
 
 
@@ -194,3 +196,112 @@ class CloudBatch:
     def cat(batches: list[CloudBatch]) -> CloudBatch:
         """Several batches joined."""
         return CloudBatch(*(torch.cat([getattr(b, f.name) for b in batches]) for f in fields(CloudBatch)))
+
+
+class CloudSource(ABC):
+    """Endless clouds on one device, from one seed."""
+
+    @abstractmethod
+    def generate(self, n: int) -> CloudBatch:
+        """Up to n clouds: those that show too little are dropped."""
+
+    @abstractmethod
+    def reseed(self, seed: int) -> None:
+        """Start another sequence of clouds."""
+
+    def collect(self, n: int, chunk: int) -> CloudBatch:
+        """Generate a given number of clouds.
+
+        Args:
+            n: Number of clouds.
+            chunk: Clouds per call of `generate`.
+
+        Returns:
+            Exactly n clouds.
+        """
+        batches: list[CloudBatch] = []
+        while sum(map(len, batches)) < n:
+            batches.append(self.generate(chunk))
+        return CloudBatch.cat(batches).select(torch.arange(n, device=batches[0].points.device))
+
+
+class Mixture(CloudSource):
+    """A mixture of two sources.
+
+    Args:
+        first: Source of the other clouds.
+        second: Source of a share of the clouds.
+        share: That share, in [0, 1].
+
+    Raises:
+        UserError: The share is outside of [0, 1].
+    """
+
+    def __init__(self, first: CloudSource, second: CloudSource, share: float) -> None:
+        if not 0.0 <= share <= 1.0:
+            raise UserError(f"a share of {share} of the clouds: give one from 0 to 1", code="user.share")
+        self._first, self._second, self._share = first, second, share
+
+    def generate(self, n: int) -> CloudBatch:
+        """See `CloudSource`."""
+        of_second = round(self._share * n)
+        asked = (self._first, n - of_second), (self._second, of_second)
+        return CloudBatch.cat([source.generate(count) for source, count in asked if count])
+
+    def reseed(self, seed: int) -> None:
+        """See `CloudSource`."""
+        self._first.reseed(seed)
+        self._second.reseed(seed + 1)
+
+
+class TorchRng:
+    """A seeded torch generator with the distributions that the clouds need.
+
+    Args:
+        device: torch device of the numbers.
+        seed: Seed.
+    """
+
+    def __init__(self, device: torch.device | str, seed: int) -> None:
+        self.device = torch.device(device)
+        self.generator = torch.Generator(self.device).manual_seed(seed)
+
+    def uniform(self, n: int, low: float = 0.0, high: float = 1.0) -> Tensor:
+        """Draw uniformly distributed numbers.
+
+        Args:
+            n: How many.
+            low: Lower bound, included.
+            high: Upper bound, excluded.
+
+        Returns:
+            The numbers, (n,).
+        """
+        return low + (high - low) * torch.rand(n, device=self.device, generator=self.generator)
+
+    def normal(self, *shape: int) -> Tensor:
+        """Standard normal numbers of this shape."""
+        return torch.randn(*shape, device=self.device, generator=self.generator)
+
+    def integers(self, low: int, high: int, *shape: int) -> Tensor:
+        """Draw uniformly distributed integers.
+
+        Args:
+            low: Lower bound, included.
+            high: Upper bound, excluded.
+            *shape: Shape of the result.
+
+        Returns:
+            The integers, of that shape.
+        """
+        return torch.randint(low, high, shape, device=self.device, generator=self.generator)
+
+    def rotations(self, n: int) -> Tensor:
+        """(n, 3, 3), uniform on SO(3)."""
+        w, x, y, z = torch.nn.functional.normalize(self.normal(n, 4), dim=-1).unbind(-1)
+        rows = [
+            1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+            2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+            2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+        ]  # fmt: skip
+        return torch.stack(rows, -1).view(-1, 3, 3)

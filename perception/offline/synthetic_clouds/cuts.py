@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig, TorchRng
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import NOWHERE
-from toolee_robot.perception.offline.synthetic_clouds.torch_rng import TorchRng
 
 _BORDER = (-0.4, 0.8)
 """How far beyond a focus an image ends, in radii."""

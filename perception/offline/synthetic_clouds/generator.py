@@ -12,7 +12,7 @@ from torch import Tensor
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.perception.offline.synthetic_clouds import point_splatting
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig, CloudSource, TorchRng
 from toolee_robot.perception.offline.synthetic_clouds.cuts import Border, Cut, Target
 from toolee_robot.perception.offline.synthetic_clouds.masks import cleaned, imperfect, pick
 from toolee_robot.perception.offline.synthetic_clouds.point_splatting import GRID, Window, ZBuffer
@@ -24,14 +24,12 @@ from toolee_robot.perception.offline.synthetic_clouds.scene import (
     rigid_inverse,
     upright_rotations,
 )
-from toolee_robot.perception.offline.synthetic_clouds.source import CloudSource
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
     NOWHERE,
     Float32,
     SurfaceSamples,
     random_grasps,
 )
-from toolee_robot.perception.offline.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
 from toolee_robot.perception.pose.depth_completion import complete_depth
 

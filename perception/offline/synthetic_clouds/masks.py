@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from toolee_robot.perception.offline.synthetic_clouds import point_splatting
+from toolee_robot.perception.offline.synthetic_clouds.batch import TorchRng
 from toolee_robot.perception.offline.synthetic_clouds.point_splatting import GRID
-from toolee_robot.perception.offline.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.perception.pose.depth_completion import surface_step
 
 

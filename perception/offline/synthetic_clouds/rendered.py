@@ -18,10 +18,8 @@ from torch import Tensor
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError, words_of
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig, CloudSource, TorchRng
 from toolee_robot.perception.offline.synthetic_clouds.scene import DIRECTION_SIGMA, direction_token
-from toolee_robot.perception.offline.synthetic_clouds.source import CloudSource
-from toolee_robot.perception.offline.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.perception.pose.canonical import (
     MIN_KEPT,
     MIN_POINTS,

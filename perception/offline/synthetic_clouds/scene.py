@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from toolee_robot.perception.offline.synthetic_clouds import point_splatting
+from toolee_robot.perception.offline.synthetic_clouds.batch import TorchRng
 from toolee_robot.perception.offline.synthetic_clouds.point_splatting import ZBuffer
-from toolee_robot.perception.offline.synthetic_clouds.torch_rng import TorchRng
 
 DIRECTION_SIGMA = 0.1
 """Standard deviation [rad] of most directions to the rest of a tool."""

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import torch
 
 from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.dataset.reserved import refuse_test_set
+from toolee_robot.perception.offline.dataset.spec import refuse_test_set
 from toolee_robot.perception.offline.training.loop import TrainingRun
 from toolee_robot.perception.offline.training.options import CHECKPOINT, CONFIG, TrainingOptions, options_of, remember
 from toolee_robot.perception.weight_files import save_weights

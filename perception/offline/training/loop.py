@@ -6,6 +6,7 @@ import json
 import math
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from torch import Tensor, nn
 from toolee_robot.errors import TooleeError
 from toolee_robot.perception.offline.training.distributed import Distributed
 from toolee_robot.perception.offline.training.options import TrainingOptions
-from toolee_robot.perception.offline.training.tensorboard_log import Scalars
 from toolee_robot.runtime.files import written_whole
 
 
@@ -211,3 +211,46 @@ class TrainingRun(ABC):
 def _rounded(values: dict[str, Any]) -> dict[str, Any]:
     """Values rounded to five significant digits for the log."""
     return {k: float(f"{v:.5g}") if isinstance(v, float) else v for k, v in values.items()}
+
+
+FOLDER = "tensorboard"
+
+
+class Scalars:
+    """Writer of TensorBoard curves in out/tensorboard; without the extra nothing is written.
+
+    Args:
+        out: Folder of the training.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self._writer: Any = None
+        self._tried = False
+
+    def add(self, step: int, values: Mapping[str, Any], under: str = "train") -> None:
+        """Write numbers at a step; those of nested mappings under their key.
+
+        Args:
+            step: Step of the training.
+            values: Names and values; values that are not numbers are skipped.
+            under: Prefix of the curves.
+        """
+        if not self._tried:
+            self._tried = True
+            try:
+                from torch.utils.tensorboard.writer import SummaryWriter
+            except ImportError:
+                return
+            self._writer = SummaryWriter(str(self._out / FOLDER))
+        if self._writer is None:
+            return
+        self._add(step, values, under)
+        self._writer.flush()
+
+    def _add(self, step: int, values: Mapping[str, Any], under: str) -> None:
+        for name, value in values.items():
+            if isinstance(value, Mapping):
+                self._add(step, value, f"{under}/{name}")
+            elif isinstance(value, int | float) and not isinstance(value, bool):
+                self._writer.add_scalar(f"{under}/{name}", value, step)

@@ -29,9 +29,8 @@ from toolee_robot.perception.offline.pose.trainer import Trainer
 from toolee_robot.perception.offline.rendered_clouds import clouds_of_part, tool_clouds_of_part
 from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 from toolee_robot.perception.offline.synthesis.example import examples_of
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig, CloudSource, Mixture
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
-from toolee_robot.perception.offline.synthetic_clouds.source import CloudSource, Mixture
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import sample_hands, sample_tools
 from toolee_robot.perception.offline.training.distributed import Distributed
 from toolee_robot.perception.pose import PoseEstimator

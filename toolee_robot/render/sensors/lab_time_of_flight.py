@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.render.mesh import FloatArray
-from toolee_robot.render.sensors.smooth_noise import in_patches, smooth_noise
-from toolee_robot.render.sensors.surface import Surface
+from toolee_robot.render.sensors.surface import Surface, in_patches, smooth_noise
 
 _PATCH = 0.012
 """Size of holes and of light's detours on a tool [m]."""

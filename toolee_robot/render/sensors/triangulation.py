@@ -20,8 +20,7 @@ import numpy as np
 
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.sensors.registration import hidden_from
-from toolee_robot.render.sensors.smooth_noise import in_patches, smooth_noise
-from toolee_robot.render.sensors.surface import Surface
+from toolee_robot.render.sensors.surface import Surface, in_patches, smooth_noise
 from toolee_robot.types import CameraIntrinsics
 
 _EDGE = 0.02

@@ -16,8 +16,7 @@ from scipy.spatial import ConvexHull
 
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform_points
-from toolee_robot.perception.offline.annotation.clicks import Click, ClickedEnd
-from toolee_robot.perception.offline.annotation.protocol import Role, Shape
+from toolee_robot.perception.offline.annotation.clicks import Click, ClickedEnd, Role, Shape
 
 VISIBLE = 0.9
 """Share of the clicked points that must be in the visible mask."""

@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.depth_noise import AXIAL_MM, COMMON, SYSTEMATIC, DepthNoise
 from toolee_robot.frames import Array, frame_from_axes, transform_points
-from toolee_robot.perception.offline.annotation.clicks import Click, ClickedEnd
+from toolee_robot.perception.offline.annotation.clicks import Click, ClickedEnd, Role, Shape
 from toolee_robot.perception.offline.annotation.measurements import CLICK
-from toolee_robot.perception.offline.annotation.protocol import Role, Shape
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)

@@ -8,7 +8,7 @@ import pytest
 from tests.errors import raises
 from tests.perception.offline.annotation.scenes import CAMERA
 from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.annotation.depth_sample import depth_sigma, noise_factor, sample_depth
+from toolee_robot.perception.offline.annotation.measurements import depth_sigma, noise_factor, sample_depth
 from toolee_robot.types import RgbdFrame
 
 

@@ -14,9 +14,8 @@ from tests.errors import raises
 from tests.perception.offline.annotation import scenes
 from tests.perception.offline.annotation.scenes import Scene
 from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.annotation.clicks import Click
+from toolee_robot.perception.offline.annotation.clicks import Click, Role
 from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd, annotate_end
-from toolee_robot.perception.offline.annotation.protocol import Role
 from toolee_robot.symmetry import SymmetryKind
 
 KINDS: dict[str, Callable[[np.random.Generator], Scene]] = {

@@ -19,13 +19,13 @@ from toolee_robot.perception.offline.annotation.clicks import (
     ClickedEnd,
     ClickedFrame,
     ClicksFile,
+    Role,
+    Shape,
     read_clicks,
     write_clicks,
 )
-from toolee_robot.perception.offline.annotation.frame_set import FrameSet
+from toolee_robot.perception.offline.annotation.frame_set import FrameSet, Session
 from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd
-from toolee_robot.perception.offline.annotation.protocol import Role, Shape
-from toolee_robot.perception.offline.annotation.session import Session
 from toolee_robot.perception.offline.evaluation.photographs import read_photographs
 
 pytestmark = pytest.mark.sim(seconds=40)

@@ -11,8 +11,13 @@ import pytest
 from tests.errors import raises
 from toolee_robot.cli.app import run
 from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.dataset.reserved import PHOTOGRAPHS, refuse_test_set
-from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, TEST_SEEDS, DatasetSpec
+from toolee_robot.perception.offline.dataset.spec import (
+    DESCRIPTION,
+    PHOTOGRAPHS,
+    TEST_SEEDS,
+    DatasetSpec,
+    refuse_test_set,
+)
 
 MARKED = DatasetSpec("hard", 10, 5, test_set=True)
 

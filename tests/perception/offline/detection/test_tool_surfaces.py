@@ -11,9 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from toolee_robot.perception.offline.detection.backgrounds import Backgrounds
+from toolee_robot.perception.offline.detection.backgrounds import Backgrounds, Patches
 from toolee_robot.perception.offline.detection.images import ImageSample, augment
-from toolee_robot.perception.offline.detection.patches import Patches
 from toolee_robot.perception.offline.detection.tool_surfaces import stickers, wear
 
 CPU = torch.device("cpu")

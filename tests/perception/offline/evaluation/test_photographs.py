@@ -12,8 +12,7 @@ import pytest
 from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.evaluation.photograph_scores import decided, evaluate
-from toolee_robot.perception.offline.evaluation.photographs import crops, read_photographs
+from toolee_robot.perception.offline.evaluation.photographs import crops, decided, evaluate, read_photographs
 from toolee_robot.perception.pipeline import ToolPerception
 
 

@@ -13,10 +13,9 @@ from toolee_robot.frames import transform
 from toolee_robot.perception.offline.dataset import records
 from toolee_robot.perception.offline.synthesis import paper
 from toolee_robot.perception.offline.synthesis.labels import _Reach
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig, TorchRng
 from toolee_robot.perception.offline.synthetic_clouds.cuts import Border, Cut
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import NOWHERE
-from toolee_robot.perception.offline.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(365.0, 365.0, 31.5, 31.5, 64, 64)

@@ -24,7 +24,7 @@ from toolee_robot.perception.offline.dataset.custom_tools import CustomTool
 from toolee_robot.perception.offline.dataset.files import read_json
 from toolee_robot.perception.offline.dataset.instances import read_ply
 from toolee_robot.perception.offline.dataset.spec import catalogue_of
-from toolee_robot.perception.offline.evaluation.shapes import ee_shape
+from toolee_robot.perception.offline.evaluation.records import ee_shape
 from toolee_robot.perception.offline.synthesis.custom_tool_reader import read_custom_tools
 
 pytestmark = pytest.mark.sim
