@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.image_files import IMAGE_SUFFIXES, read_depth, read_rgb
-from toolee_robot.types import CameraIntrinsics, RgbdFrame
+from toolee_robot.types import CameraIntrinsics, RgbdFrame, ToolEstimate
 
 
 def parse_intrinsics(text: str, width: int, height: int) -> CameraIntrinsics:
@@ -280,3 +280,22 @@ def _frame(
             code="user.depth_not_registered",
         )
     return RgbdFrame(image, depth, intrinsics)
+
+
+def as_record(estimate: ToolEstimate) -> dict[str, Any]:
+    """An estimate for JSON: metres, radians, OpenCV camera frame; mask_box is x0, y0, x1, y1 [px].
+
+    X_camera_ee and covariance are null where there was too little to estimate a pose from.
+    """
+    known = bool(np.all(np.isfinite(estimate.X_camera_ee)))
+    return {
+        "category": str(estimate.category),
+        "score": round(float(estimate.detection.score), 4),
+        "X_camera_ee": [float(v) for v in estimate.X_camera_ee.reshape(-1)] if known else None,
+        "covariance": estimate.covariance.tolist() if known else None,
+        "mask_box": [float(v) for v in estimate.detection.box],
+        "confidence": round(float(estimate.confidence), 4),
+        "trust": round(float(estimate.trust), 4),
+        "usable": bool(estimate.usable),
+        "reason": estimate.reason,
+    }

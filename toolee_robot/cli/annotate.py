@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from rich.console import Console
@@ -39,7 +39,7 @@ class Annotate:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.offline.annotation.frame_set import FrameSet, Session
+        from toolee_robot.perception.offline.annotation.frame_set import FrameSet, Session, end_record
 
         console = Console(stderr=self.json, highlight=False)
         frames = FrameSet(self.folder, self.clicks)
@@ -50,7 +50,7 @@ class Annotate:
             serve(page, console, "Ctrl-C ends it and writes the test.")
         with console.status("fitting the clicks"):
             written = frames.write()
-        rows = [_row(f.name, end) for f in written for end in f.ends]
+        rows = [end_record(f.name, end) for f in written for end in f.ends]
         columns = ("frame", "end", "position [mm]", "rotation [deg]", "residuals", "checks")
         if rows:
             console.print(text_table("Standard deviations of the clicked poses", columns, [r["cells"] for r in rows]))
@@ -67,33 +67,6 @@ class Annotate:
             record = [{k: v for k, v in row.items() if k != "cells"} for row in rows]
             print(json_line({"frames": len(complete), "ends": record}))
         return 1 if any(r["problem"] is not None or not r["known"] for r in rows) else 0
-
-
-def _row(name: str, end: Any) -> dict[str, Any]:
-    """One end effector, for the table and for JSON."""
-    from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd
-
-    if not isinstance(end, AnnotatedEnd):
-        cells = [name, "no pose", "-", "-", "-", "-"]
-        return {"frame": name, "problem": str(end), "code": end.code, "known": False, "cells": cells}
-    checks = ", ".join(
-        f"{c.measured_mm:.1f}: {c.fitted_mm:.1f} mm{'' if c.agrees else ' DISAGREES'}" for c in end.checks
-    )
-    label, scale = end.category.spec.label, f"{end.fit.scale:.1f}x"
-    cells = [name, label, f"{end.sigma_mm:.1f}", f"{end.sigma_deg:.1f}", scale, checks or "-"]
-    return {
-        "frame": name,
-        "problem": None,
-        "known": end.known,
-        "category": str(end.category),
-        "X_camera_ee": end.fit.X_camera_ee.tolist(),
-        "sigma_mm": end.sigma_mm,
-        "sigma_deg": end.sigma_deg,
-        "scale": end.fit.scale,
-        "wrong": end.fit.wrong,
-        "checks": [asdict(c) | {"agrees": c.agrees} for c in end.checks],
-        "cells": cells,
-    }
 
 
 COMMANDS = {"": Annotate}

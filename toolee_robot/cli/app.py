@@ -187,9 +187,10 @@ def _of_other_package(error: ModuleNotFoundError) -> bool:
 
 
 def _missing_package(error: ModuleNotFoundError) -> UserError:
+    what = "'.[train]'" if error.name == "isal" else "."
     return UserError(
         f"this command needs the Python module {error.name}, which is not installed: run "
-        "`python -m pip install -e .` in the repository; requirements-perception.txt is enough for "
+        f"`python -m pip install -e {what}` in the repository; requirements-perception.txt is enough for "
         "`toolee estimate` only",
         code="user.missing_package",
     )

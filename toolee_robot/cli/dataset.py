@@ -6,7 +6,6 @@ Example: toolee dataset generate --config hard --size 1000 --out data/hard
 from __future__ import annotations
 
 import os
-import resource
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -22,7 +21,6 @@ from rich.table import Table
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.json_line import json_line
 from toolee_robot.sensor_kinds import SensorKind
 
@@ -116,7 +114,7 @@ class Generate:
         )
 
     def run(self) -> int:
-        from toolee_robot.perception.offline.synthesis.generate import generate
+        from toolee_robot.perception.offline.synthesis.generate import Cost, generate
 
         custom_tools = self.custom_tools()
         spec = self.spec(custom_tools)
@@ -132,7 +130,7 @@ class Generate:
 
             made = generate(spec, self.out, workers, count, self.cluster, custom_tools)
         seconds = time.monotonic() - began
-        cost = _Cost.of_workers(spec.size - counts[0], seconds) if made and self.cluster == "local" else None
+        cost = Cost.of_workers(spec.size - counts[0], seconds) if made and self.cluster == "local" else None
         if made:
             console.print(f"{spec.size} examples in {escape(str(self.out))}, {seconds:.0f} s", soft_wrap=True)
             if cost is not None:
@@ -146,32 +144,6 @@ class Generate:
             record = {"out": str(self.out), "spec": spec.to_json(), "made": made, "seconds": seconds}
             print(json_line({**record, "workers": workers, "cost": cost and asdict(cost)}), flush=True)
         return 0
-
-
-@dataclass(frozen=True)
-class _Cost:
-    """Cost of generating examples, including start and end of the run.
-
-    Attributes:
-        examples: Number of generated examples.
-        per_second: Examples per second.
-        cpu_ms: CPU time of the worker processes per example [ms].
-        worker_mb: Largest memory of a worker process [MB].
-    """
-
-    examples: int
-    per_second: float
-    cpu_ms: float
-    worker_mb: float
-
-    @staticmethod
-    def of_workers(examples: int, seconds: float) -> _Cost | None:
-        """Measure the cost from the ended child processes; None where nothing was generated."""
-        if examples == 0:
-            return None
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        cpu = used.ru_utime + used.ru_stime
-        return _Cost(examples, examples / seconds, 1e3 * cpu / examples, used.ru_maxrss / 1024)
 
 
 @dataclass(frozen=True)
@@ -198,32 +170,15 @@ class Inspect:
     def run(self) -> int:
         if self.count < 1 or self.pairs < 1:
             raise UserError("--count and --pairs must be 1 or more", code="user.count")
-        from toolee_robot.perception.offline.dataset import figures, index_files
-        from toolee_robot.perception.offline.dataset.files import read_json
-        from toolee_robot.perception.offline.dataset.scene_reader import scene_folders
-        from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
+        from toolee_robot.perception.offline.dataset.figures import inspect
 
-        spec = DatasetSpec.read(self.folder)
-        if not index_files.is_finished(self.folder):
-            raise UserError(
-                f"{self.folder} is not finished: run its `toolee dataset generate` again",
-                code="user.dataset_unfinished",
-            )
         out = self.folder.with_name(f"{self.folder.resolve().name}-inspection") if self.out is None else self.out
-        out.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=self.json, highlight=False)
-        card = read_json(self.folder / index_files.CARD)
         with console.status("drawing"):
-            for split in SPLITS:
-                if scene_folders(self.folder / split):
-                    figures.montage(self.folder / split, self.count).save(out / f"montage_{split}.png")
-                found = figures.shape_distances(self.folder, self.pairs)
-            if found.values:
-                figures.shape_figure(found).savefig(out / "shapes.png", dpi=110)
-        record = {"spec": spec.to_json(), "splits": _summary(card), "shape_distances": found.to_json()}
-        write_atomic(out / "inspection.json", (json_line(record) + "\n").encode())
-        if found.values:
-            console.print(_shape_table(found.to_json()))
+            record = inspect(self.folder, out, self.count, self.pairs)
+        found = record["shape_distances"]
+        if found:
+            console.print(_shape_table(found))
         else:
             console.print("no category has two instances to compare: shapes.png is left out")
         console.print(f"pictures in {escape(str(out))}", soft_wrap=True)
@@ -274,19 +229,6 @@ COMMANDS = {
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _summary(card: dict[str, Any]) -> dict[str, Any]:
-    return {
-        split: {
-            "examples": part["examples"],
-            "categories": {
-                c: {"targets": about["targets"], "instances": len(about["instances"])}
-                for c, about in part["categories"].items()
-            },
-        }
-        for split, part in card["splits"].items()
-    }
 
 
 def _shape_table(found: dict[str, Any]) -> Table:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import tyro
 from rich.console import Console
 from rich.markup import escape
@@ -20,7 +19,10 @@ from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.json_line import json_line
 from toolee_robot.station import sim_station
-from toolee_robot.types import HoldingHand, ToolEstimate
+from toolee_robot.types import HoldingHand, RgbdFrame, ToolEstimate
+
+if TYPE_CHECKING:
+    from toolee_robot.perception import ToolPerception
 
 _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 
@@ -79,7 +81,7 @@ class Estimate:
                 code="user.missing_option",
             )
         from toolee_robot.perception import ToolPerception
-        from toolee_robot.perception.io import read_frame, read_pose
+        from toolee_robot.perception.io import as_record, read_frame, read_pose
 
         frame = read_frame(self.rgb, self.depth, self.intrinsics, self.depth_scale)
         hand = None
@@ -87,10 +89,7 @@ class Estimate:
             from toolee_robot.robots import hand_model
 
             hand = HoldingHand(read_pose(self.hand_pose), hand_model(self.hand).grasp.R_hand_tool)
-        perception = ToolPerception.load()
-        start = time.perf_counter()
-        estimates = perception.estimate(frame, hand)
-        elapsed_ms = (time.perf_counter() - start) * 1e3
+        estimates, elapsed_ms = _timed(ToolPerception.load(), frame, hand)
         if self.picture is not None:
             from toolee_robot.recording.picture import draw
 
@@ -104,32 +103,27 @@ class Estimate:
 
     def _run_bop(self, console: Console, folder: Path) -> int:
         from toolee_robot.perception import ToolPerception
-        from toolee_robot.perception.io import bop_images
+        from toolee_robot.perception.io import as_record, bop_images
 
         images = bop_images(folder)
         perception = ToolPerception.load()
         usable = unreadable = 0
         for image in images:
+            line: dict[str, Any] = {"im_id": image.im_id, "time_ms": None, "estimates": []}
             try:
                 frame = image.read()
             except UserError as error:  # one bad file does not cost the rest of the scene
                 unreadable += 1
                 console.print(f"[bold red]image {image.im_id}:[/bold red] {escape(str(error))}", soft_wrap=True)
-                if self.json:
-                    line: dict[str, Any] = {"im_id": image.im_id, "time_ms": None, "estimates": [], "error": str(error)}
-                    print(json_line(line), flush=True)
-                continue
-            start = time.perf_counter()
-            estimates = perception.estimate(frame)
-            elapsed_ms = (time.perf_counter() - start) * 1e3
-            usable += any(e.usable for e in estimates)
-            if self.json:
-                records = [as_record(e) for e in estimates]
-                print(
-                    json_line({"im_id": image.im_id, "time_ms": round(elapsed_ms, 1), "estimates": records}), flush=True
-                )
+                line["error"] = str(error)
             else:
-                console.print(_table(estimates, f"image {image.im_id}: {elapsed_ms:.0f} ms"))
+                estimates, elapsed_ms = _timed(perception, frame, None)
+                usable += any(e.usable for e in estimates)
+                line |= {"time_ms": round(elapsed_ms, 1), "estimates": [as_record(e) for e in estimates]}
+                if not self.json:
+                    console.print(_table(estimates, f"image {image.im_id}: {elapsed_ms:.0f} ms"))
+            if self.json:
+                print(json_line(line), flush=True)
         console.print(f"{usable} of {len(images)} frames have a pose that may be used")
         if unreadable:
             raise UserError(
@@ -139,23 +133,11 @@ class Estimate:
         return 0 if usable else 1
 
 
-def as_record(estimate: ToolEstimate) -> dict[str, Any]:
-    """What --json prints of an estimate: metres, radians, OpenCV camera frame; mask_box is x0, y0, x1, y1 [px].
-
-    X_camera_ee and covariance are null where there was too little to estimate a pose from.
-    """
-    known = bool(np.all(np.isfinite(estimate.X_camera_ee)))
-    return {
-        "category": str(estimate.category),
-        "score": round(float(estimate.detection.score), 4),
-        "X_camera_ee": [float(v) for v in estimate.X_camera_ee.reshape(-1)] if known else None,
-        "covariance": estimate.covariance.tolist() if known else None,
-        "mask_box": [float(v) for v in estimate.detection.box],
-        "confidence": round(float(estimate.confidence), 4),
-        "trust": round(float(estimate.trust), 4),
-        "usable": bool(estimate.usable),
-        "reason": estimate.reason,
-    }
+def _timed(perception: ToolPerception, frame: RgbdFrame, hand: HoldingHand | None) -> tuple[list[ToolEstimate], float]:
+    """The estimates of a frame, and their wall-clock time [ms]."""
+    start = time.perf_counter()
+    estimates = perception.estimate(frame, hand)
+    return estimates, (time.perf_counter() - start) * 1e3
 
 
 def _verdict(console: Console, estimates: list[ToolEstimate]) -> int:

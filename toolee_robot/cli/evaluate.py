@@ -73,13 +73,13 @@ class EvaluatePose:
     def run(self) -> int:
         from toolee_robot.perception.offline.evaluation import report
         from toolee_robot.perception.offline.evaluation.ledger import Ledger, pose_figures
-        from toolee_robot.perception.offline.evaluation.run import Plan, evaluate_pose
+        from toolee_robot.perception.offline.evaluation.run import Plan, evaluate_pose, labelled
 
         console = Console(stderr=self.json, highlight=False)
         role = None if self.tools == "all" else self.tools
         plan = Plan(
             self.data,
-            _labelled(self.weights),
+            labelled(self.weights),
             self.detector,
             self.true_masks_only,
             role,
@@ -225,19 +225,3 @@ class _Ending:
         if self.json:
             print(json_line(record))
         return 0
-
-
-def _labelled(weights: tuple[str, ...]) -> dict[str, Path | None]:
-    if not weights:
-        return {"ours": None}
-    labelled: dict[str, Path | None] = {}
-    for text in weights:
-        label, equals, folder = text.partition("=")
-        path = Path(folder if equals else text)
-        name = label if equals else path.name
-        if name in labelled:
-            raise UserError(
-                f"--weights: two trainings are called {name}; give each a label, LABEL=DIR", code="user.duplicate_label"
-            )
-        labelled[name] = path
-    return labelled

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -328,3 +328,28 @@ class Session:
     def _change(self, frame: ClickedFrame) -> None:
         self._annotated = None
         self.frames.change(self.frames.clicks.with_frame(self.name, frame))
+
+
+def end_record(name: str, end: AnnotatedEnd | UserError) -> dict[str, Any]:
+    """What `toolee annotate` prints of an end effector of a frame; "cells" are those of its table."""
+    if not isinstance(end, AnnotatedEnd):
+        cells = [name, "no pose", "-", "-", "-", "-"]
+        return {"frame": name, "problem": str(end), "code": end.code, "known": False, "cells": cells}
+    checks = ", ".join(
+        f"{c.measured_mm:.1f}: {c.fitted_mm:.1f} mm{'' if c.agrees else ' DISAGREES'}" for c in end.checks
+    )
+    label, scale = end.category.spec.label, f"{end.fit.scale:.1f}x"
+    cells = [name, label, f"{end.sigma_mm:.1f}", f"{end.sigma_deg:.1f}", scale, checks or "-"]
+    return {
+        "frame": name,
+        "problem": None,
+        "known": end.known,
+        "category": str(end.category),
+        "X_camera_ee": end.fit.X_camera_ee.tolist(),
+        "sigma_mm": end.sigma_mm,
+        "sigma_deg": end.sigma_deg,
+        "scale": end.fit.scale,
+        "wrong": end.fit.wrong,
+        "checks": [asdict(c) | {"agrees": c.agrees} for c in end.checks],
+        "cells": cells,
+    }

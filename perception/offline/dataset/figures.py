@@ -6,6 +6,7 @@ instances are compared in the objects' own frames: whole tools in the tool's, en
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -22,11 +23,15 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from toolee_robot.end_effectors import CATEGORIES
+from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception.offline.dataset.files import read_json
+from toolee_robot.perception.offline.dataset.index_files import CARD, is_finished
 from toolee_robot.perception.offline.dataset.instances import MODELS, model_path, read_ply, tool_path
 from toolee_robot.perception.offline.dataset.records import EeTable, FloatArray
 from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.types import CameraIntrinsics
 
 _AXIS = 0.04
@@ -142,6 +147,53 @@ POINTS = 512
 PAIRS = 100
 MEASURES = ("chamfer", "hausdorff", "earth_mover")
 VIEWS = ("object", "ee")
+
+
+def inspect(root: Path, out: Path, count: int, pairs: int) -> dict[str, Any]:
+    """Draw a data set into a folder: montage_train.png, montage_test.png, shapes.png, inspection.json.
+
+    Args:
+        root: Folder of the data set.
+        out: Folder of the pictures.
+        count: Images of each split in the montage.
+        pairs: Pairs of instances per category in Fig. 3.
+
+    Returns:
+        Content of inspection.json: specification, counts by split and category, shape distances.
+
+    Raises:
+        UserError: There is no data set, or it is not finished.
+        AssetError: A file is missing or damaged.
+    """
+    spec = DatasetSpec.read(root)
+    if not is_finished(root):
+        raise UserError(
+            f"{root} is not finished: run its `toolee dataset generate` again", code="user.dataset_unfinished"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    for split in SPLITS:
+        if scene_folders(root / split):
+            montage(root / split, count).save(out / f"montage_{split}.png")
+    found = shape_distances(root, pairs)
+    if found.values:
+        shape_figure(found).savefig(out / "shapes.png", dpi=110)
+    splits = _summary(read_json(root / CARD))
+    record = {"spec": spec.to_json(), "splits": splits, "shape_distances": found.to_json()}
+    write_atomic(out / "inspection.json", (json.dumps(record) + "\n").encode())
+    return record
+
+
+def _summary(card: dict[str, Any]) -> dict[str, Any]:
+    return {
+        split: {
+            "examples": part["examples"],
+            "categories": {
+                c: {"targets": about["targets"], "instances": len(about["instances"])}
+                for c, about in part["categories"].items()
+            },
+        }
+        for split, part in card["splits"].items()
+    }
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
+from toolee_robot.errors import UserError
 from toolee_robot.perception import Segmenter
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
 from toolee_robot.perception.offline.dataset.spec import generated_catalogue_of
@@ -258,3 +259,24 @@ def no_tool(each: Sequence[tuple[bool, bool]]) -> dict[str, Any]:
     quiet = 1 - usable / count if count else None
     detected = sum(d for d, _ in each)
     return {"frames": count, "with_a_detection": detected, "with_a_usable_pose": usable, "share_without": quiet}
+
+
+def labelled(weights: tuple[str, ...]) -> dict[str, Path | None]:
+    """Label -> folder of trainings given as `LABEL=DIR` or `DIR`; the shipped weights, "ours", where none are given.
+
+    Raises:
+        UserError: Two have the same label.
+    """
+    if not weights:
+        return {"ours": None}
+    labelled: dict[str, Path | None] = {}
+    for text in weights:
+        label, equals, folder = text.partition("=")
+        path = Path(folder if equals else text)
+        name = label if equals else path.name
+        if name in labelled:
+            raise UserError(
+                f"--weights: two trainings are called {name}; give each a label, LABEL=DIR", code="user.duplicate_label"
+            )
+        labelled[name] = path
+    return labelled

@@ -1,4 +1,4 @@
-"""COCO mask AP of a detector by category, with faster-coco-eval (the `test` extra): `toolee evaluate segmentation`."""
+"""COCO mask AP of a detector by category, with faster-coco-eval (the `train` extra): `toolee evaluate segmentation`."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def _coco_library() -> tuple[Any, Any, Any]:
         from faster_coco_eval.core import mask
     except ImportError as error:
         raise UserError(
-            "this evaluation needs faster-coco-eval: run `python -m pip install -e '.[test]'` in the repository",
+            "this evaluation needs faster-coco-eval: run `python -m pip install -e '.[train]'` in the repository",
             code="user.missing_package",
         ) from error
     return COCO, COCOeval_faster, mask

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import resource
 import shutil
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -165,3 +167,29 @@ def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
     write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
     forget_tools()
     return job
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Cost of generating examples, including start and end of the run.
+
+    Attributes:
+        examples: Number of generated examples.
+        per_second: Examples per second.
+        cpu_ms: CPU time of the worker processes per example [ms].
+        worker_mb: Largest memory of a worker process [MB].
+    """
+
+    examples: int
+    per_second: float
+    cpu_ms: float
+    worker_mb: float
+
+    @staticmethod
+    def of_workers(examples: int, seconds: float) -> Cost | None:
+        """Measure the cost from the ended child processes; None where nothing was generated."""
+        if examples == 0:
+            return None
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        cpu = used.ru_utime + used.ru_stime
+        return Cost(examples, examples / seconds, 1e3 * cpu / examples, used.ru_maxrss / 1024)
