@@ -231,7 +231,7 @@ def _arccos_deg(cosine: float) -> float:
 
 def _names(catalogue: Catalogue, split: str) -> dict[str, list[str]]:
     numbers = catalogue.numbers(split)
-    return {str(c): [catalogue.name(n) for n in numbers if c in catalogue.categories(n)] for c in CATEGORIES}
+    return {str(c): [catalogue.name(n) for n in numbers if c in catalogue.listed(n).categories] for c in CATEGORIES}
 
 
 def _histogram_table(part: dict[str, Any]) -> list[str]:

@@ -30,6 +30,23 @@ _DRAWN = (*[Family.HAMMERS] * 4, *[Family.SCREWDRIVERS] * 5, *[Family.WRENCHES] 
 """Families of the tools in the pool; station scenes show additional hammers."""
 
 
+@dataclass(frozen=True)
+class Listed:
+    """What a catalogue knows of a tool without making it.
+
+    Attributes:
+        name: `ToolShape.name`.
+        role: Use of the tool: "train", "validation" or "test" (`tools.catalog.role`).
+        categories: Distinct categories of its EEs, the working end first.
+        about: Its fields in scene_instances.json, besides its objects.
+    """
+
+    name: str
+    role: str
+    categories: tuple[Category, ...]
+    about: dict[str, Any]
+
+
 class Catalogue(ABC):
     """Tools of a data set by number.
 
@@ -53,28 +70,24 @@ class Catalogue(ABC):
         """
 
     @abstractmethod
-    def name(self, number: int) -> str:
-        """`ToolShape.name` of a tool, without generating it."""
-
-    @abstractmethod
-    def split(self, number: int) -> str:
-        """Split of a tool, "train" or "test"."""
-
-    @abstractmethod
-    def role(self, number: int) -> str:
-        """Use of a tool: "train", "validation" or "test" (`tools.catalog.role`)."""
-
-    @abstractmethod
-    def categories(self, number: int) -> tuple[Category, ...]:
-        """Distinct categories of the EEs of a tool, the working end first."""
-
-    @abstractmethod
-    def about(self, number: int) -> dict[str, Any]:
-        """Fields of a tool in scene_instances.json, besides its objects."""
+    def listed(self, number: int) -> Listed:
+        """What is known of a tool without making it."""
 
     @abstractmethod
     def tool(self, number: int) -> ToolShape:
         """The tool; repeated calls return the same object while it is cached."""
+
+    def name(self, number: int) -> str:
+        """`ToolShape.name` of a tool."""
+        return self.listed(number).name
+
+    def role(self, number: int) -> str:
+        """Use of a tool, see `Listed`."""
+        return self.listed(number).role
+
+    def split(self, number: int) -> str:
+        """Split of a tool: "train", or "test" where it is held out."""
+        return "train" if self.role(number) == "train" else "test"
 
 
 def number_of(tool: ToolShape) -> int:
@@ -111,21 +124,10 @@ class GeneratedTools(Catalogue):
             numbers.append(TOOL_SPECS[kind].number * INSTANCES + draw(rng, split, INSTANCES))
         return tuple(numbers)
 
-    def name(self, number: int) -> str:
-        return tool_name(*self._which(number))
-
-    def split(self, number: int) -> str:
-        return split_of(self._which(number)[1])
-
-    def role(self, number: int) -> str:
-        return role_of(self._which(number)[1])
-
-    def categories(self, number: int) -> tuple[Category, ...]:
-        return TOOL_SPECS[self._which(number)[0]].end_effectors
-
-    def about(self, number: int) -> dict[str, Any]:
+    def listed(self, number: int) -> Listed:
         kind, seed = self._which(number)
-        return {"kind": str(kind), "seed": seed}
+        about = {"kind": str(kind), "seed": seed}
+        return Listed(tool_name(kind, seed), role_of(seed), TOOL_SPECS[kind].end_effectors, about)
 
     def tool(self, number: int) -> Tool:
         return make_tool(*self._which(number))
@@ -186,21 +188,9 @@ class CustomTools(Catalogue):
         numbers = self.numbers(split)
         return tuple(numbers[int(i)] for i in rng.permutation(len(numbers))[:_POOL])
 
-    def name(self, number: int) -> str:
-        return self._record(number).name
-
-    def split(self, number: int) -> str:
-        self._record(number)
-        return "test"
-
-    def role(self, number: int) -> str:
-        return self.split(number)
-
-    def categories(self, number: int) -> tuple[Category, ...]:
-        return self._record(number).categories
-
-    def about(self, number: int) -> dict[str, Any]:  # noqa: ARG002
-        return {}
+    def listed(self, number: int) -> Listed:
+        record = self._record(number)
+        return Listed(record.name, "test", record.categories, {})
 
     def tool(self, number: int) -> CustomTool:
         """The tool of a number.

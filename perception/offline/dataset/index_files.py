@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception.offline.dataset.card import Card
@@ -16,7 +15,7 @@ from toolee_robot.perception.offline.dataset.records import FOCAL, FULL_HEIGHT, 
 from toolee_robot.perception.offline.dataset.scene_reader import scene_folders
 from toolee_robot.perception.offline.dataset.scene_writer import COCO_CATEGORIES
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec, SceneJob
-from toolee_robot.runtime.files import sha256
+from toolee_robot.runtime.files import sha256, write_atomic
 
 README, CARD, CAMERA, TARGETS, COCO = "README.md", "card.json", "camera.json", "test_targets_bop19.json", "coco"
 
@@ -44,45 +43,21 @@ def finish(root: Path) -> None:
     write_sums(root, {name: sha256(root / name) for name in listed(root)})
 
 
-def derive(spec: DatasetSpec, root: Path, out: Path) -> None:
-    """Write the files that follow from scenes and models: COCO files, models_info, camera, targets and card.
-
-    Args:
-        spec: What the data set was generated from.
-        root: Folder with the scenes and models.
-        out: Folder that the files are written into.
-
-    Raises:
-        AssetError: A scene or model is missing or damaged; the message names the file.
-    """
-    with Summary(spec, root, out) as summary:
-        for job in spec.jobs():
-            summary.add(job)
-
-
 class Summary:
-    """Writes the files that follow from scenes and models; one scene in memory at a time.
-
-    Use as a context manager and add every scene, in the order of `spec.jobs()`. No file appears before the end, and
-    none where an exception passes.
+    """Collects the files that follow from scenes and models, one scene after the other, in the order of `spec.jobs()`.
 
     Args:
         spec: What the data set was generated from.
         root: Folder with the scenes and models.
-        out: Folder that the files are written into.
     """
 
-    def __init__(self, spec: DatasetSpec, root: Path, out: Path) -> None:
-        self._spec, self._root, self._out = spec, root, out
+    def __init__(self, spec: DatasetSpec, root: Path) -> None:
+        self._spec, self._root = spec, root
         self._catalogue = spec.catalogue(root)
         self._card = Card(spec, self._catalogue)
         self._models: dict[int, dict[str, Any]] = {}
         self._targets: list[dict[str, int]] = []
-
-    def __enter__(self) -> Summary:
-        (self._out / COCO).mkdir(exist_ok=True)
-        self._coco = {split: _Coco(coco_path(self._out, split)) for split in SPLITS}
-        return self
+        self._coco = {split: _Coco() for split in SPLITS}
 
     def add(self, job: SceneJob) -> None:
         """Add the next scene.
@@ -105,27 +80,25 @@ class Summary:
         if job.split == "test":
             self._targets += _targets(job.scene, gt, info)
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        for coco in self._coco.values():
-            coco.close(whole=kind is None)
-        if kind is None:
-            self._write()
+    def write(self, out: Path) -> None:
+        """Write the files into a folder: COCO files, models_info, camera, targets and card."""
+        (out / COCO).mkdir(exist_ok=True)
+        for split in SPLITS:
+            write_atomic(coco_path(out, split), self._coco[split].to_bytes())
+        write_models_info(out, self._models)
+        paper = self._spec.config != "hard"
+        f, width, height = (FOCAL, FULL_WIDTH, FULL_HEIGHT) if paper else (365.5, WIDTH, HEIGHT)
+        cx, cy = (width / 2 - 0.5, height / 2 - 0.5) if paper else (254.9, 205.4)
+        nominal = {"cx": cx, "cy": cy, "depth_scale": 1.0, "fx": f, "fy": f, "height": height, "width": width}
+        (out / CAMERA).write_bytes(json_by_line(nominal))
+        (out / TARGETS).write_text("[" + ",\n ".join(json.dumps(t) for t in self._targets) + "]\n")
+        (out / CARD).write_text(json.dumps(self._card.to_json(), indent=1) + "\n")
+        (out / README).write_text(self._card.to_markdown())
 
     def _add_model(self, obj_id: int, category: Category) -> None:
         known = self._models.get(obj_id)
         if known is None or known["category"] != category:
             self._models[obj_id] = model_entry(self._root, self._catalogue, obj_id, category)
-
-    def _write(self) -> None:
-        write_models_info(self._out, self._models)
-        paper = self._spec.config != "hard"
-        f, width, height = (FOCAL, FULL_WIDTH, FULL_HEIGHT) if paper else (365.5, WIDTH, HEIGHT)
-        cx, cy = (width / 2 - 0.5, height / 2 - 0.5) if paper else (254.9, 205.4)
-        nominal = {"cx": cx, "cy": cy, "depth_scale": 1.0, "fx": f, "fy": f, "height": height, "width": width}
-        (self._out / CAMERA).write_bytes(json_by_line(nominal))
-        (self._out / TARGETS).write_text("[" + ",\n ".join(json.dumps(t) for t in self._targets) + "]\n")
-        (self._out / CARD).write_text(json.dumps(self._card.to_json(), indent=1) + "\n")
-        (self._out / README).write_text(self._card.to_markdown())
 
 
 def listed(root: Path) -> Iterator[str]:
@@ -152,45 +125,27 @@ def _targets(scene: int, gt: dict[str, Any], info: dict[str, Any]) -> list[dict[
 
 
 class _Coco:
-    """A COCO file that grows scene by scene; the annotations wait in a file of their own."""
+    """A COCO file that grows scene by scene; its entries wait as text."""
 
     _encode = json.JSONEncoder(separators=(",", ":")).encode
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._parts = [path.with_name(f".{path.stem}.{name}.part") for name in ("images", "annotations")]
-        self._images = self._annotations = 0
-        self._out, self._later = self._files = [part.open("w+b") for part in self._parts]
-        about = f"{len(CATEGORIES)} kinds of end effectors of tools, and the tools"
-        head = f'{{"info": {{"description": "{about}"}},\n"categories": {json.dumps(COCO_CATEGORIES)},\n"images": [\n'
-        self._out.write(head.encode())
+    def __init__(self) -> None:
+        self._images: list[str] = []
+        self._annotations: list[str] = []
 
     def add(self, scene: dict[str, Any], prefix: str) -> None:
         """A scene's own COCO, its numbers made unique and its file names relative to the data set."""
-        first, images, annotations = self._images + 1, scene["images"], scene["annotations"]
-        entries = [{**i, "id": first + i["id"], "file_name": f"{prefix}/{i['file_name']}"} for i in images]
-        self._append(self._out, self._images > 0, entries)
-        entries = [
-            {**a, "id": k, "image_id": first + a["image_id"]} for k, a in enumerate(annotations, self._annotations + 1)
-        ]
-        self._append(self._later, self._annotations > 0, entries)
-        self._images += len(images)
-        self._annotations += len(annotations)
+        first = len(self._images) + 1
+        for image in scene["images"]:
+            entry = {**image, "id": first + image["id"], "file_name": f"{prefix}/{image['file_name']}"}
+            self._images.append(self._encode(entry))
+        for annotation in scene["annotations"]:
+            entry = {**annotation, "id": len(self._annotations) + 1, "image_id": first + annotation["image_id"]}
+            self._annotations.append(self._encode(entry))
 
-    def close(self, whole: bool) -> None:
-        """whole: every scene was added, and the file may appear."""
-        if whole:
-            self._out.write(b'\n],\n"annotations": [\n')
-            self._later.seek(0)
-            shutil.copyfileobj(self._later, self._out, 1 << 20)
-            self._out.write(b"\n]}\n")
-        for file in self._files:
-            file.close()
-        if whole:
-            self._parts[0].replace(self._path)
-        for part in self._parts:
-            part.unlink(missing_ok=True)
-
-    def _append(self, file: IO[bytes], more: bool, entries: list[dict[str, Any]]) -> None:
-        if entries:
-            file.write(((",\n" if more else "") + ",\n".join(map(self._encode, entries))).encode())
+    def to_bytes(self) -> bytes:
+        """Content of the file."""
+        about = f"{len(CATEGORIES)} kinds of end effectors of tools, and the tools"
+        head = f'{{"info": {{"description": "{about}"}},\n"categories": {json.dumps(COCO_CATEGORIES)},\n"images": [\n'
+        images, annotations = ",\n".join(self._images), ",\n".join(self._annotations)
+        return f'{head}{images}\n],\n"annotations": [\n{annotations}\n]}}\n'.encode()

@@ -127,7 +127,7 @@ class SceneWriter:
             self._gt[key].append(entry)
             info = _info_entry(visible, full, measured, bool(targets[row]))
             self._info[key].append(info)
-            instance = {**self._catalogue.about(number), "objects": {}}
+            instance = {**self._catalogue.listed(number).about, "objects": {}}
             instance = self._instances.setdefault(entry["instance"], instance)
             instance["objects"][str(entry["obj_id"])] = str(CATEGORIES[entry["category_id"] - 1])
             if info["px_count_visib"]:

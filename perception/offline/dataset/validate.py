@@ -11,7 +11,7 @@ from pathlib import Path
 from toolee_robot.errors import AssetError, TooleeError
 from toolee_robot.perception.offline.dataset.card import GENERATED_BY
 from toolee_robot.perception.offline.dataset.files import SUMS, read_sums
-from toolee_robot.perception.offline.dataset.index_files import COCO, README, derive, is_finished, listed
+from toolee_robot.perception.offline.dataset.index_files import COCO, README, Summary, is_finished, listed
 from toolee_robot.perception.offline.dataset.instances import MODELS
 from toolee_robot.perception.offline.dataset.parallel import on_processes
 from toolee_robot.perception.offline.dataset.scene_check import check_scene
@@ -134,7 +134,10 @@ def _derived_faults(spec: DatasetSpec, root: Path) -> Iterator[Fault]:
         out = Path(name)
         (out / MODELS).mkdir()
         try:
-            derive(spec, root, out)
+            summary = Summary(spec, root)
+            for job in spec.jobs():
+                summary.add(job)
+            summary.write(out)
         except (TooleeError, KeyError, ValueError, TypeError) as error:
             yield Fault(COCO, f"cannot be derived from the scenes: {error}")
             return

@@ -81,17 +81,18 @@ def generate(
 
         run = on_ray
     waiting = deque(jobs)
-    with Summary(spec, out, out) as summary:
-        with contextlib.closing(run(partial(make_scene_folder, spec, out.resolve()), todo, workers)) as made:
-            for job in made:
-                done += job.last - job.first
-                if progress is not None:
-                    progress(done, spec.size)
-                # A shared folder may show a scene with a delay: add it when its files are visible here.
-                while waiting and (waiting[0].folder(out) / SUMS).exists():
-                    summary.add(waiting.popleft())
-        for job in waiting:
-            summary.add(job)
+    summary = Summary(spec, out)
+    with contextlib.closing(run(partial(make_scene_folder, spec, out.resolve()), todo, workers)) as made:
+        for job in made:
+            done += job.last - job.first
+            if progress is not None:
+                progress(done, spec.size)
+            # A shared folder may show a scene with a delay: add it when its files are visible here.
+            while waiting and (waiting[0].folder(out) / SUMS).exists():
+                summary.add(waiting.popleft())
+    for job in waiting:
+        summary.add(job)
+    summary.write(out)
     _clear(out)  # workers of a killed run may still have written files
     finish(out)
     return True

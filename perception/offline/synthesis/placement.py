@@ -75,7 +75,7 @@ class Pool:
         Returns:
             The tool.
         """
-        such = [n for n in self.tools if ee in self.catalogue.categories(n)]
+        such = [n for n in self.tools if ee in self.catalogue.listed(n).categories]
         return self._any(such or self.tools, rng)
 
     def _any(self, numbers: Sequence[int], rng: np.random.Generator) -> ToolShape:

@@ -57,7 +57,7 @@ def test_pools_show_every_kind_and_mostly_the_common_ones(split: str) -> None:
     rng = np.random.default_rng(0)
     drawn = [number for _ in range(400) for number in GENERATED.pool(rng, split)]
     assert {GENERATED.split(number) for number in drawn} == {split}
-    kinds = Counter(GENERATED.about(number)["kind"] for number in drawn)
+    kinds = Counter(GENERATED.listed(number).about["kind"] for number in drawn)
     assert set(kinds) == set(map(str, TOOL_SPECS))
     later = sum(number >= CUSTOM.stop for number in drawn) / len(drawn)
     assert later == pytest.approx(1 / 3, abs=0.03)
