@@ -305,26 +305,6 @@ def test_a_refiner_s_missing_weights_are_named(trained: Path, tmp_path: Path) ->
     assert "refinement-00001-of-00001.safetensors" in str(refused.value)
 
 
-def test_a_run_resumes_where_it_stopped(few: Path, detector: Path, trained: Path, tmp_path: Path) -> None:
-    shutil.copy(trained / CHECKPOINT, tmp_path)
-    # One step more, that changes nothing: what is known is not learnt anew.
-    train(training(few, tmp_path, detector, max_steps=STEPS + 1, lr=1e-12, log_every=10))
-    log = described(tmp_path)["log"]
-    assert [entry["step"] for entry in log] == [*range(10, STEPS + 1, 10), STEPS + 1]  # type: ignore[attr-defined]
-    before, after = (torch.load(folder / CHECKPOINT, weights_only=True) for folder in (trained, tmp_path))
-    assert after["step"] == STEPS + 1
-    assert after["elapsed"] > before["elapsed"]
-    for name, _ in Refiner(TINY).named_parameters():
-        torch.testing.assert_close(after["model"][name], before["model"][name], atol=1e-6, rtol=0)
-
-
-def test_a_run_starts_from_exported_weights(few: Path, detector: Path, trained: Path, tmp_path: Path) -> None:
-    train(training(few, tmp_path, detector, max_steps=2, lr=1e-12, log_every=1, init=trained))
-    first, continued = described(trained)["log"][0], described(tmp_path)["log"][0]  # type: ignore[index]
-    assert continued["step"] == 1
-    assert continued["loss"] < 0.75 * first["loss"]
-
-
 def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_what_was_learnt(
     few: Path, detector: Path, trained: Path, tmp_path: Path
 ) -> None:

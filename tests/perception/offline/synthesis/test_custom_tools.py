@@ -277,4 +277,4 @@ def test_one_tool_alone_can_be_looked_at(tmp_path: Path, capsys: pytest.CaptureF
     assert run(["dataset", "generate", *options, "--out", str(tmp_path / "out")]) == 0
     assert run(["dataset", "inspect", str(tmp_path / "out"), "--out", str(tmp_path / "pictures")]) == 0
     assert "no category has two instances" in capsys.readouterr().out
-    assert sorted(p.name for p in (tmp_path / "pictures").glob("*.png")) == ["distributions.png", "montage_test.png"]
+    assert sorted(p.name for p in (tmp_path / "pictures").glob("*.png")) == ["montage_test.png"]
