@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader
 
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
@@ -131,77 +132,16 @@ class Card:
 
     def to_markdown(self) -> str:
         """The card for a person: what the data set shows, its command, its files and its tables."""
-        data = self.to_json()
-        spec = data["spec"]
-        of_whom = _OF_CUSTOM_TOOLS if self._spec.tools else ""
-        lines = [
-            f"# TOOLEE data set `{spec['config']}`, {spec['size']} examples, seed {spec['seed']}",
-            "",
-            _ABOUT[spec["config"]],
-            "",
-        ]
-        lines += [
-            f"{GENERATED_BY}{spec['generator']}; licence {spec['licence']}. Synthetic: nobody is shown. Made with "
-            f"`{_command(self._spec)}`{of_whom}; the same command gives the same bytes.",
-            "",
-            _FILES,
-            "",
-        ]
-        for split in SPLITS:
-            part = data["splits"][split]
-            if not part["examples"]:
-                continue
-            kinds = ", ".join(f"{n} {k}" for k, n in part["scenes"].items())
-            hands = ", ".join(f"{n} {k.replace('_', ' ')}" for k, n in part["tools"].items())
-            lines += [f"## {split}: {part['examples']} examples", "", f"Scenes: {kinds}. Tools: {hands}.", ""]
-            lines += [
-                "| end effector | labelled (50 pixels or more) | to be found | instances shown | in the catalogue |",
-                "|---|---|---|---|---|",
-            ]
-            for c, about in part["categories"].items():
-                of = len(data["catalogue"][split][c])
-                lines.append(f"| {c} | {about['labelled']} | {about['targets']} | {len(about['instances'])} | {of} |")
-            lines += ["", *_histogram_table(part), ""]
-        lines += [
-            "## Splits",
-            "",
-            f"By instance: {data['held_out_rule']}. Textures, rooms, backdrops: "
-            + "; ".join(
-                f"{split} " + ", ".join(f"{n} {k}" for k, n in s.items()) for split, s in data["surfaces"].items()
-            )
-            + ". Colours of tools, hands and arm are drawn anew each time. All names, shown or not, are in "
-            "`card.json`; held out (test) and shown here:",
-            "",
-        ]
-        for c, about in data["splits"]["test"]["categories"].items():
-            lines += [f"- {c}: {', '.join(about['instances']) or 'none'}"]
-        lines += ["", "Shown in training:", ""]
-        for c, about in data["splits"]["train"]["categories"].items():
-            lines += [f"- {c}: {', '.join(about['instances']) or 'none'}"]
-        return "\n".join(lines) + "\n"
+        environment = Environment(loader=PackageLoader(__package__, "."), trim_blocks=True, lstrip_blocks=True)
+        return environment.get_template("card.md").render(
+            data=self.to_json(), custom=bool(self._spec.tools), command=_command(self._spec), quartiles=_quartiles
+        )
 
 
 _SURFACES = {"textures": TEXTURES, "rooms": ROOMS, "backdrops": BACKDROPS}
 _RULE = "tools, textures, rooms and backdrops whose number leaves 4 when divided by 5 are the test split's"
 _CUSTOM_RULE = (
     "the tools were brought by a user and all are the test split's, as is every fifth texture, room and backdrop"
-)
-_OF_CUSTOM_TOOLS = " on a user's own tools, whose shapes are not under this licence"
-_ABOUT = {
-    "paper": "The paper's protocol: an upright tool held in one grasp by one right hand, a camera never rolled, "
-    "0.42 to 0.98 m, no noise; the end effector (EE) is what its tool shows within a circle of pixels (60 of 1920) "
-    "about the EE's origin.",
-    "paper-claws": "To train on: the paper's protocol, of claw hammers turned so that the head mostly stands before "
-    "the claw. The end effector (EE) is what its tool shows within a circle of pixels (60 of 1920) about the EE's "
-    "origin.",
-    "hard": "Any orientation of tool and camera, 0.4 to 1.1 m, left, right, robot and human hands in many grasps, "
-    "other tools and things, up to 70 % of the end effector (EE) hidden, a noisy depth camera (flying pixels, dropout) "
-    "and a colour camera with its faults. The EE is what its tool shows within a sphere about the EE's origin.",
-}
-_FILES = (
-    "`train`, `test`: BOP scenes. `models`: each EE's mesh (an object in BOP's sense) with symmetries in "
-    "models_info.json. `tools`: whole tools. `coco`: instances with run-length masks. `clouds.npz` in each scene: what "
-    "the depth camera sees of each EE. Poses are in the OpenCV camera frame, mm. See docs/dataset.md of the project."
 )
 
 
@@ -234,18 +174,11 @@ def _names(catalogue: Catalogue, split: str) -> dict[str, list[str]]:
     return {str(c): [catalogue.name(n) for n in numbers if c in catalogue.listed(n).categories] for c in CATEGORIES}
 
 
-def _histogram_table(part: dict[str, Any]) -> list[str]:
-    """Quartiles of the distributions, by category."""
-    lines = ["| to be found | depth [m] | hidden | pixels | view angle [deg] |", "|---|---|---|---|---|"]
-    for c, about in part["categories"].items():
-        cells = []
-        for name in ("depth_m", "hidden_share", "visible_pixels", "view_angle_deg"):
-            counts = np.array(about["histograms"][name])
-            if not counts.sum():
-                cells.append("-")
-                continue
-            at = [int(np.searchsorted(np.cumsum(counts), q * counts.sum())) for q in (0.05, 0.5, 0.95)]
-            low, middle, high = EDGES[name][at[0]], EDGES[name][at[1]], EDGES[name][at[2] + 1]
-            cells.append(f"{low:g} .. {middle:g} .. {high:g}")
-        lines.append(f"| {c} | " + " | ".join(cells) + " |")
-    return [*lines, "", "(5 %, median, 95 % to the histogram's bins, which are in `card.json`)"]
+def _quartiles(about: dict[str, Any], name: str) -> str:
+    """5 %, median and 95 % of a distribution of a category, to the histogram's bins."""
+    counts = np.array(about["histograms"][name])
+    if not counts.sum():
+        return "-"
+    at = [int(np.searchsorted(np.cumsum(counts), q * counts.sum())) for q in (0.05, 0.5, 0.95)]
+    low, middle, high = EDGES[name][at[0]], EDGES[name][at[1]], EDGES[name][at[2] + 1]
+    return f"{low:g} .. {middle:g} .. {high:g}"
