@@ -204,71 +204,9 @@ class Protocol:
     caliper_needed: bool
 
 
-_SURFACE = "the flat itself, well inside of its edges and spread over it"
-_HANDLE = Asked(1, 1, "the middle of the handle's free end, or as far along the handle as it is seen")
-
-PROTOCOL: dict[Shape, Protocol] = {
-    Shape.FACE: Protocol(
-        "hammer face",
-        Category.HAMMER_HEAD,
-        {
-            Role.RIM: Asked(
-                5, 8, "the edge of the striking face, all around; of a square or octagonal face its corners", False
-            ),
-            Role.SURFACE: Asked(3, 6, _SURFACE),
-            Role.HANDLE: Asked(0, 1, _HANDLE.where),
-        },
-        "diameter of the face (of a square face, its diagonal)",
-        False,
-    ),
-    Shape.CLAW: Protocol(
-        "claw",
-        Category.HAMMER_GRIP,
-        {
-            Role.SURFACE: Asked(3, 6, "both tines beside the middle of the slot, within a centimetre along it"),
-            Role.THROAT: Asked(1, 2, "the closed end of the slot"),
-            Role.END_A: Asked(1, 2, "the inner corner of one tine at the slot's open end"),
-            Role.END_B: Asked(1, 2, "the inner corner of the other tine"),
-            Role.HANDLE: _HANDLE,
-        },
-        "thickness of the tines beside the middle of the slot",
-        True,
-    ),
-    Shape.OPEN_JAW: Protocol(
-        "open or adjustable jaw",
-        Category.WRENCH_HEAD,
-        {
-            Role.SURFACE: Asked(3, 6, "the broad side of the jaw, well inside of its edges and spread over it"),
-            Role.THROAT: Asked(1, 2, "the deepest point of the opening, on its centre line", False),
-            Role.END_A: Asked(1, 2, "the end of one flat, at the opening's mouth", False),
-            Role.END_B: Asked(1, 2, "the end of the other flat", False),
-            Role.HANDLE: _HANDLE,
-        },
-        "thickness of the jaw",
-        True,
-    ),
-    Shape.RING: Protocol(
-        "ring or socket",
-        Category.WRENCH_HEAD,
-        {
-            Role.RIM: Asked(5, 8, "the corners of the hole, all around, on the side that is seen", False),
-            Role.SURFACE: Asked(3, 6, "the ring's rim around the hole, spread over it"),
-            Role.HANDLE: _HANDLE,
-        },
-        "thickness of the ring (of a socket, depth of its hole)",
-        True,
-    ),
-    Shape.TIP: Protocol(
-        "screwdriver tip",
-        Category.SCREWDRIVER_HEAD,
-        {
-            Role.TIP: Asked(1, 2, "the middle of the tip's end", False),
-            Role.SHAFT: Asked(2, 5, "the shaft's centre line, from near the tip to near the handle"),
-        },
-        "diameter of the shaft",
-        True,
-    ),
-}
+PROTOCOL = TypeAdapter(dict[Shape, Protocol]).validate_python(
+    yaml.safe_load((Path(__file__).parent / "protocol.yaml").read_text())
+)
 """What each shape needs."""
 
 BOX = Asked(
