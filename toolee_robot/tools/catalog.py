@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import count, islice
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from toolee_robot.tools.hammers import (
     MEAT_TENDERISER,
     SLEDGE_HAMMER,
     WOODEN_MALLET,
+    HammerShape,
     make_hammer,
 )
 from toolee_robot.tools.model import Family, Tool, ToolKind
@@ -44,6 +45,8 @@ from toolee_robot.tools.wrenches import make_wrench
 SWUNG_MASS = (0.4, 1.05)
 """Range of the mass [kg] of hammers for one-handed swinging."""
 
+Maker = Callable[[ToolKind, int, np.random.Generator], Tool]
+
 
 @dataclass(frozen=True)
 class ToolSpec:
@@ -58,7 +61,7 @@ class ToolSpec:
     """The family; kinds of one family share a generator."""
     end_effectors: tuple[Category, ...]
     """Distinct categories of its end effectors, the working end first. A tool may have two ends of one category."""
-    make: Callable[[ToolKind, int, np.random.Generator], Tool]
+    make: Maker
     """Generator, called with the kind, the seed and the random generator of the tool."""
     drives_nails: bool = False
     """Whether it can drive a nail: used by the simulated person's hand-overs and the strike checks of the doctor."""
@@ -68,130 +71,48 @@ class ToolSpec:
     """Factor on the number of its tools that are sampled for training."""
 
 
+def _hammer(kind: ToolKind, number: int, shape: HammerShape, *, claw: bool = False, **more: Any) -> ToolSpec:
+    ends = (Category.HAMMER_HEAD, Category.HAMMER_GRIP) if claw else (Category.HAMMER_HEAD,)
+    return ToolSpec(kind, number, Family.HAMMERS, ends, partial(make_hammer, shape), **more)
+
+
+def _screwdriver(kind: ToolKind, number: int, tip: Any, shaft: Any = common_shaft, **more: Any) -> ToolSpec:
+    make = partial(make_screwdriver, tip, shaft)
+    return ToolSpec(kind, number, Family.SCREWDRIVERS, (Category.SCREWDRIVER_HEAD,), make, **more)
+
+
+def _wrench(kind: ToolKind, number: int, make: Maker = make_wrench, **more: Any) -> ToolSpec:
+    return ToolSpec(kind, number, Family.WRENCHES, (Category.WRENCH_HEAD,), make, **more)
+
+
 TOOL_SPECS: dict[ToolKind, ToolSpec] = {
     spec.kind: spec
     for spec in (
         # Claws are the class with the fewest examples: a higher weight balances the classes.
-        ToolSpec(
-            ToolKind.CLAW_HAMMER,
-            0,
-            Family.HAMMERS,
-            (Category.HAMMER_HEAD, Category.HAMMER_GRIP),
-            partial(make_hammer, CLAW_HAMMER),
-            drives_nails=True,
-            draw_weight=6.0,
-            training_share=2,
-        ),
-        ToolSpec(
-            ToolKind.BALL_PEEN_HAMMER,
-            1,
-            Family.HAMMERS,
-            (Category.HAMMER_HEAD,),
-            partial(make_hammer, BALL_PEEN_HAMMER),
-            drives_nails=True,
-        ),
-        ToolSpec(
-            ToolKind.CROSS_PEEN_HAMMER,
-            2,
-            Family.HAMMERS,
-            (Category.HAMMER_HEAD,),
-            partial(make_hammer, CROSS_PEEN_HAMMER),
-            drives_nails=True,
-        ),
-        ToolSpec(
-            ToolKind.CLUB_HAMMER,
-            3,
-            Family.HAMMERS,
-            (Category.HAMMER_HEAD,),
-            partial(make_hammer, CLUB_HAMMER),
-            drives_nails=True,
-        ),
-        ToolSpec(ToolKind.MALLET, 4, Family.HAMMERS, (Category.HAMMER_HEAD,), partial(make_hammer, MALLET)),
-        ToolSpec(
-            ToolKind.SLOTTED_SCREWDRIVER,
-            5,
-            Family.SCREWDRIVERS,
-            (Category.SCREWDRIVER_HEAD,),
-            partial(make_screwdriver, slotted_tip, common_shaft),
-        ),
-        ToolSpec(
-            ToolKind.PHILLIPS_SCREWDRIVER,
-            6,
-            Family.SCREWDRIVERS,
-            (Category.SCREWDRIVER_HEAD,),
-            partial(make_screwdriver, phillips_tip, common_shaft),
-        ),
-        ToolSpec(
-            ToolKind.NUT_DRIVER,
-            7,
-            Family.SCREWDRIVERS,
-            (Category.SCREWDRIVER_HEAD,),
-            partial(make_screwdriver, nut_tip, common_shaft),
-        ),
-        ToolSpec(ToolKind.OPEN_END_WRENCH, 8, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
-        ToolSpec(ToolKind.COMBINATION_WRENCH, 9, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
-        ToolSpec(ToolKind.ADJUSTABLE_WRENCH, 10, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
-        ToolSpec(ToolKind.BOX_WRENCH, 11, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
-        ToolSpec(ToolKind.SOCKET_WRENCH, 12, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
+        _hammer(ToolKind.CLAW_HAMMER, 0, CLAW_HAMMER, claw=True, drives_nails=True, draw_weight=6.0, training_share=2),
+        _hammer(ToolKind.BALL_PEEN_HAMMER, 1, BALL_PEEN_HAMMER, drives_nails=True),
+        _hammer(ToolKind.CROSS_PEEN_HAMMER, 2, CROSS_PEEN_HAMMER, drives_nails=True),
+        _hammer(ToolKind.CLUB_HAMMER, 3, CLUB_HAMMER, drives_nails=True),
+        _hammer(ToolKind.MALLET, 4, MALLET),
+        _screwdriver(ToolKind.SLOTTED_SCREWDRIVER, 5, slotted_tip),
+        _screwdriver(ToolKind.PHILLIPS_SCREWDRIVER, 6, phillips_tip),
+        _screwdriver(ToolKind.NUT_DRIVER, 7, nut_tip),
+        _wrench(ToolKind.OPEN_END_WRENCH, 8),
+        _wrench(ToolKind.COMBINATION_WRENCH, 9),
+        _wrench(ToolKind.ADJUSTABLE_WRENCH, 10),
+        _wrench(ToolKind.BOX_WRENCH, 11),
+        _wrench(ToolKind.SOCKET_WRENCH, 12),
         # 13 to 99 stay free: data sets number custom tools from where kind 13 would begin (`dataset.catalogue`).
         # A third of each family's draws are of the kinds below, which drive no nails, so that jobs keep their hammers.
-        ToolSpec(
-            ToolKind.HANGING_CLAW_HAMMER,
-            100,
-            Family.HAMMERS,
-            (Category.HAMMER_HEAD, Category.HAMMER_GRIP),
-            partial(make_hammer, HANGING_CLAW_HAMMER),
-            draw_weight=3.0,
-        ),
-        ToolSpec(
-            ToolKind.WOODEN_MALLET,
-            101,
-            Family.HAMMERS,
-            (Category.HAMMER_HEAD,),
-            partial(make_hammer, WOODEN_MALLET),
-            draw_weight=0.8,
-        ),
-        ToolSpec(
-            ToolKind.MEAT_TENDERISER,
-            102,
-            Family.HAMMERS,
-            (Category.HAMMER_HEAD,),
-            partial(make_hammer, MEAT_TENDERISER),
-            draw_weight=0.6,
-        ),
-        ToolSpec(
-            ToolKind.SLEDGE_HAMMER,
-            103,
-            Family.HAMMERS,
-            (Category.HAMMER_HEAD,),
-            partial(make_hammer, SLEDGE_HAMMER),
-            draw_weight=0.6,
-        ),
-        ToolSpec(
-            ToolKind.LONG_SLOTTED_SCREWDRIVER,
-            104,
-            Family.SCREWDRIVERS,
-            (Category.SCREWDRIVER_HEAD,),
-            partial(make_screwdriver, slotted_tip, long_shaft),
-            draw_weight=0.75,
-        ),
-        ToolSpec(
-            ToolKind.LONG_PHILLIPS_SCREWDRIVER,
-            105,
-            Family.SCREWDRIVERS,
-            (Category.SCREWDRIVER_HEAD,),
-            partial(make_screwdriver, phillips_tip, long_shaft),
-            draw_weight=0.75,
-        ),
-        ToolSpec(
-            ToolKind.PIPE_WRENCH, 106, Family.WRENCHES, (Category.WRENCH_HEAD,), make_pipe_wrench, draw_weight=0.9
-        ),
-        ToolSpec(
-            ToolKind.MONKEY_WRENCH, 107, Family.WRENCHES, (Category.WRENCH_HEAD,), make_monkey_wrench, draw_weight=0.6
-        ),
-        ToolSpec(
-            ToolKind.EYE_ADJUSTABLE_WRENCH, 108, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench, draw_weight=1.0
-        ),
+        _hammer(ToolKind.HANGING_CLAW_HAMMER, 100, HANGING_CLAW_HAMMER, claw=True, draw_weight=3.0),
+        _hammer(ToolKind.WOODEN_MALLET, 101, WOODEN_MALLET, draw_weight=0.8),
+        _hammer(ToolKind.MEAT_TENDERISER, 102, MEAT_TENDERISER, draw_weight=0.6),
+        _hammer(ToolKind.SLEDGE_HAMMER, 103, SLEDGE_HAMMER, draw_weight=0.6),
+        _screwdriver(ToolKind.LONG_SLOTTED_SCREWDRIVER, 104, slotted_tip, long_shaft, draw_weight=0.75),
+        _screwdriver(ToolKind.LONG_PHILLIPS_SCREWDRIVER, 105, phillips_tip, long_shaft, draw_weight=0.75),
+        _wrench(ToolKind.PIPE_WRENCH, 106, make_pipe_wrench, draw_weight=0.9),
+        _wrench(ToolKind.MONKEY_WRENCH, 107, make_monkey_wrench, draw_weight=0.6),
+        _wrench(ToolKind.EYE_ADJUSTABLE_WRENCH, 108),
     )
 }
 """All kinds, ordered by `ToolSpec.number`."""
