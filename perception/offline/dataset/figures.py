@@ -6,7 +6,6 @@ instances are compared in the objects' own frames: whole tools in the tool's, en
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -32,6 +31,7 @@ from toolee_robot.perception.offline.dataset.records import EeTable, FloatArray
 from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.json_line import json_line
 from toolee_robot.types import CameraIntrinsics
 
 _AXIS = 0.04
@@ -179,7 +179,7 @@ def inspect(root: Path, out: Path, count: int, pairs: int) -> dict[str, Any]:
         shape_figure(found).savefig(out / "shapes.png", dpi=110)
     splits = _summary(read_json(root / CARD))
     record = {"spec": spec.to_json(), "splits": splits, "shape_distances": found.to_json()}
-    write_atomic(out / "inspection.json", (json.dumps(record) + "\n").encode())
+    write_atomic(out / "inspection.json", (json_line(record) + "\n").encode())
     return record
 
 
