@@ -21,9 +21,9 @@ from toolee_robot.frames import HALF_TURN, Array, is_rigid, rotation_angle, tran
 from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.sim_backend.cell_errors import NOMINAL, draw_errors
 from toolee_robot.station import StationConfig, load_lab_station, load_station, sim_station, unmeasured
-from toolee_robot.stations.interview import contradiction, questions
 from toolee_robot.stations.open_fields import open_fields, told
 from toolee_robot.stations.simulated_board import TAPE, simulated_board
+from toolee_robot.stations.template import contradiction, open_questions
 
 LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
 LOOK_AT = sim_station().camera.X_base_camera
@@ -180,10 +180,10 @@ def test_a_labs_file_is_complete_with_a_pose(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump(said))
     assert unmeasured(path) == []
     np.testing.assert_allclose(load_lab_station(path).camera.X_base_camera, _in_base(said, DOWN), atol=1e-12)
-    assert list(questions(said)) == []
+    assert open_questions(said) == []
     assert contradiction(said, "camera") == ""
     del said["camera"]["X_base_camera"], said["calibration"]
-    assert {"camera.position", "camera.target"} <= {question.name for question in questions(said)}
+    assert {"camera.position", "camera.target"} <= {question.name for question in open_questions(said)}
     said["camera"]["X_base_camera"] = _matrix(DOWN)
     assert "the other program's" in told(open_fields(said, path), path)
 

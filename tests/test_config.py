@@ -213,10 +213,10 @@ LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
 @pytest.mark.parametrize(
     ("section", "name", "value", "words"),
     [
-        ("camera", "fx", 0.4, "camera.fx: 0.4 px"),
-        ("arm", "acceleration", 400.0, "arm.acceleration: 400.0 is more"),
-        ("hand", "yield_torque", 330.0, "hand.yield_torque: 330.0 is more"),
-        ("tool", "mass", 5.0, "tool.mass: 5.0 kg"),
+        ("camera", "fx", 0.4, "camera.fx: 0.4 is out of range, 10 to 20000 px"),
+        ("arm", "acceleration", 400.0, "arm.acceleration: 400.0 is out of range"),
+        ("hand", "yield_torque", 330.0, "hand.yield_torque: 330.0 is out of range"),
+        ("tool", "mass", 5.0, "tool.mass: 5.0 is out of range"),
         ("work", "nail_length", 30.0, "looks like millimetres"),
     ],
 )
@@ -297,14 +297,14 @@ def test_the_lines_of_what_a_lab_must_measure_and_of_other_units_are_said(tmp_pa
     data = _documented_station()
     data["camera"]["fx"] = None
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    with raises(ConfigError, "config.invalid") as caught:
+    with raises(ConfigError, "config.unmeasured") as caught:
         load_lab_station(path)
-    assert f"(line {at})" in str(caught.value)
+    assert f"camera.fx: line {at}" in str(caught.value)
     data["camera"]["fx"] = 0.4
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     with raises(ConfigError, "config.invalid") as caught:
         load_lab_station(path)
-    assert f"image (line {at})" in str(caught.value)
+    assert f"20000 px (line {at})" in str(caught.value)
     del data["scene"]
     data["camera"]["fx"] = 600.0
     path.write_text(yaml.safe_dump(data, sort_keys=False))

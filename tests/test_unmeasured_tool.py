@@ -17,9 +17,9 @@ from toolee_robot.control.planning.views import plan_handover
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import ConfigError
 from toolee_robot.station import ToolData, load_lab_station, sim_station, with_setup
-from toolee_robot.stations.interview import NONE, put, questions
 from toolee_robot.stations.lab import check_purpose
 from toolee_robot.stations.rehearsal import job_cell
+from toolee_robot.stations.template import NONE, nullable, open_questions, parse, put
 from toolee_robot.tasks.hammering.grasp import UNKNOWN_FACE_OFF, UNKNOWN_MASS, measured_grasp
 
 LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
@@ -72,13 +72,13 @@ def test_a_field_that_is_left_out_is_missing_and_not_null(tmp_path: Path) -> Non
 def test_the_interview_takes_none_for_all_but_the_name(tmp_path: Path) -> None:
     data = yaml.safe_load(LAB.read_text())
     del data["tool"]
-    asked = {question.path[-1]: question for question in questions(data) if question.path[0] == "tool"}
+    asked = {question.path[-1]: question for question in open_questions(data) if question.path[0] == "tool"}
     assert set(asked) == set(NOTHING)
     for name, question in asked.items():
-        assert question.optional == (name != "name")
-        put(data, question.path, question.parse("old hammer" if name == "name" else NONE))
+        assert nullable(question) == (name != "name")
+        put(data, question.name, parse(question, "old hammer" if name == "name" else NONE))
     assert data["tool"] == NOTHING
-    assert not [question for question in questions(data) if question.path[0] == "tool"]
+    assert not [question for question in open_questions(data) if question.path[0] == "tool"]
     assert load_lab_station(_lab(tmp_path, data["tool"])).tool == ToolData(**NOTHING)  # type: ignore[arg-type]
 
 

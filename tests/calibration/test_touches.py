@@ -75,7 +75,7 @@ def test_mount_and_nail_from_joint_positions(tmp_path: Path, capsys: pytest.Capt
     assert run(["calibrate", "mount", "--touches", str(file), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     np.testing.assert_allclose(found["p_flange_tip"], TIP, atol=1e-5)
-    lab = "version: 2\nframe: base_link\narm: {model: UR10, up: [0, 0, 1]}\n"
+    lab = "version: 3\nframe: base_link\narm: {model: UR10, up: [0, 0, 1]}\n"
     (tmp_path / "lab.yaml").write_text(lab)
     tip = [f"{1e3 * v:.4f}" for v in TIP]
     command = ["calibrate", "nail", "--touches", str(file), "--tip-mm", *tip, "--config", str(tmp_path / "lab.yaml")]

@@ -33,7 +33,7 @@ TRIANGLE = np.array([[0.032, 0.0], [-0.016, 0.028], [-0.016, -0.028]])
 TIP = np.array([0.004, -0.002, 0.15])
 DOWN = Rotation.from_euler("x", 180, degrees=True)
 _slope = st.floats(-0.15, 0.15)
-ARM = "version: 2\nframe: base_link\narm: {model: UR10, up: [0, 0, 1]}\n"
+ARM = "version: 3\nframe: base_link\narm: {model: UR10, up: [0, 0, 1]}\n"
 ACROSS = np.stack([np.cos(np.linspace(0.0, np.pi, 1000)), np.sin(np.linspace(0.0, np.pi, 1000))])
 """Directions in which the width of touched places is measured, (2, 1000)."""
 
@@ -245,9 +245,9 @@ def test_a_nail_may_be_50_mm_outside_of_the_touches(direction: float, distance: 
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (ARM.replace("version: 2\n", ""), "toolee station upgrade"),
-        ("version: 2\nframe: base_link\narm: {model: UR10}\n", "leaves out arm.up"),
-        ("version: 2\nframe: base_link\narm: {up: [0, 0, 1]}\n", "leaves out arm.model"),
+        (ARM.replace("version: 3\n", ""), "names no version"),
+        ("version: 3\nframe: base_link\narm: {model: UR10}\n", "leaves out arm.up"),
+        ("version: 3\nframe: base_link\narm: {up: [0, 0, 1]}\n", "leaves out arm.model"),
     ],
 )
 def test_a_lab_that_does_not_say_which_arm_it_has_and_how_it_stands_is_refused(

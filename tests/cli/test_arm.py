@@ -32,7 +32,7 @@ from toolee_robot.tasks.bring_up.caps import ACCELERATION, SPEED
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.35"
-LAB = "# a busy machine\nversion: 2\nsupervisor: {data_cycles: 50, overruns: 50}\n"
+LAB = "# a busy machine\nversion: 3\nsupervisor: {data_cycles: 50, overruns: 50}\n"
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ from toolee_robot.types import ArmModel
 _TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
 _HOST, _SERIAL = "127.0.0.48", "20185500001"
 _LAB = f"""
-version: 2
+version: 3
 arm: {{host: {_HOST}}}
 calibration:
   measured_on: "2026-11-10"
@@ -99,7 +99,7 @@ def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
 ) -> None:
     """LAB.md, defect 4: no lab has the simulation's calibration; and the arm is brought up before the camera."""
     path = tmp_path / "lab.yaml"
-    path.write_text(f"version: 2\narm: {{host: {_HOST}}}{_WIRED}")
+    path.write_text(f"version: 3\narm: {{host: {_HOST}}}{_WIRED}")
     code, record, said = _doctor(capsys, "--config", str(path))
     assert code == 0, said
     found = {f["name"]: f for f in record["findings"]}
@@ -247,7 +247,7 @@ def test_a_tilted_base_is_looked_at_without_what_needs_an_upright_one(
     robot: ControllerProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "lab.yaml"
-    path.write_text(f"version: 2\nframe: pendant_base\narm: {{host: {_HOST}, up: [0, 9.82, 0]}}\n")
+    path.write_text(f"version: 3\nframe: pendant_base\narm: {{host: {_HOST}, up: [0, 9.82, 0]}}\n")
     robot.fault("mounting", up=[0.0, 9.82, 0.0])
     try:
         code, record, said = _doctor(capsys, "--config", str(path))
@@ -303,7 +303,7 @@ def test_door_and_switch_are_seen_changing_and_nothing_moves(
     model: ArmModel, stuck: int | None, door: str, switch: str, tmp_path: Path
 ) -> None:
     path, host = tmp_path / "lab.yaml", "127.0.0.50"
-    path.write_text(f"version: 2\narm: {{host: {host}, model: {model}}}{_WIRED}")
+    path.write_text(f"version: 3\narm: {{host: {host}, model: {model}}}{_WIRED}")
     payload = expected_robot(load_station(path)).payload
     assert payload is not None
     with stand_in(model, host, profile="harsh") as robot:

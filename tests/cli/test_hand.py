@@ -174,7 +174,7 @@ def test_a_lab_reads_the_efforts_of_its_shadow_hand_before_it_can_say_what_they_
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     station = tmp_path / "lab.yaml"
-    station.write_text("version: 2\nhand: {model: shadow_right}\n")
+    station.write_text("version: 3\nhand: {model: shadow_right}\n")
     with _emulated(EXAMPLES / "shadow.yaml", 55.0) as emulator:
         code, empty = _hand(capsys, station, emulator, "efforts", "--seconds", "1")
         assert code == 0, empty

@@ -22,7 +22,7 @@ from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
 from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
 from toolee_robot.stations import camera
-from toolee_robot.stations.interview import INTRINSICS, put, questions
+from toolee_robot.stations.template import INTRINSICS, get, open_questions, put, template
 from toolee_robot.viewer.station_view import named_frames
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
@@ -32,20 +32,41 @@ TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
 def _answers(said: dict[str, Any]) -> list[str]:
     data: dict[str, Any] = {}
     lines = []
-    while (question := next(iter(questions(data)), None)) is not None:
-        value: Any = said
-        for name in question.path:
-            value = value[name]
-        lines.append(" ".join(map(str, value)) if isinstance(value, list) else str(value))
-        put(data, question.path, value)
+    while open_ones := open_questions(data):
+        value = get(said, open_ones[0].name)
+        lines.append(" ".join(map(str, value)) if isinstance(value, list) else "none" if value is None else str(value))
+        put(data, open_ones[0].name, value)
     return lines
 
 
 def _new(path: Path, lines: list[str]) -> subprocess.CompletedProcess[str]:
     text = "".join(f"{line}\n" for line in lines)
     return subprocess.run(
-        [*TOOLEE, "station", "new", str(path)], input=text, capture_output=True, text=True, check=False
+        [*TOOLEE, "station", "new", str(path), "--ask"], input=text, capture_output=True, text=True, check=False
     )
+
+
+def test_a_template_has_just_the_fields_that_apply_and_check_lists_what_is_empty(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "lab.yaml"
+    chosen = ["--arm", "UR10e", "--hand", "inspire", "--camera", "realsense"]
+    assert run(["station", "new", str(path), *chosen]) == 0
+    text = path.read_text()
+    assert "  model: UR10e\n" in text
+    assert "  model: inspire_rh56\n" in text
+    assert "# Radius of the head. [number, 0.005 to 0.1 m]\n  head_radius:\n" in text
+    assert "hand.mount" not in text
+    assert "folder:" not in text
+    capsys.readouterr()
+    assert run(["station", "check", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert "  hand.mounting: position, fingers, thumb" in told
+    assert told.index("tool_envelope: head_radius") < told.index("toolee calibrate camera --station")
+    assert run(["station", "new", str(path), *chosen]) == 2
+    assert "is there already" in capsys.readouterr().err
+    for wrong in (["--arm", "UR5"], ["--arm", "UR10e"]):
+        assert run(["station", "new", str(tmp_path / "other.yaml"), *wrong]) == 2
 
 
 def test_an_interview_that_breaks_off_loses_nothing_and_goes_on_later(tmp_path: Path) -> None:
@@ -92,46 +113,30 @@ def test_a_place_that_is_typed_in_the_other_frame_of_the_base_is_noticed_at_the_
     assert "work.nail_xy: behind the arm at home, by about half a turn" in told.stdout
 
 
-def test_a_file_to_which_nothing_is_added_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_file_that_a_person_edited_is_not_written_by_the_interview(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
     path.write_bytes(LAB.read_bytes())
     told = _new(path, [])
-    assert told.returncode == 0, told.stdout
+    assert told.returncode == 2
+    assert "was edited by hand, and no command edits it" in " ".join(told.stderr.split())
     assert path.read_bytes() == LAB.read_bytes(), "its comments, too"
 
 
-def test_an_answer_adds_one_line_to_a_file_and_taking_it_back_removes_it(tmp_path: Path) -> None:
-    path = tmp_path / "lab.yaml"
-    lines = LAB.read_text().splitlines(keepends=True)
-    rest = [line for line in lines if not line.lstrip().startswith(("nail_length:", "host:"))]
-    path.write_text("".join(rest))
+def test_enter_gives_the_answer_that_is_offered_and_an_answer_can_be_taken_back(tmp_path: Path) -> None:
+    path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
+    for section in ("servo", "calibration"):
+        del said[section]
+    del said["scene"]["obstacles"], said["work"]["block_xy"], said["arm"]["host"], said["strike"]
+    path.write_text(template(said))
     back = _new(path, ["192.168.1.10", "<"])
     assert "Nothing new" in back.stdout
-    assert path.read_text() == "".join(rest)
-    told = _new(path, ["192.168.1.10", "0.030"])
-    assert told.returncode == 0, told.stdout
-    after = path.read_text().splitlines(keepends=True)
-    added = ['  host: "192.168.1.10"\n', "  nail_length: 0.03\n"]
-    assert [line for line in after if line not in added] == rest, "comments and order stay"
-    assert yaml.safe_load(path.read_text()) == yaml.safe_load(LAB.read_text())
-
-
-def test_enter_gives_the_answer_that_is_offered(tmp_path: Path) -> None:
-    path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
-    del said["work"]["block_xy"], said["tool_envelope"]["claw_radius"]
-    path.write_text(yaml.safe_dump(said))
-    untouched = _new(path, [])
-    assert untouched.returncode == 0, "a file from before they were asked for is complete"
-    assert "  work: block_xy (until then the default holds)  (ruler" in untouched.stdout
-    del said["strike"]
-    path.write_text(yaml.safe_dump(said))
-    told = _new(path, ["", "0.06", ""])
+    assert path.read_text() == template(said)
+    told = _new(path, ["192.168.1.10", "", ""])
     assert told.returncode == 0, told.stdout
     assert "(Enter: 0.4)" in told.stdout
-    assert "by default the simulated station's: arm.acceleration, supervisor.unattended_speed;" in told.stdout
+    assert "with defaults: scene.obstacles, arm.acceleration, supervisor.unattended_speed;" in told.stdout
     after = load_lab_station(path)
-    assert (after.work.block_xy, after.tool_envelope.claw_radius, after.strike.speed) == (None, 0.06, 0.4)
-    assert "until then the default holds" not in told.stdout
+    assert (after.work.block_xy, after.arm.host, after.strike.speed) == (None, "192.168.1.10", 0.4)
 
 
 @pytest.fixture
@@ -155,14 +160,16 @@ def test_a_realsense_tells_its_intrinsics_in_the_mode_that_is_asked_for_before(
     path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
     for name in INTRINSICS:
         del said["camera"][name]
+    for section in ("servo", "calibration"):
+        del said[section]
+    del said["scene"]["obstacles"]
     assert said["camera"]["device"]["serial"] == SERIAL
-    path.write_text(yaml.safe_dump(said))
-    asked = [question.name for question in questions(said)]
-    assert asked[:2] == ["camera.width", "camera.height"]
+    path.write_text(template(said))
+    assert [field.name for field in open_questions(said)][:2] == ["camera.width", "camera.height"]
 
     def answer(*lines: str) -> str:
         monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
-        run(["station", "new", str(path)])
+        run(["station", "new", str(path), "--ask"])
         return " ".join(capsys.readouterr().out.split())
 
     told = answer("", "")
@@ -172,15 +179,6 @@ def test_a_realsense_tells_its_intrinsics_in_the_mode_that_is_asked_for_before(
     assert "the camera tells 424x240" in told
     k = yaml.safe_load(path.read_text())["camera"]
     assert {name: k[name] for name in INTRINSICS} == pytest.approx({n: getattr(COLOR, n) for n in INTRINSICS}, abs=1e-3)
-
-
-def test_a_layout_that_is_not_edited_loses_no_answer(tmp_path: Path) -> None:
-    path = tmp_path / "lab.yaml"
-    path.write_text("version: 2\nframe: base_link\narm: &arm {model: UR10, up: [0, 0, 1]}\nother: *arm\n")
-    told = _new(path, ["192.168.1.10"])
-    assert told.returncode == 2
-    assert 'arm:\n  host: "192.168.1.10"' in told.stderr
-    assert "other: *arm" in path.read_text()
 
 
 def test_an_interview_says_at_once_where_it_cannot_write(tmp_path: Path) -> None:

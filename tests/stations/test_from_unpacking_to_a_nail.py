@@ -7,7 +7,6 @@ controller stand-in. What is typed in is what `examples/lab.yaml` says of its ce
 from __future__ import annotations
 
 import json
-import re
 import shlex
 import time
 from collections.abc import Mapping
@@ -24,13 +23,16 @@ from toolee_robot.doctor.robot import expected_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import load_lab_station
-from toolee_robot.stations.interview import INTRINSICS, put, questions
+from toolee_robot.stations.template import INTRINSICS, OFFERED, get, open_questions, put
 from toolee_robot.types import ArmModel
 
 HOST, PORT = "127.0.0.61", "8247"
 """Of the controller stand-in, and of the page of `toolee station show`."""
 TIMEOUT = 900.0
 """Longest time without a question [s]: a rehearsed job asks nobody."""
+
+SERVO = "servo: {gain: 1200, lookahead: 0.03, lag: 0.07}\n"
+"""What `toolee arm lag` measures of the controller stand-in."""
 
 
 class Person:
@@ -68,13 +70,12 @@ def typed(said: dict[str, Any]) -> dict[str, str]:
     """What a person types, by the question's name as the terminal shows it; Enter where an answer is offered."""
     data: dict[str, Any] = {}
     answers = {}
-    while (question := next(iter(questions(data)), None)) is not None:
-        value: Any = said
-        for name in question.path:
-            value = value[name]
-        put(data, question.path, value)
+    while open_ones := open_questions(data):
+        name = open_ones[0].name
+        value = get(said, name)
+        put(data, name, value)
         text = " ".join(map(str, value)) if isinstance(value, list) else "none" if value is None else str(value)
-        answers[f"  {question.name}  "] = "" if question.offered else text
+        answers[f"  {name}  "] = "" if name in OFFERED else text
     return answers
 
 
@@ -91,12 +92,11 @@ def test_from_an_empty_folder_to_a_driven_nail(tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir(tmp_path)
     person, said = Person(), yaml.safe_load(LAB.read_text())
 
-    told = person.runs("toolee station new lab.yaml", typed(said))
+    told = person.runs("toolee station new lab.yaml --ask", typed(said))
     assert "the camera tells 640x480, fx 383.20" in told
     assert "Still open" in told, "what the next commands measure"
     assert "behind the arm" not in told
-    (servo,) = re.findall(r"`(servo: \{.*?\})`", told)
-    assert told.endswith("`toolee calibrate camera --station rehearsal.yaml --rehearse --write`.")
+    assert "then a rehearsal" in told
     written = yaml.safe_load(Path("lab.yaml").read_text())
     lens = {name: written["camera"].pop(name) for name in INTRINSICS}
     assert lens == pytest.approx({name: said["camera"].pop(name) for name in INTRINSICS}, abs=1e-3)
@@ -120,9 +120,9 @@ def test_from_an_empty_folder_to_a_driven_nail(tmp_path: Path, monkeypatch: pyte
         assert line in told, told
     assert "Ready for slow, attended motions" in told
 
-    Path("rehearsal.yaml").write_text(Path("lab.yaml").read_text().replace("speed: 0.4", "speed: 1.2") + servo)
+    Path("rehearsal.yaml").write_text(Path("lab.yaml").read_text().replace("speed: 0.4", "speed: 1.2") + SERVO)
     told = person.runs("toolee calibrate camera --station rehearsal.yaml --rehearse --write")
-    assert "Entered in rehearsal.yaml" in told
+    assert "Entered in rehearsal.measured.yaml" in told
     told = person.runs("toolee calibrate nail --camera --station rehearsal.yaml --rehearse")
     assert "true errors" in told
     told = person.runs("toolee rehearse hammer rehearsal.yaml --seed 3 --real-time-factor 0.5")

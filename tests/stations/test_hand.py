@@ -17,7 +17,7 @@ from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.station import HandConfig
-from toolee_robot.stations.interview import questions
+from toolee_robot.stations.template import open_questions
 from toolee_robot.types import HandEfforts, HandMounting
 
 MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
@@ -76,7 +76,7 @@ def test_a_labs_own_package_brings_a_whole_hand(tmp_path: Path, monkeypatch: pyt
     assert hand_model(config).label == "our hand"
     with raises(ConfigError, "config.device_plugin"):
         hand_model("other")
-    asked = {question.name for question in questions({"hand": {"model": "ours"}})}
+    asked = {question.name for question in open_questions({"hand": {"model": "ours"}})}
     assert {"hand.port", "hand.weighed.mass", "hand.mounting.fingers"} <= asked
     with emulated_hand(config) as emulator, open_hand(replace(config, port=emulator.port), HostClock()) as hand:
         assert hand.joint_names == hand_model(config).joints

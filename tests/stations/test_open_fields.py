@@ -12,8 +12,8 @@ from tests.errors import raises
 from toolee_robot.cli.app import run
 from toolee_robot.errors import UserError
 from toolee_robot.station import MEASURED
-from toolee_robot.stations.interview import questions
 from toolee_robot.stations.open_fields import open_fields, told
+from toolee_robot.stations.template import OFFERED, open_questions, parse
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 FILE = Path("my lab.yaml")
@@ -24,8 +24,8 @@ def test_an_empty_file_lacks_everything_once_what_is_typed_first() -> None:
     assert [entry.typed for entry in found] == sorted((entry.typed for entry in found), reverse=True)
     names = [f"{entry.section}.{name}" for entry in found if not entry.note for name in entry.names]
     assert len(set(names)) == len(names)
-    offered = {question.name for question in questions({}) if question.offered}
-    asked = {question.name for question in questions({})} - offered | {"strike.speed"}
+    offered = set(OFFERED)
+    asked = {question.name for question in open_questions({})} - offered | {"strike.speed"}
     assert {name.removeprefix(".") for name in names} == asked | {"calibration"}
     assert {f"{s}.{n}" for s, fields in MEASURED.items() for n in fields} - set(names) == {"hand.weighed"}, (
         "which is asked of a hand, once its model is known"
@@ -45,12 +45,12 @@ def test_an_empty_file_lacks_everything_once_what_is_typed_first() -> None:
 )
 def test_a_field_that_is_taken_out_is_on_one_line(taken: tuple[str, ...]) -> None:
     said: dict[str, Any] = yaml.safe_load(LAB.read_text())
-    before = told(open_fields(said, FILE), FILE).splitlines()
+    before = told(open_fields(said, FILE)).splitlines()
     part = said
     for name in taken[:-1]:
         part = part[name]
     del part[taken[-1]]
-    new = [line for line in told(open_fields(said, FILE), FILE).splitlines() if line not in before]
+    new = [line for line in told(open_fields(said, FILE)).splitlines() if line not in before]
     assert any(line.lstrip().startswith(taken[0]) and taken[-1] in line for line in new)
     assert all("my lab.yaml'" in line for line in new if "--station" in line), "a command that can be copied"
 
@@ -62,7 +62,7 @@ def test_a_hand_without_a_wrist_needs_the_place_where_a_strike_turns_back() -> N
     lab["hand"] = {"model": "inspire_rh56"}
     (entry,) = (entry for entry in open_fields(lab, FILE) if "deepest" in entry.names)
     assert (entry.section, entry.note, entry.typed) == ("strike", "", True), "a job is not without it"
-    assert "strike.deepest" not in {q.name for q in questions({"hand": {"model": "shadow_right"}})}
+    assert "strike.deepest" not in {q.name for q in open_questions({"hand": {"model": "shadow_right"}})}
 
 
 def test_the_command_for_the_intrinsics_names_the_mode() -> None:
@@ -82,18 +82,18 @@ def test_that_for_a_recording_plays_it() -> None:
 
 def test_the_lens_is_asked_of_a_driver_that_may_not_tell_it() -> None:
     lab = yaml.safe_load(LAB.read_text())
-    assert "camera.distortion" not in {q.name for q in questions(lab)}, "a RealSense tells it"
+    assert "camera.distortion" not in {q.name for q in open_questions(lab)}, "a RealSense tells it"
     lab["camera"]["device"]["driver"] = "ours"
-    (question,) = (q for q in questions(lab) if q.name == "camera.distortion")
-    assert question.offered == "none"
-    assert question.parse("none") is None
-    assert question.parse("[0.1, -0.2, 0.001, 0]") == [0.1, -0.2, 0.001, 0.0]
+    (question,) = (q for q in open_questions(lab) if q.name == "camera.distortion")
+    assert OFFERED[question.name] == "none"
+    assert parse(question, "none") is None
+    assert parse(question, "[0.1, -0.2, 0.001, 0]") == [0.1, -0.2, 0.001, 0.0]
     with raises(UserError, "user.answer"):
-        question.parse("0.1 barrel")
+        parse(question, "0.1 barrel")
     (entry,) = (entry for entry in open_fields(lab, FILE) if "distortion" in entry.names)
     assert entry.note, "a job goes without it; the doctor warns"
     lab["camera"]["intrinsics"] = "intrinsics.json"
-    assert "camera.distortion" not in {q.name for q in questions(lab)}, "the record has it"
+    assert "camera.distortion" not in {q.name for q in open_questions(lab)}, "the record has it"
 
 
 def test_the_commands_are_commands(capsys: pytest.CaptureFixture[str]) -> None:
@@ -110,6 +110,6 @@ def test_the_commands_are_commands(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_nails_of_a_list_give_their_own_place() -> None:
     said = yaml.safe_load((LAB.parent / "nails.yaml").read_text())
-    asked = {question.name for question in questions(said)}
+    asked = {question.name for question in open_questions(said)}
     assert "work.nail_xy" not in asked
     assert "work.nail_length" in asked

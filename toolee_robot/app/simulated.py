@@ -19,7 +19,7 @@ from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
-from toolee_robot.station import StationConfig, load_station, sim_station, with_setup
+from toolee_robot.station import SIMULATED, SIMULATED_CALIBRATION, StationConfig, load_station, sim_station, with_setup
 from toolee_robot.tasks.hammering.grasp import measured_grasp
 from toolee_robot.tools import Tool
 from toolee_robot.types import ArmModel
@@ -33,7 +33,10 @@ REHEARSED_MINUTES = 2.0, 7.5
 
 
 def simulated_station(
-    file: Path | None = None, setup: Path | None = None, robot: ArmModel | None = None
+    file: Path | None = None,
+    setup: Path | None = None,
+    robot: ArmModel | None = None,
+    tell: Tell = lambda _: None,
 ) -> StationConfig:
     """The simulated station of a job.
 
@@ -41,15 +44,19 @@ def simulated_station(
         file: Changes of it, as a station file; None for none.
         setup: What is set up for the job; None for what the station has.
         robot: Model of the arm; None for the station's.
+        tell: Told of a calibration that a simulation ignores.
 
     Returns:
-        The station.
+        The station; of a lab's file without the calibration of its real camera.
 
     Raises:
         ConfigError: A file cannot be read, or a field is wrong.
         UserError: The setup gives a tool; code `user.option`.
     """
     config = sim_station() if file is None else load_station(file)
+    if config.calibration is not None and config.calibration.camera_serial != SIMULATED:
+        tell(f"the calibration in {file} is of a real camera: a simulation ignores it")
+        config = replace(config, calibration=SIMULATED_CALIBRATION, camera=config.camera.uncalibrated)
     if setup is not None:
         before, config = config.tool, with_setup(config, setup)
         if config.tool is not before:

@@ -27,7 +27,7 @@ GROUPS: dict[str, tuple[str, str]] = {
     "sim": ("sim", "Do a job in simulation; nothing real moves"),
     "rehearse": ("rehearse", "Do a job with your station file on emulated devices; nothing real moves"),
     "run": ("run", "Do a job with the real robot; the arm moves"),
-    "station": ("station.command", "Write, check, show and upgrade the station file of a lab"),
+    "station": ("station", "Write, check, show and upgrade the station file of a lab"),
     "doctor": ("doctor", "Check a station before any motion: robot, devices, computer"),
     "arm": ("arm", "Move a UR arm slowly, for its bring-up"),
     "hand": ("hand", "Read, open or close the hand of a station"),

@@ -271,7 +271,7 @@ class Lag(MotionOptions):
     joint: Annotated[int, tyro.conf.arg(metavar="1..6")] = 1
     """Joint that moves: 1 base, 2 shoulder, 3 elbow, 4 to 6 wrists."""
     write: Flag = False
-    """Write the recommended gain, lookahead and lag into the station file, under servo; the rest of it stays."""
+    """Write the recommended gain, lookahead and lag into `measured.yaml` beside the station file."""
 
     def run(self) -> int:
         if self.write and self.config is None:
@@ -279,7 +279,6 @@ class Lag(MotionOptions):
         console = self.console
         station, host = self.load()
         from toolee_robot.app.bring_up import tune_servo
-        from toolee_robot.runtime.yaml_edit import set_fields
         from toolee_robot.tasks.bring_up.servo_tuning import PAIRS, SHARES, recommend
 
         def show(robot: BringUp, largest: Trajectory, reach: float) -> None:
@@ -301,8 +300,10 @@ class Lag(MotionOptions):
             fastest = max(trial.figures.speed for trial in trials)
             console.print(f"[bold]Recommended: {words}[/bold]. Measured at up to {fastest:.3g} rad/s.", soft_wrap=True)
         if best is not None and self.write and self.config is not None:
-            set_fields(self.config, ("servo",), asdict(best))
-            console.print(f"Written to {self.config}.")
+            from toolee_robot.station import write_measured
+
+            file = write_measured(self.config, servo=asdict(best))
+            console.print(f"Written to {file}.")
         told = [{"gain": t.gain, "lookahead": t.lookahead, **asdict(t.figures)} for t in trials]
         self.tell({"trials": told, "recommended": None if best is None else asdict(best)})
         return int(best is None)

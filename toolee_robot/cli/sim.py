@@ -73,7 +73,7 @@ class SimHammer(JobOptions):
         from toolee_robot.app.simulated import Simulated, cell_errors, simulated_station
 
         robot = None if self.robot is None else ArmModel(self.robot)
-        config = simulated_station(self.config, self.setup, robot)
+        config = simulated_station(self.config, self.setup, robot, lambda text: print(text, file=sys.stderr))
         return Simulated(config, self.seed, self.gui, cell_errors(self.errors), self.sensor)
 
 

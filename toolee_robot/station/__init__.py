@@ -14,7 +14,15 @@ from toolee_robot.station.camera_device import CameraDevice
 from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.station.intrinsics_record import given_by_intrinsics
 from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig
-from toolee_robot.station.measured import MEASURED, given_by_nails, given_by_pose, load_lab_station, unmeasured
+from toolee_robot.station.measured import (
+    MEASURED,
+    given_by_nails,
+    given_by_pose,
+    load_lab_station,
+    unmeasured,
+    write_measured,
+)
+from toolee_robot.station.measured_file import measured_path
 from toolee_robot.station.mounting import UPRIGHT_WITHIN, check_upright
 from toolee_robot.station.obstacle import Obstacle
 from toolee_robot.station.person import PersonConfig
@@ -61,9 +69,11 @@ __all__ = [
     "is_current",
     "load_lab_station",
     "load_station",
+    "measured_path",
     "read_station",
     "servo_lag",
     "sim_station",
     "unmeasured",
     "with_setup",
+    "write_measured",
 ]

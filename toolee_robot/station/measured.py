@@ -1,4 +1,4 @@
-"""What a lab must measure: station files of real robots, in which nothing measured may have a simulated value."""
+"""Station files of real robots, in which nothing that describes a lab may have a simulated value; measured values."""
 
 from __future__ import annotations
 
@@ -7,51 +7,41 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from toolee_robot.errors import ConfigError
+from toolee_robot.frames import BaseFrame
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_lines import YamlLines
 from toolee_robot.station import intrinsics_record
 from toolee_robot.station.camera_pose import FIELD, LOOK_AT, SECTION
+from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.station.intrinsics_record import given_by_intrinsics
-from toolee_robot.station.station import StationConfig, read_station, to_station
+from toolee_robot.station.job import StrikeConfig
+from toolee_robot.station.measured_file import measured_path, read_measured, with_measured
+from toolee_robot.station.robot import ArmLimits, HandConfig
+from toolee_robot.station.schema import required
+from toolee_robot.station.station import StationConfig, read_station, read_typed, to_station
+from toolee_robot.station.station_frame import FIELD as FRAME
 from toolee_robot.station.tool_enclosure import check_enclosed
 from toolee_robot.station.version import check_current
-from toolee_robot.station.work import SIZES
+from toolee_robot.station.work import SIZES, WorkConfig
 from toolee_robot.types import MOUNT
 
 MEASURED: Mapping[str, tuple[str, ...]] = {
-    "arm": ("model", "up"),
-    "hand": ("model", "weighed"),
-    "scene": (
-        "home",
-        "workspace_lower",
-        "workspace_upper",
-        "table_size",
-        "table_center",
-        "table_height",
-        "person_center",
-        "person_size",
-        "handover_position",
-        "handover_facing",
-        "camera_size",
-    ),
-    "camera": ("position", "target", "fx", "fy", "cx", "cy", "width", "height"),
-    "work": (
-        "nail_xy",
-        "stand_height",
-        "stand_size",
-        "block_size",
-        "nail_diameter",
-        "nail_length",
-        "nail_head_diameter",
-        "nail_protrusion",
-        "wood_specific_gravity",
-        "pilot_hole_diameter",
-    ),
-    "strike": ("speed",),
+    "arm": tuple(required(ArmLimits)),
+    "hand": (*required(HandConfig), "weighed"),
+    "scene": tuple(required(SceneConfig)),
+    "camera": ("position", "target", *required(CameraConfig)),
+    "work": tuple(required(WorkConfig)),
+    "tool_envelope": tuple(required(ToolEnvelope)),
+    "strike": tuple(required(StrikeConfig)),
 }
-"""Fields that describe a lab and nobody else's: section of the station file, and names. The speed of the strikes is
-among them since the simulation's is too fast for the first ones on a robot; a calibration is not: without one a station
-is uncalibrated, which every job refuses."""
+"""Fields that describe a lab and nobody else's, so that they have no default: section of the station file, and names. A
+calibration is none of them: without one a station is uncalibrated, which every job refuses."""
+HEAD = """# What programs measured for {station}; a command with --write replaces its part. Positions are in base_link.
+# To be without a measurement, delete its section.
+"""
 
 
 def unmeasured(path: Path) -> list[str]:
@@ -73,16 +63,17 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
     """Load the station file of a real robot.
 
     Args:
-        path: The file, as for `load_station`, with `version: 2` and every field of `MEASURED`.
+        path: The file, as for `load_station`, with `version: 3` and every field of `MEASURED`.
         complete: Whether a file that leaves out some of them is refused.
 
     Returns:
         The validated configuration, its positions in `base`; its calibration is None where the file gives none.
 
     Raises:
-        ConfigError: As `load_station`, or the file is of version 1 (`config.version_old`), or leaves out what must be
-            measured (`config.unmeasured`), or gives a size in another unit (`config.invalid`); the message names it and
-            its line, or that of its section; or a tool that is outside of its cylinders (`config.tool_envelope`).
+        ConfigError: As `load_station`, or the file is of an older version (`config.version_old`), or leaves out what
+            must be measured (`config.unmeasured`), or gives a size in another unit (`config.invalid`); the message
+            names it and its line, or that of its section; or the tool is outside of its cylinders
+            (`config.tool_envelope`).
     """
     data = read_station(path)
     check_current(data, path)
@@ -148,3 +139,40 @@ def given_by_pose(pose: Any) -> set[str]:
 def _field(data: Any, section: str, name: str) -> Any:
     fields = data.get(section) if isinstance(data, dict) else None
     return fields.get(name) if isinstance(fields, dict) else None
+
+
+def write_measured(path: Path, **sections: Mapping[str, Any]) -> Path:
+    """Enter what a program measured for a station into `measured.yaml`; what was measured otherwise stays.
+
+    Args:
+        path: The station file; it is not changed.
+        **sections: Fields by section, such as `servo={"lag": 0.034}`, positions in `base`. Of `work.nails` each record
+            has the name of its nail.
+
+    Returns:
+        The file that was written, as a whole.
+
+    Raises:
+        ConfigError: The station would be refused with these values; nothing was written.
+        UserError: The file cannot be written.
+    """
+    file, measured = measured_path(path), read_measured(path)
+    for section, values in sections.items():
+        before = measured.get(section, {})
+        after = {**before, **values}
+        if "nails" in after:
+            named = {nail["name"]: nail for part in (before, values) for nail in part.get("nails", ())}
+            after["nails"] = [*named.values()]
+        measured[section] = after
+    try:
+        to_station(with_measured(read_typed(path), measured, path), path)
+    except ConfigError as error:
+        raise ConfigError(
+            f"nothing was entered: with what was measured ({sections}) the station is refused. Correct the field that "
+            f"does not fit, or measure again. {error}",
+            code=error.code,
+        ) from error
+    whole = {FRAME: BaseFrame.BASE_LINK.value, **measured}
+    text = HEAD.format(station=path.name) + yaml.safe_dump(whole, sort_keys=False, default_flow_style=None)
+    write_atomic(file, text.encode())
+    return file

@@ -125,6 +125,32 @@ def record_fields(record: type[Any], path: tuple[str, ...] = ()) -> tuple[Statio
     return (*own, *inner)
 
 
+def without_blanks(data: Mapping[str, Any], record: type[Any]) -> dict[str, Any]:
+    """Leave out fields without a value, as a template has them, of which null is no value.
+
+    Args:
+        data: What a file holds of a record.
+        record: The record.
+
+    Returns:
+        The fields with a value, or with null where that is one.
+    """
+    hints = get_type_hints(record, include_extras=True)
+    kinds = {name_in_file(field): hints[field.name] for field in fields(record)}
+    given = {}
+    for name, value in data.items():
+        hint = kinds.get(name, Any)
+        if value is None and hint is not Any and NoneType not in get_args(hint):
+            continue
+        held = record_in(hint)
+        if held is not None and isinstance(value, dict) and value:
+            value = without_blanks(value, held)
+            if not value:
+                continue
+        given[name] = value
+    return given
+
+
 _KNOWN: dict[type[Any], Mapping[str, str]] = {}
 """To parse a source takes milliseconds."""
 

@@ -18,8 +18,10 @@ from toolee_robot.station.camera_pose import take_camera_pose
 from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.station.intrinsics_record import take_intrinsics
 from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig
+from toolee_robot.station.measured_file import read_measured, with_measured
 from toolee_robot.station.person import PersonConfig
 from toolee_robot.station.robot import ArmLimits, HandConfig
+from toolee_robot.station.schema import without_blanks
 from toolee_robot.station.servo import ServoConfig
 from toolee_robot.station.station_frame import FIELD as FRAME
 from toolee_robot.station.station_frame import take_frame, to_base
@@ -103,7 +105,24 @@ class StationConfig:
 
 
 def read_station(path: Path) -> Any:
-    """Read what a station file holds, as it is.
+    """Read what a station file holds, with what programs measured.
+
+    Args:
+        path: The YAML file; `measured.yaml` beside it has the measured values.
+
+    Returns:
+        Its mapping, empty for an empty file.
+
+    Raises:
+        ConfigError: A file is missing, or cannot be read, or a place was measured far from where the file has it.
+    """
+    data = read_typed(path)
+    measured = read_measured(path)
+    return with_measured(data, measured, path) if measured and isinstance(data, dict) else data
+
+
+def read_typed(path: Path) -> Any:
+    """Read what a person wrote into a station file, as it is.
 
     Args:
         path: The YAML file.
@@ -185,7 +204,7 @@ def to_station(data: Any, path: Path) -> StationConfig:
     if not isinstance(data, dict):
         return to_record(data, path, StationConfig, what)
     is_current(data, path)  # refuses an unknown one
-    data = {name: value for name, value in data.items() if name != FIELD}
+    data = without_blanks({name: value for name, value in data.items() if name != FIELD}, StationConfig)
     frame = take_frame(data)
     data, record = take_record(_first_nail(data), path)
     data = take_intrinsics(data, path)

@@ -115,5 +115,5 @@ def _turned(point: Any) -> list[float]:
 def _positions(data: dict[str, Any]) -> Iterator[str]:
     section, *corners = BOX
     for part, name in (*POINTS, POSE, OBSTACLES, NAILS, *((section, corner) for corner in corners)):
-        if isinstance(fields := data.get(part), dict) and name in fields:
+        if isinstance(fields := data.get(part), dict) and fields.get(name) is not None:
             yield f"{part}.{name}"

@@ -10,8 +10,10 @@ from toolee_robot.runtime.yaml_lines import YamlLines
 
 FIELD = "version"
 """The station file's key that tells its version."""
-VERSION = 2
-"""The version that this program reads and writes. A file of version 1 tells none."""
+VERSION = 3
+"""The version that this program reads and writes."""
+BEFORE = 2
+"""The version that `toolee station upgrade` takes."""
 
 
 def is_current(data: Any, path: Path) -> bool:
@@ -22,35 +24,43 @@ def is_current(data: Any, path: Path) -> bool:
         path: The file, for the error.
 
     Returns:
-        Whether it is; False for a file of version 1, which gives `version: 1` or none.
+        Whether it is; False for a file that names no version.
 
     Raises:
-        ConfigError: It is of a version that this program does not know (`config.version_unknown`).
+        ConfigError: It is of the version before (`config.version_old`), or of one that this program does not know
+            (`config.version_unknown`).
     """
-    told = data.get(FIELD, 1) if isinstance(data, dict) else 1
-    if isinstance(told, int) and not isinstance(told, bool) and told in (1, VERSION):
-        return told == VERSION
-    where = YamlLines(path).told([FIELD])
+    told = data.get(FIELD) if isinstance(data, dict) else None
+    if told is None or (told == VERSION and not isinstance(told, bool)):
+        return told is not None
+    lines = YamlLines(path).told([FIELD])
+    where = f" ({lines})" if lines else ""
+    if told == BEFORE:
+        raise ConfigError(
+            f"{path} is a station file of version {BEFORE}{where}: run `toolee station upgrade {path}` once",
+            code="config.version_old",
+        )
     raise ConfigError(
-        f"{path}: {FIELD} {told!r} is unknown{f' ({where})' if where else ''}: this program reads version {VERSION}, "
-        "and `toolee station upgrade` rewrites version 1; a newer file needs a newer toolee_robot",
+        f"{path}: {FIELD} {told!r} is unknown{where}: this program reads version {VERSION}; version 1 is upgraded by "
+        "toolee_robot 0.1 first, and a newer file needs a newer toolee_robot",
         code="config.version_unknown",
     )
 
 
 def check_current(data: Any, path: Path) -> None:
-    """Refuse a station file that is not of the version that this program reads.
+    """Refuse a lab's station file that names no version.
 
     Args:
         data: What the file holds.
         path: The file, for the error.
 
     Raises:
-        ConfigError: It is of version 1 (`config.version_old`), or of an unknown one (`config.version_unknown`).
+        ConfigError: It names none or an older one (`config.version_old`), or an unknown one
+            (`config.version_unknown`).
     """
     if not is_current(data, path):
         raise ConfigError(
-            f"{path} is a station file of version 1: run `toolee station upgrade {path}`, which rewrites it once and "
-            "names what it lacks",
+            f"{path} names no version: its first field is `{FIELD}: {VERSION}`; `toolee station check {path}` says "
+            "what else it needs",
             code="config.version_old",
         )

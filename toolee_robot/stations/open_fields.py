@@ -10,7 +10,7 @@ from typing import Any
 
 from toolee_robot.station import MEASURED
 from toolee_robot.stations.camera import AIRO, RECORDED, WITH_MODE
-from toolee_robot.stations.interview import INTRINSICS, questions
+from toolee_robot.stations.template import INTRINSICS, OFFERED, open_questions
 
 _SOURCES = {
     "frame": "the teach pendant, or ROS",
@@ -41,7 +41,7 @@ class OpenFields:
         section: The section of the file in which they are; empty for the top level.
         names: Their names in it.
         source: Where a person reads them, or the command that measures them.
-        typed: Whether a person types them in; `toolee station new` asks for these.
+        typed: Whether a person types them in; `toolee station new --ask` asks for these.
         note: Why a job could do without; empty where it needs them.
     """
 
@@ -69,14 +69,14 @@ def open_fields(data: dict[str, Any], path: Path) -> list[OpenFields]:
     """
     by_source: dict[tuple[str, str, str], list[str]] = {}
     intrinsics = []
-    for question in questions(data):
-        *sections, name = question.path
-        if question.path[0] == "camera" and name in INTRINSICS:
+    for field in open_questions(data):
+        *sections, name = field.path
+        if field.path[0] == "camera" and name in INTRINSICS:
             intrinsics.append(name)
         else:
-            required = name in MEASURED.get(question.path[0], ())
-            note = STANDS_IN if question.offered and not required else ""
-            by_source.setdefault((".".join(sections), _source(question.name), note), []).append(name)
+            required = name in MEASURED.get(field.path[0], ())
+            note = STANDS_IN if field.name in OFFERED and not required else ""
+            by_source.setdefault((".".join(sections), _source(field.name), note), []).append(name)
     typed = [
         OpenFields(section, tuple(names), source, typed=True, note=note)
         for (section, source, note), names in by_source.items()
@@ -84,19 +84,18 @@ def open_fields(data: dict[str, Any], path: Path) -> list[OpenFields]:
     return [*typed, *_measured(data, tuple(intrinsics), shlex.quote(str(path)))]
 
 
-def told(fields: list[OpenFields], path: Path) -> str:
+def told(fields: list[OpenFields]) -> str:
     """What is open in words.
 
     Args:
         fields: What is open, at least one.
-        path: The file.
 
     Returns:
         A line each, those that are typed in before those that a command measures.
     """
     lines = []
     for typed, head in (
-        (True, f"Type in, as `toolee station new {path}` asks for it:"),
+        (True, "Type in:"),
         (False, "Measure, each by its command, in this order (docs/how-to/run_a_job.md):"),
     ):
         group = [entry for entry in fields if entry.typed is typed]
@@ -125,13 +124,13 @@ def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> I
     if intrinsics:
         device = camera.get("device") or {}
         if device.get("driver") == RECORDED:
-            which = f"--recording {shlex.quote(str(device.get('folder', 'DIR')))}"
+            which = f"--recording {shlex.quote(str(device.get('folder') or 'DIR'))}"
         else:
-            which = f"--driver {device.get('driver', 'NAME')} --serial {device.get('serial', 'NUMBER')}"
+            which = f"--driver {device.get('driver') or 'NAME'} --serial {device.get('serial') or 'NUMBER'}"
             if device.get("driver") == AIRO:
-                which += f" --camera-class {device.get('camera_class', 'MODULE.CLASS')}"
+                which += f" --camera-class {device.get('camera_class') or 'MODULE.CLASS'}"
         if device.get("driver") in WITH_MODE:
-            which += f" --size {camera.get('width', 'W')} {camera.get('height', 'H')}"
+            which += f" --size {camera.get('width') or 'W'} {camera.get('height') or 'H'}"
         yield OpenFields("camera", intrinsics, f"toolee camera show {which}", typed=False)
     if "calibration" not in arm:
         command = f"toolee doctor --config {path} --json  # arm_calibration, docs/how-to/calibrate.md"

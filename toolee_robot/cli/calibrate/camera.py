@@ -14,7 +14,15 @@ from toolee_robot.cli.calibrate.board import BARS_MISSING
 from toolee_robot.cli.options import Flag
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.runtime.clock import check_real_time_factor
-from toolee_robot.station import SIMULATED, StationConfig, load_lab_station, load_station, sim_station
+from toolee_robot.station import (
+    SIMULATED,
+    StationConfig,
+    load_lab_station,
+    load_station,
+    measured_path,
+    sim_station,
+    write_measured,
+)
 
 SIMULATED_PLATE = 0.12, 1.2
 """Distance of a simulated print from the flange [m], and mass of its plate [kg]."""
@@ -63,7 +71,7 @@ class Camera:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("calibrations")
     """Parent of the calibration's folder, which holds camera.json, the record, report.html and the images."""
     write: Flag = False
-    """Enter the record in the station file of --station; the rest of it stays."""
+    """Enter the record in `measured.yaml` beside the station file."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -78,7 +86,6 @@ class Camera:
         from toolee_robot.app.run_folder import run_folder
         from toolee_robot.calibration.session import FILE
         from toolee_robot.cli.calibrate.camera_job import RECORD, CameraJob
-        from toolee_robot.runtime.yaml_edit import set_fields
 
         job = CameraJob(config, self.sheet, console)
         bars = None if self.bars_mm is None else (self.bars_mm[0] / 1e3, self.bars_mm[1] / 1e3)
@@ -103,8 +110,8 @@ class Camera:
         if self.write:
             assert self.station is not None
             record = os.path.relpath(place / RECORD, self.station.parent)
-            set_fields(self.station, ("calibration",), {"record": record})
-        job.conclude(place, self.station if self.write else None, self.json)
+            write_measured(self.station, calibration={"record": record})
+        job.conclude(place, measured_path(self.station) if self.write and self.station else None, self.json)
         return 0
 
     def _check_entry(self, config: StationConfig) -> None:

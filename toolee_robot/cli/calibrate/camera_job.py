@@ -204,7 +204,7 @@ class CameraJob:
 
         Args:
             folder: The calibration's folder.
-            written_to: The station file in which the record was entered; None for none.
+            written_to: The file in which the record was entered; None for none.
             as_json: Whether to print the figures as a line of JSON, too.
         """
         f = self.figures

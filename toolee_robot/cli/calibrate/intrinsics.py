@@ -59,7 +59,7 @@ class Intrinsics:
     out: Annotated[Path, tyro.conf.arg(metavar="JSON")] = Path("intrinsics.json")
     """The record."""
     write: Flag = False
-    """Enter the record in the station file of --station; the rest of it stays."""
+    """Enter the record in `measured.yaml` beside the station file."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -87,10 +87,10 @@ class Intrinsics:
             assert camera is not None
             assert bars is not None
             job.live(camera, self.views, bars)
-        record = job.write(self.out)
+        job.write(self.out)
         if self.write:
             assert self.station is not None
-            enter(self.station, self.out, record)
+            enter(self.station, self.out)
         job.conclude(self.out, self.station if self.write else None, self.json)
         return 0
 

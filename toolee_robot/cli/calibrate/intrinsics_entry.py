@@ -6,11 +6,10 @@ import os
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, read_intrinsics
+from toolee_robot.calibration.intrinsics_record import read_intrinsics
 from toolee_robot.errors import ConfigError, UserError
-from toolee_robot.runtime.yaml_edit import set_fields
 from toolee_robot.runtime.yaml_files import to_record
-from toolee_robot.station import SIMULATED, CameraConfig, read_station
+from toolee_robot.station import SIMULATED, CameraConfig, read_station, write_measured
 from toolee_robot.station.intrinsics_record import FIELD, PINHOLE, SECTION
 from toolee_robot.stations.camera import WITH_MODE
 
@@ -98,20 +97,17 @@ def check_entry(path: Path, *, rehearsed: bool) -> None:
         )
 
 
-def enter(path: Path, record_file: Path, record: IntrinsicsRecord) -> None:
-    """Enter a record in a station file, and correct the numbers that the file gives, too.
+def enter(path: Path, record_file: Path) -> None:
+    """Enter a record in `measured.yaml` beside a station file; it holds instead of the numbers that the file gives.
 
     Args:
         path: The station file.
         record_file: The record's file.
-        record: The record.
 
     Raises:
-        ConfigError: The file has a layout that is not edited here (`config.not_editable`).
+        ConfigError: The station would be refused with it; nothing was written.
     """
-    known = {name: getattr(record.intrinsics, name) for name in PINHOLE} | {"distortion": list(record.distortion)}
-    given = {name: value for name, value in known.items() if _camera(path).get(name) is not None}
-    set_fields(path, (SECTION,), {FIELD: os.path.relpath(record_file, path.parent), **given})
+    write_measured(path, camera={FIELD: os.path.relpath(record_file, path.parent)})
 
 
 def _rehearsed(record_file: Path) -> bool:

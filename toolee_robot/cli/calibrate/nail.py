@@ -72,7 +72,7 @@ class Nail:
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
     """With --rehearse: rate of the station's time relative to wall-clock time."""
     write: Flag = False
-    """Enter the place in the station file of --station or --config; the rest of it stays. Not of a simulated nail."""
+    """Enter the place in `measured.yaml` beside the station file. Not of a simulated nail."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 

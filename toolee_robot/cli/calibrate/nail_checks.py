@@ -1,18 +1,15 @@
-"""What is refused of a location of a nail: an incomplete station file, far touches, fields that do not load."""
+"""What is refused of a location of a nail: an incomplete station file, far touches."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array
-from toolee_robot.station import StationConfig, load_lab_station, read_station, unmeasured
-from toolee_robot.station.station import to_station
+from toolee_robot.station import StationConfig, load_lab_station, unmeasured
 
 FARTHEST = 0.050
 """Largest distance of the nail from the circle around the touches of the wood [m]: a rise that is known to 0.5 degrees
@@ -85,31 +82,3 @@ def mistake(entry: Array, by_file: Array) -> str:
     if half_a_turn_apart(entry, by_file):
         return "half a turn of the base: the file's positions are of the other `frame`"
     return "x and y are swapped there: look at the file's other positions, too" if axes_swapped(entry, by_file) else ""
-
-
-def check_loads(path: Path, places: Sequence[tuple[tuple[str, str] | None, dict[str, Any]]]) -> None:
-    """Refuse fields with which a station file would not load.
-
-    Args:
-        path: The station file.
-        places: The fields of its `work`, as `nail_fields` returns them.
-
-    Raises:
-        ConfigError: The file with these fields is refused, for the reason given; nothing was written.
-    """
-    data = read_station(path)
-    work = {**(data.get("work") or {})}
-    for item, values in places:
-        if item is None:
-            work |= values
-        else:
-            work[item[0]] = [{**nail, **values} if nail["name"] == item[1] else nail for nail in work[item[0]]]
-    try:
-        to_station({**data, "work": work}, path)
-    except ConfigError as error:
-        told = "; ".join(f"{name} {value}" for _, values in places for name, value in values.items())
-        raise ConfigError(
-            f"nothing was entered: with what was located ({told}) the file would be refused. Correct the field that "
-            f"does not fit, or touch or look again. {error}",
-            code=error.code,
-        ) from error

@@ -25,7 +25,7 @@ def nail_fields(
         with_nail: Whether the nail's place was located, and not the wood alone.
 
     Returns:
-        Values by field, of `work` itself first (None), then of the nail among `work.nails`, as `set_fields` has them.
+        Values by field, of `work` itself first (None), then of the nail among `work.nails`, with its name.
         With a rise there is always a `block_xy`, here or in the file: the plane hangs on the middle of the block, and
         must not move with the next nail.
     """

@@ -27,15 +27,14 @@ from toolee_robot.calibration.nail import (
 from toolee_robot.calibration.record import read_record
 from toolee_robot.calibration.tip import read_touches
 from toolee_robot.calibration.wood import WoodPlane, fit_wood
-from toolee_robot.cli.calibrate.nail_checks import check_loads, check_near, mistake
+from toolee_robot.cli.calibrate.nail_checks import check_near, mistake
 from toolee_robot.cli.calibrate.nail_fields import nail_fields
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, NotReadyError, UserError
 from toolee_robot.frames import Array, angle_between, transform_points
 from toolee_robot.hal import Station
 from toolee_robot.runtime.json_line import json_line
-from toolee_robot.runtime.yaml_edit import set_fields
-from toolee_robot.station import StationConfig
+from toolee_robot.station import StationConfig, measured_path, write_measured
 from toolee_robot.station.work import LARGEST_TILT
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
@@ -229,7 +228,7 @@ class NailJob:
         }
 
     def conclude(self, path: Path | None, *, write: bool, as_json: bool) -> None:
-        """Tell the result, and enter it in the station file.
+        """Tell the result, and enter it in `measured.yaml` beside the station file.
 
         Args:
             path: The station file; None for none.
@@ -237,7 +236,7 @@ class NailJob:
             as_json: Whether to print the figures as a line of JSON, too.
 
         Raises:
-            ConfigError: The file has a layout that is not edited, or would not load with the result.
+            ConfigError: The station would be refused with the result; nothing was written.
         """
         work, seen, touched, wood = self.config.work, self._seen, self._touched, self._wood
         rise: Array | None = None
@@ -287,15 +286,15 @@ class NailJob:
             )  # fmt: skip
         lines = [f"{name:<24}{value}" for name, value in rows]
         located = seen is not None or touched is not None  # and not the wood alone
-        places = nail_fields(work, self.name, entry, rise, path, with_nail=located)
+        places = nail_fields(work, self.name, entry, rise, None if write else path, with_nail=located)
         told = [f"  {name}: {value}" for item, values in places if not item for name, value in values.items()]
         told += [f"  nails, {item[1]}: xy: {values['xy']}" for item, values in places if item]
-        lines += ["", f"Entered in {escape(str(path))}:" if write else "In the station file:", "work:", *told]
+        where = f"Entered in {measured_path(path).name}, in base_link:" if write and path else "In the station file:"
+        lines += ["", where, "work:", *told]
         if write:
             assert path is not None
-            check_loads(path, places)
-            for item, values in reversed(places):
-                set_fields(path, ("work",), values, item)
+            nails = [{"name": item[1], **values} for item, values in places if item]
+            write_measured(path, work=places[0][1] | ({"nails": nails} if nails else {}))
         if "true_lateral_mm" in self.figures:
             lines += ["", "[dim]* measured by the simulation; whoever looks cannot see it[/dim]"]
         title = f"[bold]the {'nail' if located else 'wood'} is located[/bold]"

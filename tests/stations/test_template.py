@@ -1,4 +1,4 @@
-"""The interview: everything that a lab must measure is asked, once, and an answer in another unit is noticed."""
+"""The template and its interview: all that a lab must say is in it, once, and an answer in another unit is noticed."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from tests.examples import examples
 from toolee_robot.devices.hands import wired_hand
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.robots.hands import HAND_FILES
-from toolee_robot.station import ToolEnvelope, load_lab_station, sim_station
-from toolee_robot.stations.interview import Question, put, questions
+from toolee_robot.station import load_lab_station
+from toolee_robot.station.schema import StationField
 from toolee_robot.stations.lab import Purpose, check_purpose
 from toolee_robot.stations.open_fields import open_fields
+from toolee_robot.stations.template import OFFERED, applicable, get, nullable, open_questions, parse, put, template
 from toolee_robot.types import HandEfforts
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
@@ -29,18 +30,26 @@ LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 def _answers(data: dict[str, Any], said: dict[str, Any]) -> list[str]:
     """Answer every question with what a file says; the questions that were asked."""
     asked = []
-    while (question := next(iter(questions(data)), None)) is not None:
-        value: Any = said
-        for name in question.path:
-            value = value[name]
-        text = " ".join(map(str, value)) if isinstance(value, list) else str(value)
-        put(data, question.path, question.parse(text))
-        asked.append(question.name)
+    while open_ones := open_questions(data):
+        value = get(said, open_ones[0].name)
+        text = (
+            " ".join(map(str, value))
+            if isinstance(value, list)
+            else str(value).lower()
+            if value is None
+            else str(value)
+        )
+        put(data, open_ones[0].name, parse(open_ones[0], text))
+        asked.append(open_ones[0].name)
     return asked
 
 
+def _field(name: str, **data: Any) -> StationField:
+    return next(field for field in applicable(data) if field.name == name)
+
+
 def test_what_was_answered_is_a_whole_station(tmp_path: Path) -> None:
-    said, data = yaml.safe_load(LAB.read_text()), dict[str, Any](version=2)
+    said, data = yaml.safe_load(LAB.read_text()), dict[str, Any](version=3)
     del said["scene"]["obstacles"]  # boxes beyond those that every station has are written into the file by hand
     asked = _answers(data, said)
     assert len(set(asked)) == len(asked)
@@ -49,13 +58,15 @@ def test_what_was_answered_is_a_whole_station(tmp_path: Path) -> None:
     config = load_lab_station(path)
     check_purpose(config, Purpose.CALIBRATION)
     assert {name: data[name] for name in data} == {name: said[name] for name in data}
+    assert yaml.safe_load(template(data)) == data, "the template holds what was answered"
+    assert template(yaml.safe_load(template(data))) == template(data)
     assert set(said) - set(data) == {"servo", "calibration"}, "these are measured by commands of their own"
-    assert list(questions(data)) == []
+    assert open_questions(data) == []
 
 
 def test_a_hand_is_asked_how_it_is_screwed_on_and_what_it_weighs() -> None:
     data: dict[str, Any] = {"hand": {"model": "inspire_rh56"}}
-    names = {question.name for question in questions(data)}
+    names = {question.name for question in open_questions(data)}
     assert {"hand.port", "hand.weighed.mass", "hand.mounting.fingers", "hand.strap_force"} <= names
     assert not any(name.startswith("hand.mount.") for name in names)
 
@@ -65,7 +76,7 @@ def test_every_hand_is_asked_for_what_its_driver_and_a_job_need() -> None:
     for model in HAND_FILES:
         kind = wired_hand(model)
         assert kind is not None
-        names = {question.name for question in questions({"hand": {"model": model}})}
+        names = {question.name for question in open_questions({"hand": {"model": model}})}
         efforts = {f"hand.efforts.{field.name}" for field in fields(HandEfforts)}
         assert "hand.port" in names
         assert (names & efforts == efforts) is kind.measured_efforts, model
@@ -95,7 +106,7 @@ def test_a_file_without_the_efforts_of_its_hand_is_not_complete(tmp_path: Path) 
 def test_a_camera_is_asked_what_its_driver_needs_and_does_not_tell(
     driver: str, asked: set[str], tells_its_lens: bool
 ) -> None:
-    names = {question.name for question in questions({"camera": {"device": {"driver": driver}}})}
+    names = {question.name for question in open_questions({"camera": {"device": {"driver": driver}}})}
     own = {"camera_class", "folder"}
     assert {name for name in own if f"camera.device.{name}" in names} == asked
     assert ("camera.distortion" in names) is not tells_its_lens
@@ -111,7 +122,7 @@ def test_a_camera_is_asked_what_its_driver_needs_and_does_not_tell(
         ("tool.mass", "500", "user.answer", "grams"),
         ("work.nail_diameter", "2.2", "user.answer", "millimetres"),
         ("camera.position", "0.95 -0.62", "user.answer", "3 numbers are needed, 2 were given"),
-        ("work.nail_diameter", "-0.002", "user.answer", "greater than 0"),
+        ("work.nail_diameter", "-0.002", "user.answer", "0.0005 to 0.02 m"),
         ("work.nail_diameter", "two", "user.answer", "a number is needed"),
         ("frame", "base", "user.answer", "pendant_base"),
         ("person.door_closed_input", "18", "user.answer", "17"),
@@ -119,41 +130,54 @@ def test_a_camera_is_asked_what_its_driver_needs_and_does_not_tell(
     ],
 )
 def test_an_answer_that_cannot_be_is_asked_again(name: str, answer: str, code: str, words: str) -> None:
-    question = next(q for q in questions({}) if q.name == name)
     with raises(UserError, code) as caught:
-        question.parse(answer)
+        parse(_field(name), answer)
     assert words in str(caught.value)
 
 
 def test_a_list_may_be_copied_from_a_file() -> None:
-    question = next(q for q in questions({}) if q.name == "scene.home")
-    assert question.form == "6 numbers"
-    assert question.parse("[0.0, -1.9, 1.9, -1.57, -1.57, 0.0]") == [0.0, -1.9, 1.9, -1.57, -1.57, 0.0]
+    home = _field("scene.home")
+    assert home.kind.startswith("6 numbers")
+    assert parse(home, "[0.0, -1.9, 1.9, -1.57, -1.57, 0.0]") == [0.0, -1.9, 1.9, -1.57, -1.57, 0.0]
 
 
-def test_what_would_stay_the_simulations_unseen_is_offered_and_written_down() -> None:
-    offered = {question.name: question for question in questions({}) if question.offered}
-    assert {"strike.speed", "work.block_xy", "tool_envelope.head_radius"} <= set(offered)
-    envelope = {q.path[-1]: q.parse(q.offered) for q in offered.values() if q.path[0] == "tool_envelope"}
-    assert ToolEnvelope(**envelope) == sim_station().tool_envelope
-    assert offered["work.block_xy"].parse(offered["work.block_xy"].offered) is None
-    assert offered["work.block_xy"].parse("0.75, 0.10") == [0.75, 0.10]
-    assert offered["work.block_xy"].form == "2 numbers"
-    assert offered["strike.speed"].parse(offered["strike.speed"].offered) == 0.4
+def test_what_most_labs_have_alike_is_offered() -> None:
+    offered = {name: _field(name) for name in OFFERED}
+    assert parse(offered["work.block_xy"], OFFERED["work.block_xy"]) is None
+    assert parse(offered["work.block_xy"], "0.75, 0.10") == [0.75, 0.10]
+    assert offered["work.block_xy"].kind.startswith("2 numbers")
+    assert parse(offered["strike.speed"], OFFERED["strike.speed"]) == 0.4
+    assert not any(name.startswith("tool_envelope") for name in OFFERED), "nobody's cylinders are the simulation's"
 
 
 def test_a_contact_that_is_not_there_is_none() -> None:
-    question = next(q for q in questions({}) if q.name == "person.door_open_input")
-    assert question.optional
-    assert question.parse("none") is None
+    contact = _field("person.door_open_input")
+    assert nullable(contact)
+    assert parse(contact, "none") is None
+
+
+@pytest.mark.parametrize("model", [*HAND_FILES, "mount"])
+@pytest.mark.parametrize("driver", ["realsense", "recorded"])
+def test_an_empty_template_lacks_everything_and_nothing_in_it_is_wrong(model: str, driver: str, tmp_path: Path) -> None:
+    data: dict[str, Any] = {}
+    for name, value in (("arm.model", "UR10e"), ("hand.model", model), ("camera.device.driver", driver)):
+        put(data, name, value)
+    path = tmp_path / "lab.yaml"
+    path.write_text(template(data))
+    read = yaml.safe_load(path.read_text())
+    assert [field.name for field in open_questions(read)] == [field.name for field in open_questions(data)]
+    assert all(f"  {field.path[-1]}:" in template(data) or f"#{field.path[-1]}:" in template(data)
+               for field in open_questions(data) if field.name != "frame")  # fmt: skip
+    with raises(ConfigError, "config.unmeasured"):
+        load_lab_station(path)
 
 
 @given(st.text(max_size=30))
 @examples(200)
 def test_whatever_is_typed_is_a_value_or_an_answer_that_says_why_not(text: str) -> None:
-    for question in _ALL:
+    for field in _ALL:
         with suppress(UserError):
-            question.parse(text)
+            parse(field, text)
 
 
-_ALL: list[Question] = list(questions({"hand": {"model": "mount"}}))
+_ALL: list[StationField] = open_questions({"hand": {"model": "mount"}})

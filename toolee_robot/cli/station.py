@@ -1,0 +1,316 @@
+"""Write, check, look at and upgrade the station file of a lab.
+
+Example: toolee station new lab.yaml --arm UR10e --hand inspire --camera realsense
+"""
+
+from __future__ import annotations
+
+import copy
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+
+from toolee_robot.cli.options import Flag
+from toolee_robot.errors import ConfigError, TooleeError, UserError
+from toolee_robot.runtime.files import write_atomic
+
+if TYPE_CHECKING:
+    from toolee_robot.station.schema import StationField
+
+BACK = "<"
+"""The answer that takes the one before back."""
+
+
+@dataclass(frozen=True)
+class New:
+    """Write a lab's station file: a commented template with just the fields that apply, to fill in.
+
+    Example: toolee station new lab.yaml --arm UR10e --hand inspire --camera realsense
+
+    With --ask every field is asked for. Enter gives the answer that is offered, or leaves the field open; "<" takes the
+    answer before back; every answer is written at once. Called again with --ask, the open ones are asked. Nothing is
+    moved.
+
+    Exit code 0: the file is written, with --ask complete but for what commands measure; 1: fields are open.
+    """
+
+    file: tyro.conf.Positional[Path]
+    """The station file."""
+    arm: Annotated[str | None, tyro.conf.arg(metavar="MODEL")] = None
+    """Model of the arm: UR10 or UR10e."""
+    hand: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """The hand, as `toolee devices list` prints it or its beginning, such as inspire; mount for a tool mount."""
+    camera: Annotated[str | None, tyro.conf.arg(metavar="DRIVER")] = None
+    """The camera's driver, as `toolee devices list` prints it."""
+    ask: Flag = False
+    """Ask for every field."""
+
+    def run(self) -> int:
+        from toolee_robot.station.station import read_typed
+        from toolee_robot.stations.template import put, template
+
+        console, data = Console(highlight=False), dict[str, Any]()
+        if self.file.exists():
+            data = read_typed(self.file)
+            if not self.ask or not isinstance(data, dict):
+                raise UserError(f"{self.file} is there already: give another name, or --ask", code="user.file_exists")
+            if template(data) != self.file.read_text(encoding="utf-8"):
+                raise UserError(
+                    f"{self.file} was edited by hand, and no command edits it: fill in the rest there; `toolee station "
+                    f"check {self.file}` lists it",
+                    code="user.edited_file",
+                )
+        given = {"arm.model": self.arm, "hand.model": self.hand, "camera.device.driver": self.camera}
+        for name, value in given.items():
+            if value is not None:
+                put(data, name, _chosen(name, value))
+            elif not self.ask:
+                raise UserError("give --arm, --hand and --camera, or --ask", code="user.option")
+        write_atomic(self.file, template(data).encode())  # before the questions: the place may be none
+        if self.ask:
+            return _ask_all(self.file, data, console)
+        console.print(f"Written: {escape(str(self.file))}. Fill it in, then: `toolee station check {self.file}`.")
+        return 0
+
+
+def _chosen(name: str, value: str) -> str:
+    from toolee_robot.stations.template import applicable, choices
+
+    possible = choices(next(field for field in applicable({}) if field.name == name))
+    found = [value] if value in possible else [one for one in possible if one.startswith(value)]
+    if len(found) != 1:
+        raise UserError(f"{value!r} is none of {', '.join(possible)}", code="user.answer")
+    return found[0]
+
+
+def _ask_all(file: Path, data: dict[str, Any], console: Console) -> int:
+    from toolee_robot.station.station import to_station
+    from toolee_robot.stations.open_fields import open_fields, told
+    from toolee_robot.stations.template import UNASKED, get, open_questions
+
+    before = copy.deepcopy(data)
+    console.print(
+        'Enter gives the answer that is offered, or leaves the field open; "<" takes the answer before back. Lengths '
+        "in metres, angles in radians, masses in kilograms; decimals with a point.\n",
+        soft_wrap=True,
+    )
+    try:
+        _interview(file, data, console)
+    except (EOFError, KeyboardInterrupt):
+        console.print()
+    console.print(f"{'Nothing new for' if data == before else 'Written to'} {escape(str(file))}.", soft_wrap=True)
+    if fields := open_fields(data, file):
+        console.print(f"\n[bold]Still open[/bold]\n{escape(told(fields))}", soft_wrap=True)
+    if open_questions(data):
+        return 1
+    try:
+        config = to_station(data, file)
+    except ConfigError as error:
+        console.print(f"\n[yellow]{escape(str(error))}[/yellow]\nCorrect it in the file.", soft_wrap=True)
+        return 1
+    from toolee_robot.doctor.configuration import check_sides  # it takes seconds: after the questions
+    from toolee_robot.findings import Level
+
+    if (sides := check_sides(config)).level is not Level.OK:
+        console.print(f"\n[yellow]{escape(sides.message)}[/yellow]\n→ {escape(sides.remedy)}", soft_wrap=True)
+    left = [name for name in UNASKED if get(data, name) is None]
+    console.print(f"\nNot asked for, with defaults: {', '.join(left)}; the file takes yours.", soft_wrap=True)
+    console.print(f"\nNext: `toolee station show {file}`, then a rehearsal, which moves nothing.", soft_wrap=True)
+    return 0
+
+
+def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
+    from toolee_robot.stations.template import OFFERED, contradiction, open_questions, parse, put, template
+
+    skipped: set[str] = set()
+    answered: list[dict[str, Any]] = []  # what the file said before each answer
+    section, asked_camera = "", False
+    while field := next((q for q in open_questions(data) if q.name not in skipped), None):
+        if field.path[0] != section:
+            section = field.path[0]
+            console.print(f"[bold]{section}[/bold]  [dim]{len(open_questions(data))} fields to go[/dim]")
+        if field.name == "camera.fx" and not asked_camera:
+            asked_camera = True
+            if _told_by_the_camera(data, console):
+                write_atomic(file, template(data).encode())
+                continue
+        answer = _ask(field, str(data.get("frame", "base")), console) or OFFERED.get(field.name, "")
+        if not answer:
+            skipped.add(field.name)
+            continue
+        was = copy.deepcopy(data)
+        if answer == BACK:
+            asked_camera = False
+            was = answered.pop() if answered else was
+            data.clear()
+            data.update(was)
+        else:
+            try:
+                put(data, field.name, parse(field, answer))
+            except UserError as error:
+                console.print(f"  [yellow]{escape(str(error))}[/yellow]")
+                continue
+            whole = all(q.path[0] != section for q in open_questions(data))
+            if whole and (wrong := contradiction(data, section)):
+                data.clear()
+                data.update(was)
+                console.print(f'  [yellow]{escape(wrong)}[/yellow]; "<" leads to the answer before', soft_wrap=True)
+                continue
+            answered.append(was)
+        write_atomic(file, template(data).encode())
+
+
+def _ask(field: StationField, frame: str, console: Console) -> str:
+    from toolee_robot.stations.template import OFFERED, choices, nullable
+
+    form = ", ".join(choices(field)) or field.kind.removesuffix(", or null")
+    none = " [dim](or: none)[/dim]" if nullable(field) else ""
+    offer = f" [dim](Enter: {OFFERED[field.name]})[/dim]" if field.name in OFFERED else ""
+    text = escape(field.text.replace("in `base`", f"in {frame}"))
+    console.print(f"  [cyan]{field.name}[/cyan]  {text} [dim]({escape(form)})[/dim]{none}{offer}", soft_wrap=True)
+    if not sys.stdin.isatty():  # no echo: show what was read
+        line = sys.stdin.readline()
+        if not line:
+            raise EOFError
+        console.print(f"  > {escape(line.rstrip())}")
+        return line.strip()
+    return console.input("  > ").strip()
+
+
+def _told_by_the_camera(data: dict[str, Any], console: Console) -> bool:
+    """Fill in the intrinsics from the camera itself, if it is connected."""
+    from toolee_robot.runtime.clock import HostClock
+    from toolee_robot.station import CameraDevice, sim_station
+    from toolee_robot.stations.camera import WITH_MODE, open_camera
+    from toolee_robot.stations.template import INTRINSICS, SIZE
+
+    camera = data.get("camera") or {}
+    device, size = camera.get("device") or {}, {name: camera[name] for name in SIZE if name in camera}
+    if not device.keys() >= {"driver", "serial", "least_range"}:
+        return False
+    if device["driver"] in WITH_MODE and len(size) < len(SIZE):
+        console.print("  [dim]without camera.width and camera.height the camera is not asked for its intrinsics[/dim]")
+        return False
+    try:
+        config = replace(sim_station().camera, device=CameraDevice(**device), **size)
+        with open_camera(config, HostClock(), check_intrinsics=False) as connected:
+            k, lens = connected.intrinsics, connected.lens
+    except TooleeError as error:
+        console.print(f"  [dim]the camera does not tell its intrinsics: {escape(str(error))}[/dim]", soft_wrap=True)
+        return False
+    camera |= {name: getattr(k, name) for name in INTRINSICS}
+    console.print(
+        f"  the camera tells {k.width}x{k.height}, fx {k.fx:.2f}, fy {k.fy:.2f}, cx {k.cx:.2f}, cy {k.cy:.2f}; "
+        f"{lens.words}"
+    )
+    return True
+
+
+@dataclass(frozen=True)
+class Check:
+    """Check a lab's station file, then its devices as `toolee doctor` does. Nothing is moved.
+
+    Example: toolee station check lab.yaml
+
+    Exit code 0: ready, or warnings only; 1: a fault must be repaired first; 2: the file lacks something, or is invalid.
+    """
+
+    file: tyro.conf.Positional[Path]
+    """The station file."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        from toolee_robot.cli.doctor import Doctor
+        from toolee_robot.robots import hand_model
+        from toolee_robot.station import check_current, load_lab_station, load_station, read_station
+        from toolee_robot.stations.lab import check_purpose
+        from toolee_robot.stations.open_fields import open_fields, told
+
+        console = Console(stderr=self.json, highlight=False)
+        data = read_station(self.file)
+        check_current(data, self.file)
+        fields = open_fields(data, self.file)
+        if any(not entry.note for entry in fields):
+            wrong = f"{self.file} is not complete"
+            try:
+                load_station(self.file)
+            except ConfigError as error:
+                wrong = str(error)
+            raise ConfigError(f"{wrong}\n{told(fields)}", code="config.unmeasured")
+        config = load_lab_station(self.file)
+        check_purpose(config)
+        hand_model(config.hand)
+        if fields:
+            console.print(escape(told(fields)), soft_wrap=True)
+        console.print("Nothing that a job needs is missing in the file. Whether it is right:")
+        return Doctor(config=self.file, json=self.json).run()
+
+
+@dataclass(frozen=True)
+class Show:
+    """Show a station file in three dimensions, on a page of this computer. Ctrl-C ends it.
+
+    Example: toolee station show lab.yaml
+
+    Look whether everything is where it is: a half turn of the base, swapped axes and a camera that looks elsewhere are
+    seen at once.
+    """
+
+    file: tyro.conf.Positional[Path]
+    """The station file."""
+    port: Annotated[int, tyro.conf.arg(metavar="N")] = 8080
+    """Port of the page."""
+
+    def run(self) -> int:
+        from toolee_robot.cli.serving import serve
+        from toolee_robot.station import load_station
+
+        load_station(self.file)  # before Rerun is imported
+        console = Console(highlight=False)
+        with console.status("building the picture"):
+            from toolee_robot.viewer.rerun_page import RerunPage
+            from toolee_robot.viewer.station_view import StationView
+
+            view = StationView(self.file)
+            page = RerunPage("station", view.blueprint(), self.port)
+            view.log(page.stream)
+        serve(page, console)
+        return 0
+
+
+@dataclass(frozen=True)
+class Upgrade:
+    """Make a station file of version 2 one of version 3: what programs measured moves to `measured.yaml`.
+
+    Example: toolee station upgrade lab.yaml
+
+    The file as it was is kept beside it, as lab.yaml.v2. Its comments, order and layout stay.
+    """
+
+    file: tyro.conf.Positional[Path]
+    """The station file."""
+
+    def run(self) -> int:
+        from toolee_robot.station.upgrade import upgrade
+        from toolee_robot.stations.open_fields import open_fields, told
+
+        console = Console(highlight=False)
+        done = upgrade(self.file)
+        console.print("\n".join(map(escape, done.lines)), soft_wrap=True)
+        if needed := [entry for entry in open_fields(done.data, self.file) if not entry.note]:
+            console.print(f"\n[bold]Missing[/bold]\n{escape(told(needed))}", soft_wrap=True)
+        return int(any(entry.typed for entry in needed))
+
+
+COMMANDS = {
+    "new": New,
+    "check": Check,
+    "show": Show,
+    "upgrade": Upgrade,
+}

@@ -1,1 +1,0 @@
-"""`toolee station`: the station file of a lab."""
