@@ -59,7 +59,7 @@ def test_a_record_is_older_than_the_arms_kinematics_in_the_file(calibrated: Path
     path.write_text(json.dumps({"arm": {"calibration": arm}, "calibration": record}))
     with raises(ConfigError, "config.calibration_kinematics") as caught:
         load_station(path)
-    assert "take `calibration` out of the file and calibrate again" in str(caught.value)
+    assert "delete the section `calibration`" in str(caught.value)
 
 
 def test_the_task_believes_the_record_and_the_simulated_camera_stays(calibrated: Path, tmp_path: Path) -> None:

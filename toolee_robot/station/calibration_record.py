@@ -88,22 +88,22 @@ def check_record(
     if not record.intrinsics.agrees(intrinsics):
         raise ConfigError(
             f"{path}: the calibration is of a camera with {_differing(record.intrinsics, intrinsics)}: the camera's "
-            "pose holds with its own intrinsics only; enter those, or take `calibration` out of the file and calibrate "
-            "again",
+            "pose holds with its own intrinsics only; enter those, or delete the section `calibration` (of "
+            "measured.yaml, if a command wrote it) and calibrate again",
             code="config.calibration_intrinsics",
         )
     if not same_distortion(record.distortion, distortion):
         raise ConfigError(
             f"{path}: the calibration was made with camera.distortion {_of(record.distortion)}, the file's is "
             f"{_of(distortion)}: the camera's pose holds with images that are undistorted as then only; restore it, or "
-            "take `calibration` out of the file and calibrate again",
+            "delete the section `calibration` (of measured.yaml, if a command wrote it) and calibrate again",
             code="config.calibration_intrinsics",
         )
     computed = any(pose.q is not None for pose in record.poses)
     if computed and record.kinematics != kinematics:
         raise ConfigError(
             f"{path}: the calibration was made with another arm.calibration than the file's: restore the arm's, or "
-            "take `calibration` out of the file and calibrate again",
+            "delete the section `calibration` (of measured.yaml, if a command wrote it) and calibrate again",
             code="config.calibration_kinematics",
         )
 
@@ -139,7 +139,8 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], field: str
         remedy += ", or x and y are swapped there: then correct them"
     raise ConfigError(
         f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from {field}, {typed} m: "
-        f"{remedy}; if the camera was moved, take `calibration` out of the file and calibrate again",
+        f"{remedy}; if the camera was moved, delete the section `calibration` (of measured.yaml, if a command wrote "
+        "it) and calibrate again",
         code="config.calibration_place",
     )
 

@@ -78,7 +78,8 @@ def check_entry(path: Path, *, rehearsed: bool) -> None:
     if read_station(path).get("calibration"):
         raise UserError(
             f"{path} names a calibration of the camera's place, which holds with the intrinsics of then only: take its "
-            "section `calibration` out, measure the intrinsics, then calibrate the place again",
+            "section `calibration` out (of measured.yaml, if a command wrote it), measure the intrinsics, then "
+            "calibrate the place again",
             code="user.calibration_is_older",
         )
     camera = _camera(path)
