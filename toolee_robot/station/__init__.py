@@ -10,8 +10,7 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 """
 
 from toolee_robot.station.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
-from toolee_robot.station.camera_device import CameraDevice
-from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
+from toolee_robot.station.cell import CameraConfig, CameraDevice, Obstacle, SceneConfig, ToolEnvelope
 from toolee_robot.station.intrinsics_record import given_by_intrinsics
 from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.station.measured import (
@@ -23,11 +22,17 @@ from toolee_robot.station.measured import (
     write_measured,
 )
 from toolee_robot.station.measured_file import measured_path
-from toolee_robot.station.mounting import UPRIGHT_WITHIN, check_upright
-from toolee_robot.station.obstacle import Obstacle
-from toolee_robot.station.person import PersonConfig
-from toolee_robot.station.robot import UPRIGHT, ArmLimits, HandConfig, gravity_below
-from toolee_robot.station.servo import ServoConfig, servo_lag
+from toolee_robot.station.robot import (
+    UPRIGHT,
+    UPRIGHT_WITHIN,
+    ArmLimits,
+    HandConfig,
+    PersonConfig,
+    ServoConfig,
+    check_upright,
+    gravity_below,
+    servo_lag,
+)
 from toolee_robot.station.setup import JobSetup, with_setup
 from toolee_robot.station.station import StationConfig, load_station, read_station, sim_station
 from toolee_robot.station.tool import ToolData

@@ -6,15 +6,15 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.record import Rows
-from toolee_robot.frames import Array, frame_from_axes
+from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.runtime.yaml_files import IN_FILE
-from toolee_robot.station.camera_device import CameraDevice
-from toolee_robot.station.obstacle import Obstacle
-from toolee_robot.station.values import STRICT, Extent, JointAngles, Place, Point
+from toolee_robot.station.values import STRICT, Extent, JointAngle, JointAngles, Place, Point
 from toolee_robot.types import CameraIntrinsics
-from toolee_robot.types.units import Direction, Metres, Number, Pixels
+from toolee_robot.types.units import Direction, Metres, Number, Pixels, Seconds, Unit
 
 BODY_NAMES = ("table", "stand", "block", "camera", "person")
 """Names of the bodies that every station has."""
@@ -24,6 +24,52 @@ LARGEST_TANGENTIAL = 0.05
 """Largest tangential coefficient of a lens: those of real ones are under 0.01."""
 VERTICAL = 1e-6
 """Sine of the angle from the vertical up to which position and target tell no level rows of the image."""
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A box that arm, hand and tool keep clear of, such as a fence, a shelf or a fixture."""
+
+    __pydantic_config__ = STRICT
+    name: Annotated[str, Field(pattern=r"^\w[\w -]{0,39}$")]
+    """Name, for messages and pictures."""
+    center: Point
+    """Centre in `base`."""
+    size: tuple[Extent, Extent, Extent]
+    """Edge lengths along the box's own axes."""
+    rotation: tuple[JointAngle, JointAngle, JointAngle] = (0.0, 0.0, 0.0)
+    """Rotation vector of the box's axes in `base`, as the teach pendant shows rotations; zero: along the axes of
+    `base`."""
+
+    @property
+    def X_base_box(self) -> Array:
+        """Pose of the box's centre and axes in `base`, (4, 4)."""
+        if not np.any(self.rotation):
+            return transform(p=self.center)
+        return transform(Rotation.from_rotvec(self.rotation), self.center)
+
+
+@dataclass(frozen=True)
+class CameraDevice:
+    """The camera as its driver opens it. Size and intrinsics are those of `camera`."""
+
+    __pydantic_config__ = STRICT
+    driver: str
+    """Name of the driver, one of those that `toolee devices list` prints."""
+    serial: str
+    """Serial number of the camera; a calibration holds for this camera alone."""
+    least_range: Annotated[float, Metres(0.01, 5.0)]
+    """Least depth that the camera measures in this mode, from its data sheet; the views of a job must be beyond it.
+    """
+    fps: Annotated[int, Unit("1/s", 1, 300)] = 30
+    """Frames per second of colour and depth."""
+    exposure: Annotated[float, Seconds(0.00002, 1.0)] | None = None
+    """Exposure of the colour image; null lets the camera choose it, differently in each view."""
+    folder: str | None = None
+    """Folder of the recording, for the driver `recorded`."""
+    camera_class: str | None = None
+    """Class of airo-camera-toolkit that opens the camera, with its module, for the driver `airo`, such as
+    airo_camera_toolkit.cameras.zed.zed.Zed."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from toolee_robot.station.robot import ArmLimits, HandConfig
 from toolee_robot.station.schema import required
 from toolee_robot.station.station import StationConfig, read_station, read_typed, to_station
 from toolee_robot.station.station_frame import FIELD as FRAME
-from toolee_robot.station.tool_enclosure import check_enclosed
+from toolee_robot.station.tool import check_enclosed
 from toolee_robot.station.version import check_current
 from toolee_robot.station.work import SIZES, WorkConfig
 from toolee_robot.types import MOUNT

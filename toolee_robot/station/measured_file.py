@@ -17,8 +17,8 @@ from toolee_robot.station.camera_pose import SECTION as CAMERA
 from toolee_robot.station.cell import CameraConfig
 from toolee_robot.station.intrinsics_record import FIELD as INTRINSICS
 from toolee_robot.station.intrinsics_record import PINHOLE
+from toolee_robot.station.robot import ServoConfig
 from toolee_robot.station.schema import StationField, record_fields
-from toolee_robot.station.servo import ServoConfig
 from toolee_robot.station.station_frame import FIELD as FRAME
 from toolee_robot.station.station_frame import to_base
 from toolee_robot.station.work import WorkConfig

@@ -7,10 +7,20 @@ from typing import Annotated
 
 import numpy as np
 
+from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array
 from toolee_robot.station.values import STRICT, JointSpeeds
 from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandEfforts, HandMounting, HandWeight, ToolMount
-from toolee_robot.types.units import Direction, NewtonMetres, Newtons, Number, RadiansPerSecond2, RadiansPerSecond3
+from toolee_robot.types.units import (
+    Direction,
+    NewtonMetres,
+    Newtons,
+    Number,
+    RadiansPerSecond2,
+    RadiansPerSecond3,
+    Seconds,
+    Unit,
+)
 
 GRAVITY = 9.81
 """Standard acceleration of free fall [m/s^2], as Pinocchio and the simulation have it."""
@@ -130,3 +140,115 @@ class HandConfig:
             missing.extend(f"hand.mount.{field.name}" for field in fields(ToolMount))
         if missing:
             raise ValueError(f"a mount has no defaults; measure yours and give {', '.join(missing)}")
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """Parameters of URScript's servoj, the measured lag, and the timeouts of the driver.
+
+    Gain and lookahead are servoj's own defaults. A higher gain and a shorter lookahead follow a strike more closely and
+    may make the arm vibrate (Universal Robots, Script manual, "servoj"): change them with `toolee arm lag` only.
+
+    All times are on the station's clock, except `link_timeout`, which is on the wall clock as ur_rtde's own timeout is.
+    """
+
+    __pydantic_config__ = STRICT
+    gain: Annotated[float, Number(100.0, 2000.0, "Script manual, servoj")] = 300.0
+    """Proportional gain of servoj."""
+    lookahead: Annotated[float, Seconds(0.03, 0.2, "Script manual, servoj")] = 0.1
+    """Lookahead time of servoj, which smooths the path."""
+    lag: Annotated[float, Seconds(0.002, 0.5, "UR arms follow within 0.03 to 0.25 s")] | None = None
+    """Delay of a measured position behind its command with this gain and lookahead, network included; None: it was
+    not measured yet, and the driver assumes an upper bound (`servo_lag`)."""
+    watchdog: Annotated[float, Unit("Hz", 2.0, 100.0, "without commands the arm goes on for 1/watchdog s")] = 10.0
+    """Rate of the robot's watchdog: the robot stops the program when no command comes for 1/watchdog s."""
+    connect_timeout: Annotated[float, Seconds(0.1, 60.0)] = 3.0
+    """Timeout of the connection, from the start of the servo process's attempt."""
+    handshake_timeout: Annotated[float, Seconds(0.05, 30.0)] = 1.0
+    """Timeout of every call that the control script acknowledges: payload, TCP, zero of the force, freedrive, end of
+    the program."""
+    link_timeout: Annotated[float, Seconds(0.05, 2.4, "after 2.5 s ur_rtde itself reconnects")] = 1.5
+    """Time without new data at rest after which the link counts as lost; below 2.5 s, after which ur_rtde itself
+    reconnects."""
+    hang_timeout: Annotated[float, Seconds(0.02, 2.0)] = 0.2
+    """Time without progress of the servo loop after which the servo process counts as hung."""
+    heartbeat_timeout: Annotated[float, Seconds(0.02, 1.0, "the arm goes on for as long")] = 0.1
+    """Time without a heartbeat of the task's process after which the arm stops."""
+
+
+def servo_lag(servo: ServoConfig, rate: float) -> float:
+    """Upper bound of the delay of a measured position behind its command.
+
+    Args:
+        servo: The servo's parameters.
+        rate: The controller's rate [Hz].
+
+    Returns:
+        The measured lag [s]. Until it is measured an assumed bound: the lookahead, 25 s divided by the gain for the
+        proportional law, and three cycles; with the defaults 0.19 s at 500 Hz and 0.21 s at 125 Hz. Measured elsewhere:
+        34 ms on a UR10e with 0.03 s and a gain of 1200 (Universal Robots client library, issue 86), which it bounds by
+        57 ms.
+    """
+    return servo.lookahead + 25.0 / servo.gain + 3.0 / rate if servo.lag is None else servo.lag
+
+
+UPRIGHT_WITHIN = np.radians(1.0)
+"""Largest tilt of a base that counts as upright [rad]. Across the base's z it leaves 0.17 N of each kilogram that the
+flange carries: 0.9 N of a hand of 5 kg."""
+
+
+def check_upright(arm: ArmLimits, purpose: str) -> None:
+    """Refuse a tilted base for what takes z of `base` for straight up.
+
+    Args:
+        arm: The arm.
+        purpose: What needs an upright base.
+
+    Raises:
+        ConfigError: The base is tilted (`config.mounting_tilted`).
+    """
+    if arm.tilt > UPRIGHT_WITHIN:
+        raise ConfigError(
+            f"arm.up {list(arm.up)}: the base is tilted by {np.degrees(arm.tilt):.1f}°, and {purpose} takes z of "
+            f"`base` for straight up: it needs an arm that stands upright to {np.degrees(UPRIGHT_WITHIN):.0f}°; if "
+            "yours does, correct arm.up",
+            code="config.mounting_tilted",
+        )
+
+
+InputNumber = Annotated[int, Number(0, 17)]
+"""Number of a digital input in the robot's input bits: 0 to 7 standard, 8 to 15 configurable, 16 and 17 at the tool."""
+
+
+@dataclass(frozen=True)
+class PersonConfig:
+    """Digital inputs of the guarded door and the hold-to-run switch. No field has a default: a lab states its wiring.
+
+    Both are wired so that a broken wire reads as an open door and a released switch. These inputs inform the program;
+    they protect nobody: the door also acts on the robot's safeguard input.
+    """
+
+    __pydantic_config__ = STRICT
+    door_closed_input: InputNumber
+    """Input that is high while the door is closed, and nobody can be inside."""
+    door_open_input: InputNumber | None
+    """Input of the door's second contact, high while the door is open; null where the door has a single contact."""
+    hold_to_run_input: InputNumber
+    """Input that is high while the application's own hold-to-run switch is pressed; not the 3-position enabling switch
+    of an e-Series robot, which acts in manual mode only."""
+    hold_to_run_released_input: InputNumber | None
+    """Input of the switch's second contact, high while the switch is released; null where it has a single contact."""
+
+    def __post_init__(self) -> None:
+        used = [
+            number
+            for number in (
+                self.door_closed_input,
+                self.door_open_input,
+                self.hold_to_run_input,
+                self.hold_to_run_released_input,
+            )
+            if number is not None
+        ]
+        if len(set(used)) < len(used):
+            raise ValueError(f"inputs {used} name one input twice: every contact needs an input of its own")

@@ -9,8 +9,7 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.yaml_files import read_yaml, to_record
 from toolee_robot.station.cell import ToolEnvelope
 from toolee_robot.station.station import StationConfig
-from toolee_robot.station.tool import ToolData
-from toolee_robot.station.tool_enclosure import check_enclosed
+from toolee_robot.station.tool import ToolData, check_enclosed
 from toolee_robot.station.values import STRICT, Gravity, Hole, NailHead, Protrusion, Shank, ShankLength
 
 

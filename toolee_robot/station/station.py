@@ -19,10 +19,8 @@ from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.station.intrinsics_record import take_intrinsics
 from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.station.measured_file import read_measured, with_measured
-from toolee_robot.station.person import PersonConfig
-from toolee_robot.station.robot import ArmLimits, HandConfig
+from toolee_robot.station.robot import ArmLimits, HandConfig, PersonConfig, ServoConfig
 from toolee_robot.station.schema import without_blanks
-from toolee_robot.station.servo import ServoConfig
 from toolee_robot.station.station_frame import FIELD as FRAME
 from toolee_robot.station.station_frame import take_frame, to_base
 from toolee_robot.station.tool import ToolData
