@@ -61,9 +61,34 @@ def test_the_reason_of_a_job_that_ended_for_late_data_says_why_they_were_late(tm
     reason = job.figures["reason"]
     assert job.figures["outcome"] == job.result.outcome == "device_fault"
     assert job.folder.name.endswith("-dead")
-    assert (job.folder / "summary.json").is_file()
+    assert {path.name for path in job.folder.iterdir()} == {"summary.json", "recording.mcap", "picture.png"}
     assert "network link" in reason
     assert reason.endswith(". Data came late, because this machine is busy. Close other programs") == bool(why)
+
+
+_ON_A_FULL_DISK = """
+import resource, sys
+from pathlib import Path
+from tests.app.test_job import DeadLink
+from toolee_robot.app.job import JobSpec, run_job
+from toolee_robot.app.observer import JobObserver
+from toolee_robot.app.variant import Variant
+class Told(JobObserver):
+    def opened(self, *_):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+    def message(self, text):
+        print(text)
+job = run_job(JobSpec(DeadLink(""), Variant.PERFECT_PERCEPTION), Path(sys.argv[1]), Told())
+print(job.figures["outcome"], sorted(path.name for path in job.folder.iterdir()))
+"""
+
+
+def test_a_full_disk_loses_neither_the_result_nor_the_folder(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", _ON_A_FULL_DISK, str(tmp_path)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "recording has stopped, the job goes on: File too large" in said
+    assert "picture.png is missing" in said
+    assert "device_fault ['recording.mcap', 'summary.json']" in said
 
 
 def test_a_job_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -70,6 +70,10 @@ def test_a_box_over_the_edge_a_tiny_cloud_and_several_tools_can_be_drawn() -> No
     assert _pixels(draw(_frame(), [head, claw, behind], title="t", note="n")).size
 
 
+def test_a_job_that_took_no_image_has_a_picture_too() -> None:
+    assert _pixels(draw(None, [], [NailCurve((20.0,), 1.0)], title="Person near after 0 strikes")).size
+
+
 def test_a_detection_without_a_pose_says_why_instead() -> None:
     detection = _estimate().detection
     nothing = ToolEstimate(detection, np.full((4, 4), np.nan), np.full((6, 6), np.nan), 0.0, False, "only 12 points")

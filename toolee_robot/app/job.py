@@ -176,13 +176,20 @@ def _run(spec: JobSpec, folder: Path, observer: JobObserver) -> tuple[HammerResu
     seconds = time.perf_counter() - began
     ran = Ran(result, verdict, truths, opened, seconds, stall, _stalled(source, opened, result, stall))
     figures = job_figures(ran, {**source.facts, "real_time_factor": source.real_time_factor, **spec.facts})
-    write_atomic(folder / "summary.json", (json_line(job_summary(ran, figures)) + "\n").encode())
+    _write(folder / "summary.json", (json_line(job_summary(ran, figures)) + "\n").encode(), observer)
     strikes = f"{figures['strikes']} strike{'' if figures['strikes'] == 1 else 's'}"
     outcome = "Flush" if figures["success"] else str(figures["outcome"]).replace("_", " ").capitalize()
     picture = collector.picture(f"{outcome} after {strikes}", f"{opened.words}, {spec.mode}")
-    if picture is not None:
-        write_atomic(folder / PICTURE, picture)
+    _write(folder / PICTURE, picture, observer)
     return result, verdict, figures
+
+
+def _write(path: Path, data: bytes, observer: JobObserver) -> None:
+    """Write a record of the job; a full disk is said, and loses nothing else."""
+    try:
+        write_atomic(path, data)
+    except UserError as error:
+        observer.message(f"{path.name} is missing: {error}")
 
 
 def _done(task: HammeringTask, observer: JobObserver) -> HammerResult:

@@ -157,7 +157,7 @@ class PictureCollector(TaskObserver):
         self._struck = True
         self._nails[-1][1].append(None if strike.protrusion is None else strike.protrusion * 1e3)
 
-    def picture(self, title: str, note: str) -> bytes | None:
+    def picture(self, title: str, note: str) -> bytes:
         """Draw the picture.
 
         Args:
@@ -165,9 +165,8 @@ class PictureCollector(TaskObserver):
             note: Text at its upper right corner.
 
         Returns:
-            The picture as PNG, or None when no frame was taken.
+            The picture as PNG.
         """
-        if self._best is None:
-            return None
+        frame, estimates = self._best or (None, [])
         nails = [NailCurve(tuple(heights), self._flush_mm, name) for name, heights in self._nails]
-        return draw(*self._best, nails, title=title, note=note, focus=Category.HAMMER_HEAD)
+        return draw(frame, estimates, nails, title=title, note=note, focus=Category.HAMMER_HEAD)

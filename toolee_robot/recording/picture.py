@@ -45,7 +45,7 @@ class NailCurve:
 
 
 def draw(
-    frame: RgbdFrame,
+    frame: RgbdFrame | None,
     estimates: Sequence[ToolEstimate],
     nails: Sequence[NailCurve] = (),
     *,
@@ -58,7 +58,7 @@ def draw(
     The cloud's panel shows the best usable estimate, or else the best; the image's panel shows every detection.
 
     Args:
-        frame: The frame.
+        frame: The frame; None if no image was taken.
         estimates: Estimates from the frame.
         nails: Course of each nail's protrusion, in order; empty for no such panel.
         title: Title of the picture.
@@ -77,8 +77,11 @@ def draw(
             figure.text(0.012, 0.955, title, fontsize=15, fontweight="bold", va="center")
         if note:
             figure.text(0.988, 0.955, note, fontsize=10.5, color=_MUTED, va="center", ha="right")
-        _draw_rgb(figure, grid[0], frame, estimates, best)
-        _draw_cloud(figure, grid[1], frame, best)
+        if frame is None:
+            _heading(figure, grid[0], "What the camera sees", "no image was taken")
+        else:
+            _draw_rgb(figure, grid[0], frame, estimates, best)
+            _draw_cloud(figure, grid[1], frame, best)
         if nails:
             _draw_nails(figure, grid[2], nails)
         buffer = io.BytesIO()

@@ -1,18 +1,16 @@
-"""A page of Rerun, the viewer: a program of its own, for this computer only."""
+"""A page of Rerun, the viewer: served by a program of its own, to this computer only."""
 
 from __future__ import annotations
 
-import os
-import socket
 import subprocess
+import sys
 import tempfile
 import time
-from pathlib import Path
 from typing import Any
 
 from toolee_robot.errors import UserError
+from toolee_robot.viewer.rerun_server import HOST, free_port, listens
 
-HOST = "127.0.0.1"
 START_S = 30.0
 """Longest time that the viewer's program may take to start [s]."""
 PORTS_TRIED = 50
@@ -37,26 +35,21 @@ class RerunPage:
     def __init__(self, name: str, blueprint: Any, port: int) -> None:
         try:
             import rerun
-            import rerun_cli
         except ImportError as error:
             raise UserError(
                 f"the page needs rerun-sdk ({error}): run `python -m pip install -e '.[viewer]'`",
                 code="user.missing_package",
             ) from error
-        program = Path(rerun_cli.__file__).with_name("rerun")
-        web, data = _free_port(port), _free_port(0)
-        # `serve_grpc` and `serve_web_viewer` of the Python module would listen on every network.
-        command = [str(program), "--serve-web", "--bind", HOST, "--port", str(data), "--web-viewer-port", str(web)]
+        web, data = _next_free(port), free_port()
+        command = [sys.executable, "-m", "toolee_robot.viewer.rerun_server", str(web), str(data)]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  (closed in `close`)
         self._process = subprocess.Popen(
-            command, env=os.environ | {"RERUN_ANALYTICS": "0"}, stdin=subprocess.DEVNULL, stdout=self._said,
-            stderr=subprocess.STDOUT, start_new_session=True,
-        )  # fmt: skip
+            command, stdin=subprocess.PIPE, stdout=self._said, stderr=subprocess.STDOUT, start_new_session=True
+        )
         proxy = f"{HOST}:{data}/proxy"
         self.address = f"http://{HOST}:{web}/?url=rerun%2Bhttp://{proxy}"
         try:
-            for needed in (data, web):
-                self._wait_for(needed)
+            self._wait_for(web)
             self.stream = rerun.RecordingStream(name)
             self.stream.connect_grpc(f"rerun+http://{proxy}", default_blueprint=blueprint)
         except BaseException:
@@ -72,29 +65,27 @@ class RerunPage:
         self.stream.flush()
         self.stream.disconnect()
         time.sleep(after)
-        self._process.terminate()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
         self._process.wait()
         self._said.close()
 
     def _wait_for(self, port: int) -> None:
         end = time.monotonic() + START_S
         while time.monotonic() < end and self._process.poll() is None:
-            with socket.socket() as probe:
-                if probe.connect_ex((HOST, port)) == 0:
-                    return
+            if listens(port):
+                return
             time.sleep(0.05)
         self._said.seek(0)
         said = self._said.read().decode(errors="replace").strip()[-500:]
         raise UserError(f"the viewer's program does not start: {said or 'it says nothing'}", code="user.viewer_program")
 
 
-def _free_port(wanted: int) -> int:
-    """The wanted port, or the next that is free; any for 0."""
+def _next_free(wanted: int) -> int:
+    """The wanted port, or the next that is free."""
     for port in range(wanted, wanted + PORTS_TRIED):
-        with socket.socket() as probe:
-            try:
-                probe.bind((HOST, port))
-            except OSError:
-                continue
-            return int(probe.getsockname()[1])
+        try:
+            return free_port(port)
+        except OSError:
+            continue
     raise UserError(f"no port from {wanted} on is free: give another --port", code="user.port")
