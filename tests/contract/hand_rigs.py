@@ -45,6 +45,7 @@ class Rig(ABC):
         senses: Whether it can tell what it holds, and when it is silent.
         rest: Time until its fingers stand after a stop [s].
         reading: Largest difference of two readings of a joint that stands [rad].
+        bends: Angle by which a joint bends at least when it is shut [rad].
     """
 
     hand: Hand
@@ -53,6 +54,7 @@ class Rig(ABC):
     senses = True
     rest = 0.1
     reading = 2e-3
+    bends = 0.8
 
     @abstractmethod
     def give(self) -> None:
@@ -160,6 +162,8 @@ class ShadowRig(EmulatedRig):
 
 class RobotiqRig(EmulatedRig):
     """The Robotiq driver on the emulated gripper."""
+
+    bends = 0.79  # all that its linkage does
 
     def __init__(self, emulator: RobotiqEmulator) -> None:
         super().__init__(emulator)

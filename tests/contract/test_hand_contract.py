@@ -135,7 +135,7 @@ def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
         hand.close()
         assert not state(rig).holding
         bent = state(rig).joints.q - rig.model.posture("open")
-        assert np.abs(bent).max() > 0.8
+        assert np.abs(bent).max() > rig.bends
 
 
 @on("inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab", nightly=("simulated",))

@@ -81,7 +81,9 @@ class Port(ABC):
         try:
             yield
         except (OSError, ValueError, TypeError, termios.error) as error:  # the last three of a port that was closed
-            message = f"the hand's port {self.path} is gone ({words_of(error)}): check its power and its cable"
+            message = (
+                f"the hand's port {self.path} is gone ({words_of(error)}): look at its power and plug the cable in"
+            )
             raise NoAnswerError(f"{message}, then start again", code="no_answer.hand_unplugged") from error
 
 
