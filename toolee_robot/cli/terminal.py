@@ -8,9 +8,11 @@ import termios
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from rich.console import Console
 from rich.markup import escape
+from rich.status import Status
 
 from toolee_robot.errors import PersonNearError, UserError
 
@@ -111,3 +113,30 @@ class TerminalPerson:
         return False
 
     release = take_tool = confirm_swing = confirm_inspection = hold_switch = request_handover
+
+
+@dataclass(frozen=True)
+class ConsoleListener:
+    """An `app.listener.Listener` at the terminal. Of what it shows, only `say` and `waiting` take markup."""
+
+    console: Console
+
+    def say(self, text: str) -> None:
+        """See `Listener`."""
+        self.console.print(text, soft_wrap=True)
+
+    def warn(self, text: str) -> None:
+        """See `Listener`."""
+        self.console.print(f"  [yellow]{escape(text)}[/yellow]", soft_wrap=True)
+
+    def prompt(self, text: str) -> None:
+        """See `Listener`."""
+        self.console.print(f"  [bold yellow]> {escape(text)}[/bold yellow]", soft_wrap=True)
+
+    def doing(self, text: str) -> None:
+        """See `Listener`."""
+        self.console.print(f"[dim]{escape(text)}[/dim]", soft_wrap=True)
+
+    def waiting(self, text: str) -> Status:
+        """See `Listener`."""
+        return self.console.status(text)

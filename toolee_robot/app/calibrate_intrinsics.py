@@ -1,0 +1,304 @@
+"""The calibration of a camera's intrinsics: views, solution, record, and its entry in the station file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import toolee_robot
+from toolee_robot.app.listener import Listener, Waiting
+from toolee_robot.calibration.board import SHEETS, Board
+from toolee_robot.calibration.intrinsics import calibrate_intrinsics, read_views
+from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, read_intrinsics
+from toolee_robot.calibration.observation import BoardView
+from toolee_robot.devices.cameras import StatedLens, StreamedCamera
+from toolee_robot.devices.cameras.recording import recording_of
+from toolee_robot.errors import ConfigError, StaleDataError, UserError
+from toolee_robot.hal import Clock
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.runtime.yaml_edit import set_fields
+from toolee_robot.runtime.yaml_files import to_record
+from toolee_robot.station import SIMULATED, CameraConfig, read_station
+from toolee_robot.station.intrinsics_record import FIELD, PINHOLE, SECTION
+from toolee_robot.stations.camera import WITH_MODE, open_camera
+from toolee_robot.stations.rehearsal.camera import emulated_stream
+from toolee_robot.stations.rehearsal.held_board import HeldBoard, drawn_camera
+from toolee_robot.stations.rehearsal.lens import lens_of
+from toolee_robot.tasks.calibration.hand_held import HandHeldViews, Offered
+
+PATIENCE = 120.0
+"""Time without a new view after which nobody is taken to hold the board [s]."""
+IMAGE_TIME = 2.0
+"""Longest wait for an image: an emulated camera renders each new view [s]."""
+NOMINAL_FOCAL = 0.72
+"""Focal length of a rehearsed camera of which the file says none yet, in widths of the image."""
+NUMBERS = ("fx", "fy", "cx", "cy", "distortion")
+"""Fields of the section that a measurement changes; the size stays."""
+
+
+@dataclass(frozen=True)
+class IntrinsicsJob:
+    """A calibration of a camera's intrinsics.
+
+    Attributes:
+        sheet: Name of the board's sheet.
+        listener: Who hears of it.
+        bell: Is called with each view that is taken.
+    """
+
+    sheet: str
+    listener: Listener
+    bell: Callable[[], None] = lambda: None
+
+    def from_images(self, images: Path, bars: tuple[float, float], serial: str) -> IntrinsicsRecord:
+        """Calibrate from a folder of images.
+
+        Args:
+            images: The folder.
+            bars: Measured lengths of the print's scale bars [m].
+            serial: Serial number of the camera.
+
+        Returns:
+            The record.
+
+        Raises:
+            UserError: As `calibrate_intrinsics` and `read_views`; or the images are undistorted, or may be
+                (`user.intrinsics_undistorted`).
+        """
+        if (recording := recording_of(images)) is not None:
+            _check_raw(str(images), recording.undistorted)
+        board = SHEETS[self.sheet].board.measured(*bars)
+        views, unseen, size = read_views(images, board)
+        if unseen:
+            self.listener.warn(f"the board is not seen in {', '.join(unseen)}")
+        return self._solve(views, board, size, serial)
+
+    def live(self, camera: CameraConfig, count: int, bars: tuple[float, float]) -> IntrinsicsRecord:
+        """Calibrate a camera with a board that somebody holds before it.
+
+        Args:
+            camera: The camera.
+            count: Number of views.
+            bars: Measured lengths of the print's scale bars [m].
+
+        Returns:
+            The record.
+
+        Raises:
+            DeviceError: The camera failed.
+            UserError: As `calibrate_intrinsics`; or the camera is a recording whose images are undistorted, or may be
+                (`user.intrinsics_undistorted`).
+        """
+        board, clock = SHEETS[self.sheet].board.measured(*bars), HostClock()
+        with open_camera(camera, clock, check_intrinsics=False) as opened:
+            _check_raw("camera.device", opened.profile.undistorted)
+            return self._collect(opened, clock, board, count, opened.profile.serial)
+
+    def rehearse(self, camera: CameraConfig, count: int, seed: int, factor: float) -> tuple[IntrinsicsRecord, float]:
+        """Calibrate an emulated camera, whose lens is drawn.
+
+        Args:
+            camera: The camera as it tells itself.
+            count: Number of views.
+            seed: Seed of what is drawn.
+            factor: Rate of the station's time relative to wall-clock time.
+
+        Returns:
+            The record, and its largest true error but for a turn of the camera [px].
+
+        Raises:
+            DeviceError: The camera failed.
+            UserError: As `calibrate_intrinsics`.
+        """
+        true = drawn_camera(camera, np.random.default_rng([seed, 41]))
+        clock = HostClock(factor)
+        held = HeldBoard(true, SHEETS[self.sheet], seed, clock)
+        board = SHEETS[self.sheet].board.measured(*held.bars)
+        x, y = held.bars
+        self.listener.say(
+            f"[bold]Rehearsal, camera and person emulated[/bold]  [dim]seed {seed}[/dim]\n  the bars of the simulated "
+            f"print, whose scale is drawn, measure {x * 1e3:.1f} and {y * 1e3:.1f} mm"
+        )
+        with (
+            emulated_stream(camera, clock, held.seen_from) as stream,
+            open_camera(camera, clock, check_intrinsics=False, stream=stream) as opened,
+        ):
+            record = self._collect(opened, clock, board, count, SIMULATED)
+        found = StatedLens(record.intrinsics, record.distortion).lens
+        return record, lens_of(true).largest_difference(found, but_for_a_turn=True)
+
+    def _collect(self, camera: StreamedCamera, clock: Clock, board: Board, count: int, serial: str) -> IntrinsicsRecord:
+        k = camera.profile.color.intrinsics
+        views = HandHeldViews(board, (k.width, k.height), count)
+        self.listener.say(
+            f"[bold]Views[/bold]  [dim]{count} wanted, in all corners of the image, tilted by 30 to 45°; hold the "
+            "board still until it is counted, then otherwise; Ctrl-C ends[/dim]"
+        )
+        try:
+            with self.listener.waiting("looking") as waiting:
+                self._take(camera, clock, views, waiting)
+        except KeyboardInterrupt:
+            self.listener.warn("ended before all views were taken")
+        return self._solve(views.views, board, (k.width, k.height), serial)
+
+    def _take(self, camera: StreamedCamera, clock: Clock, views: HandHeldViews, waiting: Waiting) -> None:
+        stamp, last = 0.0, clock.now()
+        while not views.complete:
+            try:
+                rgb, stamp = camera.distorted(stamp, IMAGE_TIME)
+            except StaleDataError:
+                if clock.now() - last > PATIENCE:
+                    raise
+                continue
+            offered = views.offer(rgb)
+            waiting.update(str(offered))
+            if offered is Offered.TAKEN:
+                last = clock.now()
+                self.bell()
+                lacking = f"; not yet in the {', '.join(views.lacking)}" if views.lacking else ""
+                self.listener.say(
+                    f"  {len(views.views):>3}  {len(views.views[-1].ids)} corners; {100 * views.covered:.0f} % of the "
+                    f"image{lacking}"
+                )
+            elif clock.now() - last > PATIENCE:
+                raise UserError(
+                    f"no new view within {PATIENCE:.0f} s ({offered}): hold the board before the camera",
+                    code="user.board_not_held",
+                )
+
+    def _solve(self, views: list[BoardView], board: Board, size: tuple[int, int], serial: str) -> IntrinsicsRecord:
+        with self.listener.waiting("solving"):
+            return calibrate_intrinsics(
+                views,
+                board,
+                size,
+                camera_serial=serial,
+                software=toolee_robot.__version__,
+                measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
+            )
+
+
+def _check_raw(what: str, undistorted: bool | None) -> None:
+    """Refuse images of a recording, unless it says that their distortion was not taken out; None: nobody knows."""
+    if undistorted is False:
+        return
+    known = "whose images are undistorted" if undistorted else "which does not say whether its images are undistorted"
+    remedy = "" if undistorted else "; or, if they are not, add `undistorted: false` to its recording.json"
+    raise UserError(
+        f"{what} is a recording by `toolee camera record`, {known}: let --station take them from the camera itself, or "
+        f"give --images as the lens gives them{remedy}",
+        code="user.intrinsics_undistorted",
+    )
+
+
+def camera_of(path: Path) -> CameraConfig:
+    """Read which camera a station file names, whatever the file says of its intrinsics.
+
+    A record that was lost or altered is passed over: this measurement replaces it.
+
+    Args:
+        path: The station file.
+
+    Returns:
+        The camera: its device and size, its pinhole as far as the file tells it, and no distortion.
+
+    Raises:
+        ConfigError: The file cannot be read, names no device (`config.camera_device`), or leaves out the size that the
+            driver asks the device for (`config.unmeasured`).
+    """
+    camera = _camera(path)
+    kept = {name: camera[name] for name in ("device", *PINHOLE) if camera.get(name) is not None}
+    lost = ""
+    if isinstance(name := camera.get(FIELD), str):
+        try:
+            known = read_intrinsics(path.parent / name).intrinsics
+            kept = {**{field: getattr(known, field) for field in PINHOLE}, **kept}
+        except ConfigError as error:
+            lost = f"; the record in camera.{FIELD} does not give them any more ({error})"
+    if not isinstance(device := kept.get("device"), dict):
+        raise ConfigError(
+            f"{path}: camera.device is missing: give camera.device.driver, .serial and .least_range; `toolee camera "
+            "list` shows the cameras of this computer",
+            code="config.camera_device",
+        )
+    if "width" not in kept or "height" not in kept:
+        if device.get("driver") in WITH_MODE:
+            raise ConfigError(
+                f"{path}: give camera.width and camera.height, a size that the camera has: intrinsics hold for one "
+                f"size{lost}",
+                code="config.unmeasured",
+            )
+    elif not kept.keys() >= {*PINHOLE}:
+        width, height = float(kept["width"]), float(kept["height"])
+        focal = NOMINAL_FOCAL * width
+        kept = {"fx": focal, "fy": focal, "cx": (width - 1) / 2, "cy": (height - 1) / 2, **kept}
+    return to_record(kept, path, CameraConfig, "station's camera")
+
+
+def check_entry(path: Path, *, rehearsed: bool) -> None:
+    """Refuse, before anything is measured, what could not be entered, or must not.
+
+    Args:
+        path: The station file.
+        rehearsed: Whether the camera is emulated.
+
+    Raises:
+        UserError: The file names a calibration of the camera's place, which holds with the intrinsics of then only
+            (`user.calibration_is_older`), or numbers or a record of a real camera, which rehearsed ones would replace
+            (`user.calibration_is_real`); a record that cannot be read may be one.
+    """
+    if read_station(path).get("calibration"):
+        raise UserError(
+            f"{path} names a calibration of the camera's place, which holds with the intrinsics of then only: take its "
+            "section `calibration` out, measure the intrinsics, then calibrate the place again",
+            code="user.calibration_is_older",
+        )
+    camera = _camera(path)
+    name = camera.get(FIELD)
+    if rehearsed and (typed := [number for number in NUMBERS if camera.get(number) is not None]):
+        raise UserError(
+            f"{path} gives {', '.join(f'camera.{number}' for number in typed)}: a rehearsal's would take their place. "
+            "Rehearse without --write, or with a copy of the file from which you take them out",
+            code="user.calibration_is_real",
+        )
+    if rehearsed and isinstance(name, str) and not _rehearsed(path.parent / name):
+        raise UserError(
+            f"{path} names the intrinsics of a real camera, or a record that cannot be read, whose place a rehearsed "
+            "record would take. Rehearse without --write, or with a copy of the file without camera.intrinsics",
+            code="user.calibration_is_real",
+        )
+
+
+def enter(path: Path, record_file: Path, record: IntrinsicsRecord) -> None:
+    """Enter a record in a station file, and correct the numbers that the file gives, too.
+
+    Args:
+        path: The station file.
+        record_file: The record's file.
+        record: The record.
+
+    Raises:
+        ConfigError: The file has a layout that is not edited here (`config.not_editable`).
+    """
+    known = {name: getattr(record.intrinsics, name) for name in PINHOLE} | {"distortion": list(record.distortion)}
+    given = {name: value for name, value in known.items() if _camera(path).get(name) is not None}
+    set_fields(path, (SECTION,), {FIELD: os.path.relpath(record_file, path.parent), **given})
+
+
+def _rehearsed(record_file: Path) -> bool:
+    try:
+        return read_intrinsics(record_file).camera_serial == SIMULATED
+    except ConfigError:
+        return False
+
+
+def _camera(path: Path) -> dict[str, Any]:
+    data = read_station(path)
+    camera = data.get(SECTION) if isinstance(data, dict) else None
+    return camera if isinstance(camera, dict) else {}

@@ -1,0 +1,520 @@
+"""The location of a nail and of the wood: touches, images, their combination, and their entry in the station file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from toolee_robot.app.listener import Listener
+from toolee_robot.calibration.board import SHEETS, Board
+from toolee_robot.calibration.board_sight import KnownCamera
+from toolee_robot.calibration.nail import (
+    LocatedNail,
+    OnWood,
+    SeenNail,
+    check_height,
+    combine,
+    foot_of,
+    locate_nail,
+    see_nail,
+)
+from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart, read_record
+from toolee_robot.calibration.tip import read_touches
+from toolee_robot.calibration.wood import WoodPlane, fit_wood
+from toolee_robot.control import RobotModel
+from toolee_robot.errors import ConfigError, NotReadyError, UserError
+from toolee_robot.frames import Array, BaseFrame, angle_between, inverse, transform_points
+from toolee_robot.hal import Station
+from toolee_robot.runtime.yaml_edit import set_fields
+from toolee_robot.station import StationConfig, WorkConfig, load_lab_station, read_station, unmeasured
+from toolee_robot.station.station import to_station
+from toolee_robot.station.work import LARGEST_TILT
+from toolee_robot.stations.lab import LabStation, Purpose
+from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
+from toolee_robot.stations.rehearsal.job import camera_covariance
+from toolee_robot.stations.simulated_nail import print_on_wood, simulated_nail_board
+from toolee_robot.tasks.calibration.still_frame import mean_frame
+
+PIXEL_NOISE = 0.3
+"""Standard deviation of a board's corner where the camera was calibrated by another program [px]."""
+FARTHEST = 0.050
+"""Largest distance of the nail from the circle around the touches of the wood [m]: a rise that is known to 0.5 degrees
+is worth 0.4 mm of height there."""
+
+Entries = list[tuple[tuple[str, str] | None, dict[str, Any]]]
+"""Values by field, of `work` itself first (None), then of the nail among `work.nails`, as `set_fields` has them."""
+
+
+@dataclass(frozen=True)
+class Print:
+    """The board on the wood.
+
+    Attributes:
+        sheet: Name of its sheet.
+        at: Place of the nail on it [m]; None for its cross.
+        placing: Standard deviation of that place [m].
+    """
+
+    sheet: str
+    at: tuple[float, float] | None
+    placing: float
+
+
+@dataclass(frozen=True)
+class Touching:
+    """How the tip on the flange touches.
+
+    Attributes:
+        tip_mm: The tip in the flange [mm].
+        repeat: Standard deviation of one touch from the next about each axis [m].
+        common: Standard deviation of what is the same in all of them [m].
+    """
+
+    tip_mm: tuple[float, float, float]
+    repeat: float
+    common: float
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the camera has seen.
+
+    Attributes:
+        nail: The nail.
+        true: What the simulation knows: entry, (3,) [m], and the wood's normal, (3,); None for a real one.
+    """
+
+    nail: SeenNail
+    true: tuple[Array, Array] | None = None
+
+    def true_errors(self) -> dict[str, float]:
+        """Errors that the simulation knows, by name."""
+        if self.true is None:
+            return {}
+        off = self.nail.entry - self.true[0]
+        return {
+            "true_lateral_mm": round(float(np.hypot(off[0], off[1])) * 1e3, 3),
+            "true_height_mm": round(float(abs(off[2])) * 1e3, 3),
+            "true_tilt_deg": round(float(np.rad2deg(angle_between(self.nail.up, self.true[1]))), 3),
+        }
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where a nail and the wood are.
+
+    Attributes:
+        config: The station; its work is about the nail.
+        name: The nail's name.
+        touched: The head by touches; None without.
+        wood: The wood by touches; None without.
+        sight: What the camera has seen, with the touches of the head; None without.
+    """
+
+    config: StationConfig
+    name: str
+    touched: LocatedNail | None = None
+    wood: WoodPlane | None = None
+    sight: Sight | None = None
+
+    @property
+    def with_nail(self) -> bool:
+        """Whether the nail was located, and not the wood alone."""
+        return self.sight is not None or self.touched is not None
+
+    @property
+    def entry(self) -> Array:
+        """Where the nail's axis meets the wood, `base`, (3,) [m]."""
+        work = self.config.work
+        if self.sight is not None:
+            return self.sight.nail.entry
+        if self.wood is not None:
+            return self.wood.point
+        assert self.touched is not None
+        return foot_of(self.touched.head, work.wood_normal, work.nail_protrusion, work.nail_lean)
+
+    @property
+    def rise(self) -> Array | None:
+        """How the wood rises along x and y of `base`, (2,); None if nothing tells it."""
+        if self.sight is not None:
+            up = self.sight.nail.up
+            return np.asarray(-up[:2] / up[2])
+        return None if self.wood is None else self.wood.rise
+
+    def figures(self) -> dict[str, Any]:
+        """Figures by name, for programs."""
+        figures: dict[str, Any] = {}
+        if self.sight is not None:
+            seen = self.sight.nail
+            figures = {
+                "entry": seen.entry.tolist(),
+                "covariance": seen.covariance.tolist(),
+                "up": seen.up.tolist(),
+                "tilt_deg": round(float(np.rad2deg(seen.tilt)), 3),
+                "corners": seen.corners,
+                **self.sight.true_errors(),
+            }
+        elif self.wood is not None:
+            figures = {
+                "entry": self.wood.point.tolist(),
+                "rise": self.wood.rise.tolist(),
+                "wood_covariance": self.wood.covariance.tolist(),
+                "up": self.wood.normal.tolist(),
+                "tilt_deg": round(float(np.rad2deg(self.wood.tilt)), 3),
+                "residuals": self.wood.residuals.tolist(),
+            }
+        if self.touched is not None:
+            figures |= {"head": self.touched.head.tolist(), "spread": self.touched.spread}
+        return {**figures, "height_off": float(self.entry[2] - self.config.work.p_base_entry[2])}
+
+    def entries(self, path: Path | None) -> Entries:
+        """What the station file takes of it; None: no file, and so no frame but `base`."""
+        return nail_fields(self.config.work, self.name, self.entry, self.rise, path, with_nail=self.with_nail)
+
+    def write(self, path: Path) -> None:
+        """Enter it in the station file.
+
+        Args:
+            path: The file.
+
+        Raises:
+            ConfigError: The file has a layout that is not edited, or would not load with the result.
+        """
+        entries = self.entries(path)
+        check_loads(path, entries)
+        for item, values in reversed(entries):
+            set_fields(path, ("work",), values, item)
+
+
+@dataclass(frozen=True)
+class NailSight:
+    """A look at a nail through a print on the wood.
+
+    Attributes:
+        config: The station; its work is about the nail.
+        printed: The board on the wood.
+        listener: Who hears of it.
+        touched: The head by touches, which is combined with what is seen; None without.
+    """
+
+    config: StationConfig
+    printed: Print
+    listener: Listener
+    touched: LocatedNail | None = None
+
+    def simulate(self, seed: int) -> Sight:
+        """Look at a simulated lab's nail.
+
+        Args:
+            seed: Seed of what is drawn.
+
+        Returns:
+            What was seen.
+
+        Raises:
+            TooleeError: The image is refused.
+        """
+        lab = simulated_nail_board(self.config, SHEETS[self.printed.sheet], seed)
+        self.listener.say(
+            f"[bold]Simulated lab[/bold]  [dim]seed {seed}: a calibrated camera, a print of which the scale is drawn, "
+            "on wood that is not where the station file has it[/dim]"
+        )
+        with lab.build() as simulation:
+            images = mean_frame(simulation.station.camera)
+        on_wood = replace(lab.on_wood, placing_error=self.printed.placing)
+        return Sight(self._see(lab.camera, lab.board, on_wood, *images), (lab.entry, lab.up))
+
+    def rehearse(self, station_file: Path, seed: int, factor: float) -> Sight:
+        """Look at a nail with a lab's own camera driver, every device emulated.
+
+        Args:
+            station_file: The station file.
+            seed: Seed of the cell and of what a person measured there.
+            factor: Rate of the station's time relative to wall-clock time.
+
+        Returns:
+            What was seen.
+
+        Raises:
+            TooleeError: The image or the calibration is refused.
+        """
+        cell = job_cell(self.config, station_file, seed)
+        laid = print_on_wood(cell.true, SHEETS[self.printed.sheet], np.random.default_rng([seed, 33]))
+        cell = replace(cell, options=replace(cell.options, hands_over=False, boards=(laid.placed,)))
+        listener = self.listener
+        listener.say(f"[bold]Rehearsal, every device emulated[/bold]  [dim]seed {seed}[/dim]")
+        with (
+            EmulatedLab(cell, listener.prompt, factor, "harsh", Purpose.CALIBRATION, listener.doing) as lab,
+            lab.blaming_the_machine(),
+        ):
+            seen = self._look(lab.station, station_file, laid.board, laid.on_wood)
+        return Sight(seen, (laid.entry, laid.up))
+
+    def live(self, station_file: Path, bars: tuple[float, float], thickness: float) -> Sight:
+        """Look at a nail with a lab's camera; nothing moves.
+
+        Args:
+            station_file: The station file.
+            bars: Measured lengths of the print's scale bars [m].
+            thickness: Height of the printed side over the wood [m].
+
+        Returns:
+            What was seen.
+
+        Raises:
+            TooleeError: A device is not there or not ready, or the image or the calibration is refused.
+        """
+        board = SHEETS[self.printed.sheet].board.measured(*bars)
+        at = self.printed.at or (float(board.mark[0]), float(board.mark[1]))
+        on_wood = OnWood(at, thickness, self.printed.placing)
+        listener = self.listener
+        with LabStation(self.config, listener.prompt, purpose=Purpose.CALIBRATION, doing=listener.doing) as lab:
+            return Sight(self._look(lab.station, station_file, board, on_wood))
+
+    def _look(self, station: Station, station_file: Path, board: Board, on_wood: OnWood) -> SeenNail:
+        camera = known_camera(self.config, station_file, station)
+        return self._see(camera, board, on_wood, *mean_frame(station.camera))
+
+    def _see(self, camera: KnownCamera, board: Board, on_wood: OnWood, rgb: Any, depth: Any) -> SeenNail:
+        seen = see_nail(camera, board, on_wood, rgb, depth)
+        if self.touched is None:
+            return seen
+        work = self.config.work
+        return combine(seen, self.touched, work.nail_protrusion, lean=work.nail_lean)
+
+
+def touch_head(config: StationConfig, touches: Path, touching: Touching) -> LocatedNail:
+    """Locate a nail's head by touches.
+
+    Args:
+        config: The station.
+        touches: File of the joint positions.
+        touching: How the tip touches.
+
+    Returns:
+        The head.
+
+    Raises:
+        TooleeError: The touches are refused.
+    """
+    return locate_nail(_flanges(config, touches), np.array(touching.tip_mm) / 1e3, touching.common)
+
+
+def touch_wood(config: StationConfig, touches: Path, touching: Touching, head: LocatedNail | None) -> WoodPlane:
+    """Locate the wood by touches of it.
+
+    Args:
+        config: The station; its work is about the nail.
+        touches: File of the joint positions.
+        touching: How the tip touches.
+        head: The nail's head by touches; None for its place in the station file.
+
+    Returns:
+        The wood.
+
+    Raises:
+        UserError: The touches are refused (`user.wood_...`), or do not fit those of the head (`user.nail_disagrees`).
+        ConfigError: The file is no list of touches.
+    """
+    work, sigmas = config.work, {"repeat": touching.repeat, "common": touching.common}
+    flange = np.asarray(_flanges(config, touches)).reshape(-1, 4, 4)
+    p = transform_points(flange, np.array([touching.tip_mm]) / 1e3)[:, 0]
+    at = np.array(work.nail_xy) if head is None else head.head[:2]
+    wood = fit_wood(p, at, **sigmas)
+    check_near(p[:, :2], at)
+    if wood.tilt > LARGEST_TILT:
+        raise UserError(
+            f"by the touches the wood is {np.rad2deg(wood.tilt):.1f}° off the level, "
+            f"{np.rad2deg(LARGEST_TILT):.0f} are allowed: lay it flatter, or touch again what was not the wood",
+            code="user.wood_tilted",
+        )
+    if head is None:
+        return wood
+    foot = foot_of(head.head, wood.normal, work.nail_protrusion, work.nail_lean)
+    wood = fit_wood(p, foot[:2], **sigmas)
+    # What is off in all touches is off in head and wood alike.
+    variance = head.covariance[2, 2] + wood.covariance[0, 0] - 2.0 * touching.common**2
+    check_height(head.head, foot, float(wood.point[2]), work.nail_protrusion, float(np.sqrt(max(variance, 0.0))))
+    return wood
+
+
+def _flanges(config: StationConfig, touches: Path) -> list[Array]:
+    arm = RobotModel.of_station(config).arm
+    return [arm.fk(np.array(q)) for q in read_touches(touches).touches]
+
+
+def known_camera(config: StationConfig, station_file: Path, station: Station) -> KnownCamera:
+    """What the calibration that a station file names tells of its camera.
+
+    Args:
+        config: What the file says.
+        station_file: The file.
+        station: The devices, which tell their serial numbers.
+
+    Returns:
+        The camera.
+
+    Raises:
+        ConfigError: There is no calibration (`config.uncalibrated`), or its record cannot be read or was altered.
+        NotReadyError: It is too old, too bad, or of other devices (`not_ready.calibration`).
+    """
+    calibration = config.calibration
+    if calibration is None:
+        raise ConfigError(
+            "the station file names no calibration: `toolee calibrate camera` first", code="config.uncalibrated"
+        )
+    if problems := calibration.problems(station.robot_serial, station.camera_serial, date.today()):
+        raise NotReadyError(
+            f"the camera's calibration does not hold: {'; '.join(problems)}", code="not_ready.calibration"
+        )
+    if calibration.record is not None:
+        return KnownCamera.of_record(read_record(station_file.parent / calibration.record))
+    covariance = camera_covariance(config, station_file)
+    return KnownCamera(config.camera.X_base_camera, covariance, config.camera.intrinsics, PIXEL_NOISE)
+
+
+def touched_station(path: Path, *, wood_alone: bool) -> StationConfig:
+    """Load the station file of a lab whose nail or wood was touched.
+
+    Args:
+        path: The file, of the present version; it may leave out what touches do not need.
+        wood_alone: Whether only the wood was touched, so that the file says where the nail is.
+
+    Returns:
+        The station.
+
+    Raises:
+        ConfigError: As `load_lab_station`, or the file leaves out which arm it is, how its base stands, or where the
+            nail is although only the wood was touched (`config.unmeasured`).
+    """
+    config = load_lab_station(path, complete=False)
+    needed = ["arm.model", "arm.up", *(["work.nail_xy"] if wood_alone else [])]
+    left_out = unmeasured(path)
+    if missing := [name for name in needed if name in left_out]:
+        head = ", or touch the nail's head, too (--touches)" if "work.nail_xy" in missing else ""
+        raise ConfigError(
+            f"{path} leaves out {', '.join(missing)}, and the simulated station's values would stand in: measure and "
+            f"give them{head}; `toolee station check {path}` says how",
+            code="config.unmeasured",
+        )
+    return config
+
+
+def check_near(places: Array, at: Array) -> None:
+    """Refuse touches of the wood that are not around the nail, where its height would be extrapolated.
+
+    Args:
+        places: x and y of the touches in `base`, (N, 2) [m].
+        at: The nail's, (2,) [m].
+
+    Raises:
+        UserError: The nail is more than 50 mm outside the circle around the touches' mean that holds them all
+            (`user.wood_far`).
+    """
+    middle = np.mean(places, axis=0)
+    radius = np.max(np.linalg.norm(places - middle, axis=1))
+    off = float(np.linalg.norm(at - middle) - radius)
+    if off > FARTHEST:
+        raise UserError(
+            f"the nail at ({at[0]:.3f}, {at[1]:.3f}) m in base_link is {off * 1e3:.0f} mm outside the circle around "
+            f"the touches of the wood, whose middle is ({middle[0]:.3f}, {middle[1]:.3f}), and "
+            f"{FARTHEST * 1e3:.0f} mm are allowed: touch the wood around the nail, or correct the nail's place "
+            "(work.nail_xy, or its touches)",
+            code="user.wood_far",
+        )
+
+
+def mistake(entry: Array, by_file: Array) -> str:
+    """Name the mistake that explains why a nail is far from where the station file has it.
+
+    Args:
+        entry: Where its axis meets the wood, in `base`, (3,) [m].
+        by_file: The same by the station file, (3,) [m].
+
+    Returns:
+        The mistake in words; empty where the file is near, or no usual one explains it.
+    """
+    if not camera_is_elsewhere(entry, by_file):
+        return ""
+    if half_a_turn_apart(entry, by_file):
+        return "half a turn of the base: the file's positions are of the other `frame`"
+    return "x and y are swapped there: look at the file's other positions, too" if axes_swapped(entry, by_file) else ""
+
+
+def check_loads(path: Path, places: Sequence[tuple[tuple[str, str] | None, dict[str, Any]]]) -> None:
+    """Refuse fields with which a station file would not load.
+
+    Args:
+        path: The station file.
+        places: The fields of its `work`, as `nail_fields` returns them.
+
+    Raises:
+        ConfigError: The file with these fields is refused, for the reason given; nothing was written.
+    """
+    data = read_station(path)
+    work = {**(data.get("work") or {})}
+    for item, values in places:
+        if item is None:
+            work |= values
+        else:
+            work[item[0]] = [{**nail, **values} if nail["name"] == item[1] else nail for nail in work[item[0]]]
+    try:
+        to_station({**data, "work": work}, path)
+    except ConfigError as error:
+        told = "; ".join(f"{name} {value}" for _, values in places for name, value in values.items())
+        raise ConfigError(
+            f"nothing was entered: with what was located ({told}) the file would be refused. Correct the field that "
+            f"does not fit, or touch or look again. {error}",
+            code=error.code,
+        ) from error
+
+
+def nail_fields(
+    work: WorkConfig, name: str, entry: Array, rise: Array | None, path: Path | None, *, with_nail: bool
+) -> list[tuple[tuple[str, str] | None, dict[str, Any]]]:
+    """Compute the fields of `work` that say where a nail and the wood are.
+
+    Args:
+        work: The work as the station file has it.
+        name: The nail's name.
+        entry: Where its axis meets the wood, (3,) [m], `base`.
+        rise: How the wood rises along x and y of `base`, (2,); None for what the file says.
+        path: The station file, which says in which frame it gives positions; None for `base`.
+        with_nail: Whether the nail's place was located, and not the wood alone.
+
+    Returns:
+        Values by field, of `work` itself first (None), then of the nail among `work.nails`, as `set_fields` has them.
+        With a rise there is always a `block_xy`, here or in the file: the plane hangs on the middle of the block, and
+        must not move with the next nail.
+    """
+    data = {} if path is None else read_station(path)
+    R = inverse(BaseFrame(data.get("frame", BaseFrame.BASE_LINK)).X_base_this)[:3, :3]
+    xy = _rounded(R @ entry)
+    center = _center(work, name, entry)
+    slope = np.array(work.wood_rise) if rise is None else rise
+    height = float(entry[2] + slope @ (center - entry[:2])) - work.block_size[2]
+    fields: dict[str, Any] = {"stand_height": round(height, 5)}
+    if rise is not None:
+        if work.block_xy is None:
+            fields["block_xy"] = _rounded(R @ np.array([*center, 0.0]))
+        fields["wood_rise"] = _rounded(R @ np.array([*rise, 0.0]))
+    if with_nail and work.nails:
+        return [(None, fields), (("nails", name), {"xy": xy})]
+    return [(None, fields | ({"nail_xy": xy} if with_nail else {}))]
+
+
+def _rounded(v: Array) -> list[float]:
+    return [round(float(value), 5) + 0.0 for value in v[:2]]
+
+
+def _center(work: WorkConfig, name: str, entry: Array) -> Array:
+    """Middle of the block, (2,) [m], `base`: where the file has it, or between the nails with this one where it is."""
+    if work.block_xy is not None:
+        return np.array(work.block_xy)
+    places = np.array([entry[:2] if nail.name == name else nail.xy for nail in work.all_nails])
+    return np.asarray((places.min(axis=0) + places.max(axis=0)) / 2)

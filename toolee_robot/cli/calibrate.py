@@ -1,0 +1,724 @@
+"""Calibrate a station: where the camera stands, and where tip and nail are, seen from the robot.
+
+Example: toolee calibrate board --sheet a3 --out board.pdf
+
+Example: toolee calibrate camera
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.panel import Panel
+
+from toolee_robot.cli.options import Flag, JsonOption
+from toolee_robot.cli.terminal import ConsoleListener
+from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.runtime.clock import check_real_time_factor
+
+if TYPE_CHECKING:
+    from toolee_robot.app.calibrate_nail import Located
+    from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord
+    from toolee_robot.frames import Array
+    from toolee_robot.station import StationConfig
+
+_BARS_MISSING = (
+    "--bars-mm is missing: measure the two scale bars on your print and give their lengths in millimetres; no printer "
+    "keeps the scale"
+)
+_PLATE = 0.12, 1.2
+"""Distance of a simulated print from the flange [m], and mass of its plate [kg]."""
+_MIN_VIEWS = 15
+"""Fewest views that are asked of a person."""
+_STATION_MISSING = "--rehearse without --station: give the station file that is rehearsed"
+
+Rule = tuple[bool, str, str]
+"""Whether options do not fit together, the message, and its code."""
+
+
+@dataclass(frozen=True)
+class PrintBoard:
+    """Write a ChArUco board as a PDF, to print.
+
+    Example: toolee calibrate board --sheet a3 --out board.pdf
+
+    It has two scale bars to be measured on the print. Glue the print on a flat, stiff plate. Printers scale: measure
+    both bars with a steel rule to a tenth of a millimetre, and tell the lengths to `toolee calibrate camera --bars-mm`.
+    """
+
+    sheet: Literal["a4", "a3"] = "a3"
+    """Size of the paper. A camera of 512 pixels in width finds an A4 up to 0.9 m away, an A3 up to 1.2 m."""
+    out: Annotated[Path, tyro.conf.arg(metavar="PDF")] = Path("board.pdf")
+    """The file."""
+
+    def run(self) -> int:
+        from toolee_robot.calibration.board import SHEETS
+        from toolee_robot.calibration.print import write_board
+
+        sheet = SHEETS[self.sheet]
+        write_board(self.out, sheet)
+        x, y = sheet.board.size
+        Console(highlight=False).print(
+            f"{self.out}: {sheet.board.columns} x {sheet.board.rows} squares, the bars nominally {x * 1e3:.0f} and "
+            f"{y * 1e3:.0f} mm.\nPrint it at 100 %, glue it on a flat plate, measure both bars on the print."
+        )
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera(JsonOption):
+    """Measure where the fixed camera stands, by a board on the flange.
+
+    Example: toolee calibrate camera
+
+    Example: toolee calibrate camera --station lab.yaml --bars-mm 361.3 258.1 --plate-distance 0.12 --plate-mass 1.2
+
+    Example: toolee calibrate camera --images session --config lab.yaml --bars-mm 361.3 258.1
+
+    With --station the arm drives the board through poses before the camera, slowly and under the supervisor, while
+    somebody holds the switch; with --rehearse every device is emulated. With --images the poses and images of a folder
+    are taken. Without either a simulated lab is calibrated.
+
+    Exit code 0: the record is written; 1: a device failed; 2: poses or images are refused, for the reason given. Images
+    that were taken until then stay, for --images.
+    """
+
+    images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Folder with images and poses.json, see docs/how-to/calibrate.md."""
+    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """Your own station: its arm moves."""
+    rehearse: Flag = False
+    """With --station: emulate every device, in front of a simulated cell."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The station file without --station: the arm's kinematics, and where the camera was measured by hand."""
+    sheet: Literal["a4", "a3"] = "a3"
+    """The board, as `toolee calibrate board` drew it."""
+    bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
+    """Lengths of the two scale bars, measured on the print. A simulated lab measures its own."""
+    poses: Annotated[int, tyro.conf.arg(metavar="N")] = 20
+    """Number of poses to drive to."""
+    plate_distance: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="(simulated: 0.12)")] = None
+    """Distance of the print from the flange."""
+    plate_mass: Annotated[float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="(simulated: 1.2)")] = None
+    """Mass of plate and holder."""
+    seed: int = 0
+    """Seed of the planned views; simulated: also of the print, its place on the flange, the room and the noise."""
+    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
+    """With --rehearse: rate of the station's time relative to wall-clock time."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("calibrations")
+    """Parent of the calibration's folder, which holds camera.json, the record, report.html and the images."""
+    write: Flag = False
+    """Enter the record in the station file of --station; the rest of it stays."""
+
+    def run(self) -> int:
+        self._check()
+        from toolee_robot.station import load_lab_station, load_station, sim_station
+
+        if self.station is not None:
+            config = load_lab_station(self.station)
+            self._check_entry(self.station, config)
+        else:
+            config = sim_station() if self.config is None else load_station(self.config)
+        from toolee_robot.app.calibrate_camera import RECORD
+        from toolee_robot.calibration.session import FILE
+        from toolee_robot.app.run_folder import run_folder
+        from toolee_robot.runtime.yaml_edit import set_fields
+
+        listener = ConsoleListener(self.console)
+        with run_folder(self.out, "camera") as folder:
+            try:
+                figures = self._calibrate(config, folder.path, listener)
+            except (TooleeError, KeyboardInterrupt):
+                if (folder.path / FILE).is_file():  # images were taken, which cost a person's time
+                    kept = folder.keep()
+                    listener.warn(f"the images so far are kept: to compute with them, give --images {kept}")
+                raise
+            place = folder.keep()
+        if self.write:
+            assert self.station is not None
+            record = os.path.relpath(place / RECORD, self.station.parent)
+            set_fields(self.station, ("calibration",), {"record": record})
+        self._show(figures, place)
+        self.tell({**figures, "record": str(place / RECORD)})
+        return 0
+
+    def _calibrate(self, config: StationConfig, folder: Path, listener: ConsoleListener) -> dict[str, Any]:
+        from toolee_robot.app.calibrate_camera import CameraJob, PlateViews
+
+        job = CameraJob(config, self.sheet, folder, listener)
+        views = PlateViews(self.poses, self.plate_distance or _PLATE[0], self.plate_mass or _PLATE[1], self.seed)
+        bars = _metres(self.bars_mm)
+        if self.images is not None:
+            return job.from_images(self.images, bars, measured_camera=self.config is not None)
+        if self.station is None:
+            return job.simulate(views)
+        return job.rehearse(views, self.real_time_factor) if self.rehearse else job.live(views, bars)
+
+    def _show(self, f: dict[str, Any], folder: Path) -> None:
+        from toolee_robot.app.calibrate_camera import RECORD, REPORT
+
+        record = escape(str(folder / RECORD))
+        rows = [
+            (f"95 % region at {f['target_m']:g} m", f"± {f['target_radius_mm']:.2f} mm"),
+            ("held-out poses", f"{f['residual_mm']:.2f} mm"),
+            ("one pose left out", f"{f['largest_shift_mm']:.2f} mm at most"),
+            ("noise", f"corners {f['pixel_noise']:.2f} px, arm {f['arm_noise_mm']:.2f} mm {f['arm_noise_deg']:.3f}°"),
+            ("poses", f"{f['poses']}" + (f", not fitting: {', '.join(f['wrong'])}" if f["wrong"] else "")),
+        ]
+        simulated = "true_error_mm" in f
+        if simulated:
+            rows.append(("true error *", f"{f['true_error_mm']:.2f} mm"))
+        rows += [("record", record), ("report", escape(str(folder / REPORT)))]
+        if self.write:
+            lines = [f"Entered in {escape(str(self.station))}. Look at the report before you rely on it."]
+        else:
+            entry = ["calibration:", f"  record: {record}"]
+            lines = ["Look at the report, then enter it in the station file:", "", *entry]
+        if simulated:
+            lines += ["", "[dim]* measured by the simulation; the calibration cannot see it[/dim]"]
+        _panel(self.console, "the camera is calibrated", rows, lines)
+
+    def _check_entry(self, station: Path, config: StationConfig) -> None:
+        """Refuse before anything moves what --write could not enter, or must not."""
+        from toolee_robot.station import SIMULATED
+
+        known = config.calibration
+        if not self.write or known is None:
+            return
+        _refuse(
+            (
+                known.record is None,
+                f"{station} gives its calibration by hand (measured_on and others): take the section out first, since "
+                "the record that --write enters says the same of its own",
+                "user.calibration_by_hand",
+            ),
+            (
+                self.rehearse and known.robot_serial != SIMULATED,
+                f"{station} names the calibration of robot {known.robot_serial}: that of a rehearsal would take its "
+                "place. Rehearse with a copy of the file, or without --write",
+                "user.calibration_is_real",
+            ),
+        )
+
+    def _check(self) -> None:
+        moves = self.station is not None and not self.rehearse and self.images is None
+        real = self.images is not None or moves
+        plate = self.plate_distance, self.plate_mass
+        where = "with --rehearse" if self.rehearse else "without --images or --station"
+        _refuse(
+            _option(
+                self.images is not None and self.station is not None,
+                "--images with --station: images that were taken, or a station that takes them",
+            ),
+            _option(
+                self.station is not None and self.config is not None,
+                "--config with --station: --station alone, it is the same file",
+            ),
+            (self.rehearse and self.station is None, _STATION_MISSING, "user.no_station"),
+            _option(
+                not real and self.bars_mm is not None, f"--bars-mm {where}: the simulated lab measures its own print"
+            ),
+            (real and self.bars_mm is None, _BARS_MISSING, "user.board_scale_unknown"),
+            (
+                moves and None in plate,
+                "--plate-distance and --plate-mass are missing: measure how far the print is from the flange, and "
+                "weigh plate and holder: the arm moves by them",
+                "user.plate_unmeasured",
+            ),
+            _option(self.write and self.station is None, "--write needs --station: the station file to write to"),
+            _option(not 8 <= self.poses <= 100 or self.seed < 0, "give --poses 8 to 100, and --seed 0 or more"),
+        )
+        check_real_time_factor(self.real_time_factor, "127.0.0.1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check(JsonOption):
+    """Compare where the camera sees a corner with where the arm touches it.
+
+    Example: toolee calibrate check --record camera.json --image board.png --bars-mm 251.2 179.4 --corner 0 --touched-mm
+    602.1 -148.7 262.3 --frame pendant_base
+
+    Lay a board in the camera's view, where the arm reaches it; take an image; touch a corner with a pointed tip as the
+    TCP, and read X Y Z on the pendant. The result is added to the record, which is signed anew. Good residuals do not
+    guarantee accuracy: only this does.
+
+    Exit code 0: the two agree; 1: they do not; 2: invalid input.
+    """
+
+    record: Annotated[Path, tyro.conf.arg(metavar="JSON")]
+    """The calibration's record."""
+    image: Annotated[Path, tyro.conf.arg(metavar="PNG")]
+    """Image of the board by the calibrated camera."""
+    bars_mm: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]
+    """Lengths of the board's two scale bars, measured on the print."""
+    corner: Annotated[int, tyro.conf.arg(metavar="N")]
+    """Number of the inner corner: 0 is the first, beside the board's origin, counted along x first."""
+    touched_mm: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
+    """Place of the tip on the corner."""
+    frame: Literal["pendant_base", "base_link"]
+    """Frame of that place: the pendant's Base, or ROS's base_link."""
+    touch_error_mm: Annotated[float, tyro.conf.arg(metavar="MM")]
+    """Standard deviation of a touch about one axis, such as 0.5: touch a corner five times, from different sides."""
+    sheet: Literal["a4", "a3"] = "a4"
+    """The board."""
+
+    def run(self) -> int:
+        if not 0.01 <= self.touch_error_mm <= 10.0:
+            raise UserError(f"--touch-error-mm {self.touch_error_mm}: give 0.01 to 10", code="user.option")
+        console = self.console
+        from datetime import UTC, datetime
+
+        from toolee_robot.calibration.board import SHEETS
+        from toolee_robot.calibration.observation import find_board
+        from toolee_robot.calibration.record import read_record, write_record
+        from toolee_robot.calibration.session import read_image
+        from toolee_robot.calibration.touch_check import cause, see_corner, touch_check
+        from toolee_robot.frames import BaseFrame
+
+        record = read_record(self.record)
+        board = SHEETS[self.sheet].board.measured(*_metres(self.bars_mm))
+        view = find_board(read_image(self.image, record.intrinsics), board)
+        if view is None:
+            raise UserError(f"no board is seen in {self.image}: nearer, or more light", code="user.board_not_seen")
+        seen = see_corner(record, board, view, self.corner)
+        X = BaseFrame(self.frame).X_base_this
+        touched = X[:3, :3] @ (np.array(self.touched_mm) / 1e3)
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        check = touch_check(
+            record, seen, touched, self.touch_error_mm / 1e3, f"corner {self.corner}, {self.image.name}", now
+        )
+        write_record(self.record, record.checked(check))
+        agrees = check.error <= check.allowed
+        color = "green" if agrees else "red"
+        console.print(
+            f"seen at ({_mm(check.seen, '.1f')}) mm, touched at ({_mm(check.touched, '.1f')}) mm, in base_link\n"
+            f"[{color}]{check.error * 1e3:.2f} mm apart[/{color}], {check.allowed * 1e3:.2f} mm are explained by "
+            "calibration, image and touch (95 %)"
+        )
+        if not agrees:
+            console.print(f"[red]{cause(check)}[/red]", soft_wrap=True)
+        self.tell({**asdict(check), "agrees": agrees})
+        return int(not agrees)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intrinsics(JsonOption):
+    """Measure a camera's intrinsics by a board that is held before it.
+
+    Example: toolee calibrate intrinsics --station lab.yaml --bars-mm 361.3 258.1 --write
+
+    Example: toolee calibrate intrinsics --station lab.yaml --rehearse
+
+    Example: toolee calibrate intrinsics --images views --bars-mm 361.3 258.1 --camera-serial F1370001
+
+    With --station the camera is opened, and an image is taken each time the board is held still in a new way; with
+    --rehearse camera and person are emulated. With --images those of a folder are taken, as the lens gives them: no
+    frames of `toolee camera record`, which are undistorted.
+
+    Tilt the board by 30 to 45° in most images, and hold it into all corners of the image. Cameras with intrinsics from
+    the factory need this only as a check.
+
+    Exit code 0: the record is written; 1: the camera failed; 2: the images are refused, for the reason given.
+    """
+
+    images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Folder of images, all of one size."""
+    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """Your own station: its camera.device is opened, or, with --images, tells the serial number."""
+    rehearse: Flag = False
+    """With --station: emulate the camera, and the person with the board."""
+    bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
+    """Lengths of the board's two scale bars, measured on the print. A rehearsal measures its own."""
+    camera_serial: Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")] = None
+    """Serial number of the camera, without --station."""
+    sheet: Literal["a4", "a3"] = "a3"
+    """The board."""
+    views: Annotated[int, tyro.conf.arg(metavar="N")] = 30
+    """Number of images that are taken with --station."""
+    seed: int = 0
+    """With --rehearse: seed of the lens, the print and how it is held."""
+    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
+    """With --rehearse: rate of the station's time relative to wall-clock time."""
+    out: Annotated[Path, tyro.conf.arg(metavar="JSON")] = Path("intrinsics.json")
+    """The record."""
+    write: Flag = False
+    """Enter the record in the station file of --station; the rest of it stays."""
+
+    def run(self) -> int:
+        self._check()
+        from toolee_robot.app.calibrate_intrinsics import IntrinsicsJob, camera_of, check_entry, enter
+        from toolee_robot.calibration.intrinsics_record import write_intrinsics
+
+        camera = None if self.station is None else camera_of(self.station)
+        if self.write:
+            assert self.station is not None
+            check_entry(self.station, rehearsed=self.rehearse)
+        console, true_error = self.console, None
+        job, bars = IntrinsicsJob(self.sheet, ConsoleListener(console), console.bell), _metres(self.bars_mm)
+        if self.images is not None:
+            serial = self.camera_serial if camera is None or camera.device is None else camera.device.serial
+            assert serial is not None
+            record = job.from_images(self.images, bars, serial)
+        else:
+            assert camera is not None
+            if self.rehearse:
+                record, true_error = job.rehearse(camera, self.views, self.seed, self.real_time_factor)
+            else:
+                record = job.live(camera, self.views, bars)
+        self.out.parent.mkdir(parents=True, exist_ok=True)
+        write_intrinsics(self.out, record)
+        if self.write:
+            assert self.station is not None
+            enter(self.station, self.out, record)
+        self._show(record, true_error)
+        self.tell({**asdict(record), **({} if true_error is None else {"true_error_px": round(true_error, 3)})})
+        return 0
+
+    def _show(self, record: IntrinsicsRecord, true_error: float | None) -> None:
+        K = record.intrinsics
+        values = zip(("fx", "fy", "cx", "cy"), (K.fx, K.fy, K.cx, K.cy), record.sigma, strict=True)
+        rows = [(name, f"{value:9.3f} ± {2 * sigma:.3f} px") for name, value, sigma in values]
+        names = zip(("k1", "k2", "p1", "p2"), record.distortion, record.sigma_distortion, strict=True)
+        rows += [(name, f"{value:+9.5f} ± {2 * sigma:.5f}") for name, value, sigma in names]
+        left_out = f"; {record.left_out} corners left out, which do not fit" if record.left_out else ""
+        effect = "images must be undistorted" if record.distorts else "negligible"
+        rows += [
+            ("reprojection", f"{record.reprojection:.3f} px, held out {record.held_out:.3f} px"),
+            ("views", f"{record.views}, {100 * record.covered:.0f} % of the image{left_out}"),
+            ("lens", f"displaces pixels by up to {record.largest_distortion:.2f} px: {effect}"),
+        ]
+        if true_error is not None:
+            rows.append(("true error *", f"{true_error:.2f} px at most, but for a turn of the camera"))
+        out = escape(str(self.out))
+        rows.append(("record", out))
+        if self.write:
+            lines = [f"Entered in {escape(str(self.station))}. Next: calibrate the camera's place."]
+        else:
+            lines = ["The station file takes it so:", "", "camera:", f"  intrinsics: {out}"]
+        if true_error is not None:
+            lines += ["", "[dim]* by the simulation; a turn goes into the camera's place[/dim]"]
+        _panel(self.console, "the intrinsics are measured", rows, lines, width=16)
+
+    def _check(self) -> None:
+        serial = self.camera_serial is not None
+        _refuse(
+            _option(
+                self.images is None and self.station is None,
+                "give --station, whose camera takes the images, or --images, a folder of them",
+            ),
+            (
+                self.rehearse and (self.station is None or self.images is not None),
+                "--rehearse without --station, or with --images: give the station file that is rehearsed, alone",
+                "user.no_station",
+            ),
+            _option(self.station is not None and serial, "--camera-serial with --station: the file tells it"),
+            _option(
+                self.station is None and not serial,
+                "--camera-serial is missing: the record holds for one camera, give its serial number, or --station",
+            ),
+            _option(
+                self.rehearse and self.bars_mm is not None,
+                "--bars-mm with --rehearse: the emulated person measures the print",
+            ),
+            (not self.rehearse and self.bars_mm is None, _BARS_MISSING, "user.board_scale_unknown"),
+            _option(self.write and self.station is None, "--write needs --station: the station file to write to"),
+            _option(
+                not _MIN_VIEWS <= self.views <= 200 or self.seed < 0,
+                f"give --views {_MIN_VIEWS} to 200, and --seed 0 or more",
+            ),
+        )
+        check_real_time_factor(self.real_time_factor, "127.0.0.1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mount(JsonOption):
+    """Locate a tip on the flange from touches of one fixed point.
+
+    Example: toolee calibrate mount --touches touches.yaml --config lab.yaml
+
+    Clamp a pointed pin in the mount, and bring its tip to one fixed point in five orientations or more that turn the
+    flange by 25° and more about two axes. The file lists the joint positions: `touches: [[q1, ..., q6], ...]`. The
+    result is what `hand.mount.position` needs, and the TCP of a touch test.
+
+    Exit code 0: the tip is located; 2: the touches are refused, for the reason given.
+    """
+
+    touches: Annotated[Path, tyro.conf.arg(metavar="YAML")]
+    """The joint positions."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The station file: the arm's model and kinematics."""
+
+    def run(self) -> int:
+        from toolee_robot.calibration.tip import locate_tip, read_touches
+        from toolee_robot.control import RobotModel
+        from toolee_robot.station import load_station, sim_station
+
+        arm = RobotModel.of_station(sim_station() if self.config is None else load_station(self.config)).arm
+        tip = locate_tip([arm.fk(np.array(q)) for q in read_touches(self.touches).touches])
+        sigmas = 2.0 * np.sqrt(np.diag(tip.covariance))
+        x, y, z = tip.p_flange_tip
+        self.console.print(
+            f"tip in the flange: ({_mm(tip.p_flange_tip)}) ± ({_mm(sigmas)}) mm\n"
+            f"the touches are {tip.residual * 1e3:.2f} mm from their common point\n\n"
+            f"hand:\n  mount:\n    position: [{x:.5f}, {y:.5f}, {z:.5f}]"
+        )
+        self.tell({name: value.tolist() if hasattr(value, "tolist") else value for name, value in vars(tip).items()})
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nail(JsonOption):
+    """Locate a nail and the wood, by the camera or by touches.
+
+    Example: toolee calibrate nail --camera
+
+    Example: toolee calibrate nail --camera --station lab.yaml --bars-mm 361.3 258.1 --thickness-mm 0.2 --write
+
+    Example: toolee calibrate nail --wood wood.yaml --touches nail.yaml --tip-mm 0.3 -0.2 151.4 --config lab.yaml
+
+    The camera sees a printed board on the wood. The board, from `toolee calibrate board`, lies flat on the wood, glued
+    or on a stiff plate, and the nail goes through its white cross. Only the camera looks; nothing moves. With
+    --touches, too, both are combined, weighted by their uncertainties. Touch the middle of the head three times or
+    more, from different sides; the file lists the joint positions, as for `toolee calibrate mount`, which also locates
+    the tip. Three touches of the wood around the nail, 30 mm apart or more, tell its height and how it rises; a fourth
+    shows that none was wrong. `toolee arm touch --touches` makes such a file. With --camera alone a simulated lab is
+    looked at.
+
+    Exit code 0: the nail is located; 1: a device failed; 2: images or touches are refused, for the reason given.
+    """
+
+    camera: Flag = False
+    """Locate it by the camera."""
+    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """With --camera: your own station. Its camera takes the images, and its calibration must hold."""
+    rehearse: Flag = False
+    """With --station: emulate every device, in front of a simulated cell."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The station file without --station: the arm's kinematics, and where it has the nail."""
+    nail: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """Which of several nails (work.nails)."""
+    sheet: Literal["a4", "a3"] = "a3"
+    """The board, as `toolee calibrate board` drew it. An A4 is too small for a camera of 512 pixels at 0.95 m."""
+    bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
+    """Lengths of the two scale bars, measured on the print. A simulated lab measures its own."""
+    thickness_mm: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
+    """Height of the printed side over the wood: paper and plate."""
+    at_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
+    """Place of the nail on the board, from the outer corner of the first square, along the bars x and y; the white
+    cross if left out."""
+    placing_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.5
+    """Standard deviation of that place about each axis: how well the nail goes through the cross."""
+    touches: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The joint positions of touches."""
+    tip_mm: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")] = None
+    """With --touches and --wood: the tip in the flange."""
+    touch_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.5
+    """With --touches and --wood: standard deviation of their mean about each axis: tip, kinematics and eye."""
+    wood: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The joint positions of touches of the wood around the nail."""
+    repeat_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.2
+    """With --wood: standard deviation of one touch from the next: force, kinematics over the block, grain."""
+    seed: int = 0
+    """Simulated: seed of the cell, the print, how it lies, the room and the noise."""
+    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
+    """With --rehearse: rate of the station's time relative to wall-clock time."""
+    write: Flag = False
+    """Enter the place in the station file of --station or --config; the rest of it stays. Not of a simulated nail."""
+
+    def run(self) -> int:
+        self._check()
+        from toolee_robot.app.calibrate_nail import Located, NailSight, Print, Touching, touch_head, touch_wood
+        from toolee_robot.station import check_upright
+
+        config = self._station()
+        check_upright(config.arm, "the place of a nail")
+        names = config.work.names
+        name = names[0] if self.nail is None else self.nail
+        if name not in names:
+            raise UserError(f"--nail {name}: the station's nails are {', '.join(names)} (work.nails)", code="user.nail")
+        config = replace(config, work=config.work.only(name))
+        listener = ConsoleListener(self.console)
+        touched = wood = sight = None
+        if self.tip_mm is not None:
+            touching = Touching(self.tip_mm, self.repeat_mm / 1e3, self.touch_mm / 1e3)
+            if self.touches is not None:
+                touched = touch_head(config, self.touches, touching)
+                listener.say(
+                    f"middle of the nail's head by touches: ({_mm(touched.head)}) mm in base_link, the touches "
+                    f"{touched.spread * 1e3:.2f} mm apart"
+                )
+            if self.wood is not None:
+                wood = touch_wood(config, self.wood, touching, touched)
+        if self.camera:
+            printed = Print(self.sheet, None if self.at_mm is None else _metres(self.at_mm), self.placing_mm / 1e3)
+            look = NailSight(config, printed, listener, touched)
+            if self.station is None:
+                sight = look.simulate(self.seed)
+            elif self.rehearse:
+                sight = look.rehearse(self.station, self.seed, self.real_time_factor)
+            else:
+                sight = look.live(self.station, _metres(self.bars_mm), (self.thickness_mm or 0.0) / 1e3)
+        located, path = Located(config, name, touched, wood, sight), self.station or self.config
+        if self.write:
+            assert path is not None
+            located.write(path)
+        self._show(located, path)
+        self.tell(located.figures())
+        return 0
+
+    def _station(self) -> StationConfig:
+        from toolee_robot.app.calibrate_nail import touched_station
+        from toolee_robot.station import load_lab_station, load_station, sim_station
+
+        if self.station is not None:
+            return load_lab_station(self.station)
+        if self.config is None:
+            return sim_station()
+        if self.camera:  # a simulated one
+            return load_station(self.config)
+        return touched_station(self.config, wood_alone=self.touches is None)
+
+    def _show(self, located: Located, path: Path | None) -> None:
+        from toolee_robot.app.calibrate_nail import mistake
+
+        rows, by_file = _nail_rows(located), located.config.work.p_base_entry
+        rows.append(("from the station file", f"({_mm(located.entry - by_file, '+.2f')}) mm"))
+        if why := mistake(located.entry, by_file):
+            rows.append(("", f"[red]{why}[/red]"))
+        true = {} if located.sight is None else located.sight.true_errors()
+        if true:
+            beside, height, tilt = true.values()
+            rows.append(("true errors *", f"beside {beside} mm, height {height} mm, tilt {tilt}°"))
+        entries = located.entries(path)
+        lines = [f"Entered in {escape(str(path))}:" if self.write else "In the station file:", "work:"]
+        lines += [f"  {name}: {value}" for item, values in entries if not item for name, value in values.items()]
+        lines += [f"  nails, {item[1]}: xy: {values['xy']}" for item, values in entries if item]
+        if true:
+            lines += ["", "[dim]* measured by the simulation; whoever looks cannot see it[/dim]"]
+        _panel(self.console, f"the {'nail' if located.with_nail else 'wood'} is located", rows, lines)
+
+    def _check(self) -> None:
+        touches = [f"--{name}" for name in ("touches", "wood") if getattr(self, name) is not None]
+        file = self.station or self.config
+        real = self.station is not None and not self.rehearse
+        deviations = self.placing_mm, self.touch_mm, self.repeat_mm
+        _refuse(
+            (
+                not self.camera and not touches,
+                "nothing tells where the nail is: give --camera, --touches or --wood",
+                "user.nail_no_source",
+            ),
+            _option(
+                bool(touches) and (self.tip_mm is None or file is None),
+                f"{' and '.join(touches[:1])} needs --tip-mm, from `toolee calibrate mount`, and the station file "
+                "(--config or --station)",
+            ),
+            _option(
+                self.wood is not None and self.camera,
+                "--wood with --camera: the board tells how the wood lies, too; leave one of them out",
+            ),
+            _option(
+                self.touches is not None and self.camera and not real,
+                "--touches with a simulated camera: the touches are not of its nail; give your --station alone",
+            ),
+            _option(
+                self.station is not None and (self.config is not None or not self.camera),
+                "--station is for --camera; without it give the file as --config, and never both",
+            ),
+            (self.rehearse and self.station is None, _STATION_MISSING, "user.no_station"),
+            *self._print_rules(real),
+            _option(self.write and file is None, "--write needs --station or --config: the file to write to"),
+            _option(
+                self.write and self.camera and not real,
+                "--write with a simulated camera: a simulated nail would take the place of yours; leave --write out",
+            ),
+            _option(
+                not all(0.01 <= value <= 10.0 for value in deviations) or self.seed < 0,
+                "give --placing-mm, --touch-mm and --repeat-mm 0.01 to 10, and --seed 0 or more",
+            ),
+        )
+        check_real_time_factor(self.real_time_factor, "127.0.0.1")
+
+    def _print_rules(self, real: bool) -> tuple[Rule, ...]:
+        given = self.bars_mm is not None, self.thickness_mm is not None
+        return (
+            (
+                real and not all(given),
+                "--bars-mm and --thickness-mm are missing: measure the two scale bars on your print, and how high the "
+                "printed side is over the wood",
+                "user.board_scale_unknown",
+            ),
+            _option(
+                not real and any(given),
+                "--bars-mm and --thickness-mm are of your own print: a simulated lab measures its own",
+            ),
+            _option(not 0.0 <= (self.thickness_mm or 0.0) <= 50.0, f"--thickness-mm {self.thickness_mm}: give 0 to 50"),
+        )
+
+
+COMMANDS = {
+    "board": PrintBoard,
+    "camera": Camera,
+    "check": Check,
+    "intrinsics": Intrinsics,
+    "mount": Mount,
+    "nail": Nail,
+}
+
+
+def _refuse(*rules: Rule) -> None:
+    """Raise the first rule that options break."""
+    for broken, message, code in rules:
+        if broken:
+            raise UserError(message, code=code)
+
+
+def _option(broken: bool, message: str) -> Rule:
+    return broken, message, "user.option"
+
+
+def _metres(mm: tuple[float, float] | None) -> tuple[float, float]:
+    assert mm is not None
+    return mm[0] / 1e3, mm[1] / 1e3
+
+
+def _mm(values: Array | tuple[float, ...], spec: str = ".2f") -> str:
+    return ", ".join(f"{1e3 * value:{spec}}" for value in values)
+
+
+def _panel(console: Console, title: str, rows: list[tuple[str, str]], lines: list[str], width: int = 24) -> None:
+    text = "\n".join([*(f"{name:<{width}}{value}" for name, value in rows), "", *lines])
+    console.print(Panel(text, title=f"[bold]{title}[/bold]", border_style="green", expand=False, padding=(1, 2)))
+
+
+def _nail_rows(located: Located) -> list[tuple[str, str]]:
+    """What was seen, or touched, of the nail and the wood."""
+    if located.sight is not None:
+        seen = located.sight.nail
+        sigmas = 2 * np.sqrt(np.diag(seen.covariance))
+        return [
+            ("nail at the wood", f"({_mm(seen.entry)}) ± ({_mm(sigmas)}) mm in base_link (95 %)"),
+            ("wood off the level", f"{np.rad2deg(seen.tilt):.2f} ± {np.rad2deg(2 * seen.tilt_sigma):.2f}°"),
+            ("board", f"{seen.corners} corners, {seen.reprojection:.2f} px"),
+        ]
+    if (wood := located.wood) is None:
+        return []
+    height, apart = float(np.sqrt(wood.covariance[0, 0])), float(np.max(np.abs(wood.residuals)))
+    count = len(wood.residuals)
+    fit = (
+        f"{count}, up to {apart * 1e3:.2f} mm off the plane"
+        if count > 3
+        else "3: a fourth would tell whether one is wrong"
+    )
+    return [
+        ("wood at the nail", f"{wood.point[2] * 1e3:.2f} ± {2e3 * height:.2f} mm over the base (95 %)"),
+        ("wood off the level", f"{np.rad2deg(wood.tilt):.2f} ± {np.rad2deg(2 * wood.tilt_sigma):.2f}°"),
+        ("touches of the wood", fit),
+    ]

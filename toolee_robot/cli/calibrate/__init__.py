@@ -1,1 +1,0 @@
-"""`toolee calibrate`."""
