@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from tests.calibration.pictures import BOARD, CAMERA, picture
 from tests.devices.cameras.toy_recording import say_undistorted, toy_recording
 from tests.errors import raises
+from toolee_robot.app.calibrate_intrinsics import camera_of
 from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, read_intrinsics, write_intrinsics
 from toolee_robot.cli.app import EXIT_USER, run
-from toolee_robot.cli.calibrate.intrinsics_entry import camera_of
 from toolee_robot.devices.cameras import Lens, LensModel
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import transform

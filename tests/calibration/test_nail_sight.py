@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
+from toolee_robot.app.calibrate_nail import known_camera
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.nail import LocatedNail, SeenNail, combine, see_nail
 from toolee_robot.cli.app import run
-from toolee_robot.cli.calibrate.nail_job import known_camera
 from toolee_robot.errors import ConfigError, NotReadyError, UserError
 from toolee_robot.frames import angle_between
 from toolee_robot.sim_backend import SimStation

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from tests.calibration.pictures import BOARD, CAMERA, draw_session
+from toolee_robot.app import calibrate_camera
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.session import read_session
 from toolee_robot.cli.app import EXIT_USER, run
-from toolee_robot.cli.calibrate import camera_job
 from toolee_robot.stations.simulated_board import SimulatedBoard, simulated_board
 from toolee_robot.tasks.calibration.collect import UNSEEN
 
@@ -123,7 +123,7 @@ def test_the_arm_does_not_go_on_before_a_camera_that_stands_elsewhere(
         camera = replace(camera, position=(y, x, z), target=(b, a, c))
         return replace(printed, measured=replace(printed.measured, camera=camera))
 
-    monkeypatch.setattr(camera_job, "simulated_board", swapped)
+    monkeypatch.setattr(calibrate_camera, "simulated_board", swapped)
     assert run(["calibrate", "camera", "--poses", "10", "--seed", "3", "--out", str(tmp_path)]) == EXIT_USER
     told = said()
     assert "none of the first 4 images shows the board" in told

@@ -617,7 +617,7 @@ class Nail(JsonOption):
             ),
             _option(
                 bool(touches) and (self.tip_mm is None or file is None),
-                f"{' and '.join(touches[:1])} needs --tip-mm, from `toolee calibrate mount`, and the station file "
+                f"{''.join(touches[:1])} needs --tip-mm, from `toolee calibrate mount`, and the station file "
                 "(--config or --station)",
             ),
             _option(
