@@ -127,8 +127,8 @@ class Camera(JsonOption):
         else:
             config = sim_station() if self.config is None else load_station(self.config)
         from toolee_robot.app.calibrate_camera import RECORD
-        from toolee_robot.calibration.session import FILE
         from toolee_robot.app.run_folder import run_folder
+        from toolee_robot.calibration.session import FILE
         from toolee_robot.runtime.yaml_edit import set_fields
 
         listener = ConsoleListener(self.console)
