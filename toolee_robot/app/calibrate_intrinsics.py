@@ -22,9 +22,8 @@ from toolee_robot.devices.cameras.recording import recording_of
 from toolee_robot.errors import ConfigError, StaleDataError, UserError
 from toolee_robot.hal import Clock
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.runtime.yaml_edit import set_fields
 from toolee_robot.runtime.yaml_files import to_record
-from toolee_robot.station import SIMULATED, CameraConfig, read_station
+from toolee_robot.station import SIMULATED, CameraConfig, read_station, write_measured
 from toolee_robot.station.intrinsics_record import FIELD, PINHOLE, SECTION
 from toolee_robot.stations.camera import WITH_MODE, open_camera
 from toolee_robot.stations.rehearsal.camera import emulated_stream
@@ -256,7 +255,8 @@ def check_entry(path: Path, *, rehearsed: bool) -> None:
     if read_station(path).get("calibration"):
         raise UserError(
             f"{path} names a calibration of the camera's place, which holds with the intrinsics of then only: take its "
-            "section `calibration` out, measure the intrinsics, then calibrate the place again",
+            "section `calibration` out (of measured.yaml, if a command wrote it), measure the intrinsics, then "
+            "calibrate the place again",
             code="user.calibration_is_older",
         )
     camera = _camera(path)
@@ -275,20 +275,17 @@ def check_entry(path: Path, *, rehearsed: bool) -> None:
         )
 
 
-def enter(path: Path, record_file: Path, record: IntrinsicsRecord) -> None:
-    """Enter a record in a station file, and correct the numbers that the file gives, too.
+def enter(path: Path, record_file: Path) -> None:
+    """Enter a record in `measured.yaml` beside a station file; it holds instead of the numbers that the file gives.
 
     Args:
         path: The station file.
         record_file: The record's file.
-        record: The record.
 
     Raises:
-        ConfigError: The file has a layout that is not edited here (`config.not_editable`).
+        ConfigError: The station would be refused with it; nothing was written.
     """
-    known = {name: getattr(record.intrinsics, name) for name in PINHOLE} | {"distortion": list(record.distortion)}
-    given = {name: value for name, value in known.items() if _camera(path).get(name) is not None}
-    set_fields(path, (SECTION,), {FIELD: os.path.relpath(record_file, path.parent), **given})
+    write_measured(path, camera={FIELD: os.path.relpath(record_file, path.parent)})
 
 
 def _rehearsed(record_file: Path) -> bool:

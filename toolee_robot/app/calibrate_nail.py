@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -30,9 +29,7 @@ from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, NotReadyError, UserError
 from toolee_robot.frames import Array, BaseFrame, angle_between, inverse, transform_points
 from toolee_robot.hal import Station
-from toolee_robot.runtime.yaml_edit import set_fields
-from toolee_robot.station import StationConfig, WorkConfig, load_lab_station, read_station, unmeasured
-from toolee_robot.station.station import to_station
+from toolee_robot.station import StationConfig, WorkConfig, load_lab_station, read_station, unmeasured, write_measured
 from toolee_robot.station.work import LARGEST_TILT
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
@@ -47,7 +44,7 @@ FARTHEST = 0.050
 is worth 0.4 mm of height there."""
 
 Entries = list[tuple[tuple[str, str] | None, dict[str, Any]]]
-"""Values by field, of `work` itself first (None), then of the nail among `work.nails`, as `set_fields` has them."""
+"""Values by field, of `work` itself first (None), then of the nail among `work.nails`, with its name."""
 
 
 @dataclass(frozen=True)
@@ -177,18 +174,17 @@ class Located:
         return nail_fields(self.config.work, self.name, self.entry, self.rise, path, with_nail=self.with_nail)
 
     def write(self, path: Path) -> None:
-        """Enter it in the station file.
+        """Enter it in `measured.yaml` beside a station file.
 
         Args:
-            path: The file.
+            path: The station file.
 
         Raises:
-            ConfigError: The file has a layout that is not edited, or would not load with the result.
+            ConfigError: The station would be refused with it; nothing was written.
         """
-        entries = self.entries(path)
-        check_loads(path, entries)
-        for item, values in reversed(entries):
-            set_fields(path, ("work",), values, item)
+        entries = self.entries(None)
+        nails = [{"name": item[1], **values} for item, values in entries if item]
+        write_measured(path, work=entries[0][1] | ({"nails": nails} if nails else {}))
 
 
 @dataclass(frozen=True)
@@ -446,34 +442,6 @@ def mistake(entry: Array, by_file: Array) -> str:
     return "x and y are swapped there: look at the file's other positions, too" if axes_swapped(entry, by_file) else ""
 
 
-def check_loads(path: Path, places: Sequence[tuple[tuple[str, str] | None, dict[str, Any]]]) -> None:
-    """Refuse fields with which a station file would not load.
-
-    Args:
-        path: The station file.
-        places: The fields of its `work`, as `nail_fields` returns them.
-
-    Raises:
-        ConfigError: The file with these fields is refused, for the reason given; nothing was written.
-    """
-    data = read_station(path)
-    work = {**(data.get("work") or {})}
-    for item, values in places:
-        if item is None:
-            work |= values
-        else:
-            work[item[0]] = [{**nail, **values} if nail["name"] == item[1] else nail for nail in work[item[0]]]
-    try:
-        to_station({**data, "work": work}, path)
-    except ConfigError as error:
-        told = "; ".join(f"{name} {value}" for _, values in places for name, value in values.items())
-        raise ConfigError(
-            f"nothing was entered: with what was located ({told}) the file would be refused. Correct the field that "
-            f"does not fit, or touch or look again. {error}",
-            code=error.code,
-        ) from error
-
-
 def nail_fields(
     work: WorkConfig, name: str, entry: Array, rise: Array | None, path: Path | None, *, with_nail: bool
 ) -> list[tuple[tuple[str, str] | None, dict[str, Any]]]:
@@ -488,7 +456,7 @@ def nail_fields(
         with_nail: Whether the nail's place was located, and not the wood alone.
 
     Returns:
-        Values by field, of `work` itself first (None), then of the nail among `work.nails`, as `set_fields` has them.
+        Values by field, of `work` itself first (None), then of the nail among `work.nails`, with its name.
         With a rise there is always a `block_xy`, here or in the file: the plane hangs on the middle of the block, and
         must not move with the next nail.
     """

@@ -115,7 +115,7 @@ class Camera(JsonOption):
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("calibrations")
     """Parent of the calibration's folder, which holds camera.json, the record, report.html and the images."""
     write: Flag = False
-    """Enter the record in the station file of --station; the rest of it stays."""
+    """Enter the record in `measured.yaml` beside the station file."""
 
     def run(self) -> int:
         self._check()
@@ -129,7 +129,7 @@ class Camera(JsonOption):
         from toolee_robot.app.calibrate_camera import RECORD
         from toolee_robot.app.run_folder import run_folder
         from toolee_robot.calibration.session import FILE
-        from toolee_robot.runtime.yaml_edit import set_fields
+        from toolee_robot.station import write_measured
 
         listener = ConsoleListener(self.console)
         with run_folder(self.out, "camera") as folder:
@@ -144,7 +144,7 @@ class Camera(JsonOption):
         if self.write:
             assert self.station is not None
             record = os.path.relpath(place / RECORD, self.station.parent)
-            set_fields(self.station, ("calibration",), {"record": record})
+            write_measured(self.station, calibration={"record": record})
         self._show(figures, place)
         self.tell({**figures, "record": str(place / RECORD)})
         return 0
@@ -177,7 +177,7 @@ class Camera(JsonOption):
             rows.append(("true error *", f"{f['true_error_mm']:.2f} mm"))
         rows += [("record", record), ("report", escape(str(folder / REPORT)))]
         if self.write:
-            lines = [f"Entered in {escape(str(self.station))}. Look at the report before you rely on it."]
+            lines = [f"Entered in {_measured(self.station)}. Look at the report before you rely on it."]
         else:
             entry = ["calibration:", f"  record: {record}"]
             lines = ["Look at the report, then enter it in the station file:", "", *entry]
@@ -349,7 +349,7 @@ class Intrinsics(JsonOption):
     out: Annotated[Path, tyro.conf.arg(metavar="JSON")] = Path("intrinsics.json")
     """The record."""
     write: Flag = False
-    """Enter the record in the station file of --station; the rest of it stays."""
+    """Enter the record in `measured.yaml` beside the station file."""
 
     def run(self) -> int:
         self._check()
@@ -376,7 +376,7 @@ class Intrinsics(JsonOption):
         write_intrinsics(self.out, record)
         if self.write:
             assert self.station is not None
-            enter(self.station, self.out, record)
+            enter(self.station, self.out)
         self._show(record, true_error)
         self.tell({**asdict(record), **({} if true_error is None else {"true_error_px": round(true_error, 3)})})
         return 0
@@ -399,7 +399,7 @@ class Intrinsics(JsonOption):
         out = escape(str(self.out))
         rows.append(("record", out))
         if self.write:
-            lines = [f"Entered in {escape(str(self.station))}. Next: calibrate the camera's place."]
+            lines = [f"Entered in {_measured(self.station)}. Next: calibrate the camera's place."]
         else:
             lines = ["The station file takes it so:", "", "camera:", f"  intrinsics: {out}"]
         if true_error is not None:
@@ -530,7 +530,7 @@ class Nail(JsonOption):
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
     """With --rehearse: rate of the station's time relative to wall-clock time."""
     write: Flag = False
-    """Enter the place in the station file of --station or --config; the rest of it stays. Not of a simulated nail."""
+    """Enter the place in `measured.yaml` beside the station file. Not of a simulated nail."""
 
     def run(self) -> int:
         self._check()
@@ -596,8 +596,9 @@ class Nail(JsonOption):
         if true:
             beside, height, tilt = true.values()
             rows.append(("true errors *", f"beside {beside} mm, height {height} mm, tilt {tilt}°"))
-        entries = located.entries(path)
-        lines = [f"Entered in {escape(str(path))}:" if self.write else "In the station file:", "work:"]
+        entries = located.entries(None if self.write else path)  # measured.yaml is in base_link
+        where = f"Entered in {_measured(path)}, in base_link:" if self.write else "In the station file:"
+        lines = [where, "work:"]
         lines += [f"  {name}: {value}" for item, values in entries if not item for name, value in values.items()]
         lines += [f"  nails, {item[1]}: xy: {values['xy']}" for item, values in entries if item]
         if true:
@@ -682,6 +683,13 @@ def _refuse(*rules: Rule) -> None:
 
 def _option(broken: bool, message: str) -> Rule:
     return broken, message, "user.option"
+
+
+def _measured(station: Path | None) -> str:
+    from toolee_robot.station import measured_path
+
+    assert station is not None
+    return escape(str(measured_path(station)))
 
 
 def _metres(mm: tuple[float, float] | None) -> tuple[float, float]:
