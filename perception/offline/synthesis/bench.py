@@ -39,6 +39,7 @@ class Bench:
         body_id: Body id of supports and objects.
 
     Attributes:
+        height: Height of the table top, world frame [m].
         bodies: Supports and objects.
     """
 
@@ -52,7 +53,7 @@ class Bench:
         body_id: int,
     ) -> None:
         self.bodies: list[Body] = []
-        self._height, self._intrinsics, self._X_world_camera = height, intrinsics, X_world_camera
+        self.height, self._intrinsics, self._X_world_camera = height, intrinsics, X_world_camera
         self._surfaces, self._body_id = surfaces, body_id
         self._taken = list(taken)
         self._lower: list[tuple[int, Array]] = []  # tools to lie on: index into _taken, and points of the surface
@@ -85,7 +86,7 @@ class Bench:
             if stance is Stance.LYING:
                 self._lower.append((len(self._taken), transform_points(X, tool.sample_surface(4 * _SAMPLES, rng)[0])))
             self._taken.append(points)
-            self._feet.append(points[points[:, 2] < self._height + 0.01])
+            self._feet.append(points[points[:, 2] < self.height + 0.01])
             return X, stance
         return None
 
@@ -113,7 +114,7 @@ class Bench:
         """
         for _ in range(count if self._feet else 0):
             about = self._feet[int(rng.integers(len(self._feet)))]
-            point = np.array([*about[:, :2].mean(axis=0) + rng.normal(0.0, 0.09, 2), self._height])
+            point = np.array([*about[:, :2].mean(axis=0) + rng.normal(0.0, 0.09, 2), self.height])
             self._set_down(point, rng, float(np.exp(rng.uniform(np.log(0.008), np.log(0.05)))))
 
     def top(self, rng: np.random.Generator, body_id: int) -> Body:
@@ -128,7 +129,7 @@ class Bench:
         """
         size = rng.uniform(0.6, 2.5, 2)
         ahead = self._X_world_camera[:3, 2] * rng.uniform(0.3, 1.0)
-        X = transform(rotation_z(rng.uniform(0, np.pi)), (ahead[0], ahead[1], self._height - 0.02))
+        X = transform(rotation_z(rng.uniform(0, np.pi)), (ahead[0], ahead[1], self.height - 0.02))
         if self._feet:
             feet = transform_points(inverse(X), np.concatenate(self._feet))
             size = np.maximum(size, 2.0 * np.abs(feet[:, :2]).max(axis=0) + rng.uniform(0.02, 0.3))
@@ -136,7 +137,7 @@ class Bench:
 
     def _point(self, rng: np.random.Generator, margin: float, nearest: float, farthest: float) -> Array | None:
         pixel = random_pixel(rng, margin)
-        return on_plane(self._intrinsics, self._X_world_camera, self._height, pixel, nearest, farthest)
+        return on_plane(self._intrinsics, self._X_world_camera, self.height, pixel, nearest, farthest)
 
     def _posed(
         self, tool: ToolShape, point: Array, rng: np.random.Generator
@@ -151,7 +152,7 @@ class Bench:
             return X, stance, support, -1
         elif stance is Stance.STACKED and self._lower:
             index, below = self._lower[int(rng.integers(len(self._lower)))]
-            X = across(tool, below, self._height, rng)
+            X = across(tool, below, self.height, rng)
             if X is not None:
                 return X, stance, None, index
         if X is None:
@@ -173,7 +174,7 @@ class Bench:
         R = rotation_z(rng.uniform(0, 2 * np.pi)) @ _SIDES[int(rng.random() < 0.4)]
         if rng.random() < 0.15:
             R = random_rotation(rng)
-        bodies = settled(any_object(rng, self._surfaces, transform(R, point), self._body_id, size), self._height)
+        bodies = settled(any_object(rng, self._surfaces, transform(R, point), self._body_id, size), self.height)
         corners = corners_of(bodies)
         centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         radius = 0.8 * np.linalg.norm(corners - centre, axis=1).max()

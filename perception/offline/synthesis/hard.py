@@ -66,25 +66,15 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
         The scene, with the camera.
     """
     bench_view = with_tools and rng.random() < _BENCH_SHARE
-    intrinsics = random_intrinsics(rng)
-    # The camera is at the origin of a world with z up; the table is placed so that it does not intersect held tools.
-    pitch = np.deg2rad(rng.uniform(-85.0, -20.0 if bench_view else 30.0))
-    roll = rng.normal(0.0, 0.15) if rng.random() < 0.5 else rng.uniform(-np.pi, np.pi)
-    X_world_camera = look(np.zeros(3), np.array([np.cos(pitch), 0.0, np.sin(pitch)]), roll)
-    view = _View(intrinsics, X_world_camera)
-    count = int(rng.choice([1, 2, 3], p=[0.2, 0.3, 0.5] if bench_view else [0.5, 0.3, 0.2])) if with_tools else 0
-    bodies, placed, resting = _tools(rng, pool, view, count, bench_view)
+    view = _View.random(rng, bench_view)
+    bodies, placed, resting = _tools(rng, pool, view, bench_view) if with_tools else ([], [], [])
     hands = [corners_of([body]) for body in bodies]
     shown = hands + [transform_points(t.X_world_tool, np.asarray(t.tool.mesh.vertices)) for t in placed]
     lowest = min((float(points[:, 2].min()) for points in shown), default=np.inf) - 0.002
     if not with_tools and rng.random() < 0.6:
         bodies += _empty_hand(rng, pool, view)
-    bench: Bench | None = None
-    table = _table_height(rng, bench_view, bool(resting), lowest, pitch)
-    if table is not None:
-        taken = [points[::4] for points in hands]
-        taken += [transform_points(t.X_world_tool, t.tool.sample_surface(_SAMPLES, rng)[0]) for t in placed]
-        bench = Bench(table, intrinsics, X_world_camera, pool.surfaces, taken, OBJECT)
+    table = _table_height(rng, bench_view, bool(resting), lowest, view.pitch)
+    bench = None if table is None else _bench(rng, pool, view, table, hands, placed)
     bench = _rest(rng, view, bench, resting, placed)
     for item in placed:
         bodies += tool_bodies(item.tool, item.X_world_tool, item.body_id, rng)
@@ -93,24 +83,48 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
         if resting and rng.random() < 0.6:
             bench.add_small_parts(rng, int(rng.poisson(7.0)))
         bodies += [bench.top(rng, ROOM), *bench.bodies]
-    bodies += _occluders(rng, pool.surfaces, X_world_camera, placed)
+    bodies += _occluders(rng, pool.surfaces, view.X_world_camera, placed)
+    ground = min(lowest, 0.0) if bench is None else bench.height
+    scene = _surrounded(rng, pool.surfaces, bodies, ground)
+    return SceneSample(scene, view.intrinsics, view.X_world_camera, tuple(placed), 0 if with_tools else 2)
+
+
+def _bench(
+    rng: np.random.Generator, pool: Pool, view: _View, height: float, hands: list[Array], placed: list[PlacedTool]
+) -> Bench:
+    """A table that keeps away from hands and placed tools."""
+    taken = [points[::4] for points in hands]
+    taken += [transform_points(t.X_world_tool, t.tool.sample_surface(_SAMPLES, rng)[0]) for t in placed]
+    return Bench(height, view.intrinsics, view.X_world_camera, pool.surfaces, taken, OBJECT)
+
+
+def _surrounded(rng: np.random.Generator, surfaces: Surfaces, bodies: list[Body], ground: float) -> Scene:
+    """The scene with a room whose floor is under the ground [m], or a backdrop, and with light."""
     background = None
     if rng.random() < 0.85:
-        ground = min(lowest, 0.0) if bench is None or table is None else table
-        bodies += walls(rng, pool.surfaces, ROOM, ground - float(rng.uniform(0.3, 1.2)))
+        bodies = bodies + walls(rng, surfaces, ROOM, ground - float(rng.uniform(0.3, 1.2)))
     else:
-        background = backdrop(rng, pool.surfaces)
+        background = backdrop(rng, surfaces)
     lights, ambient = uneven_light(rng) if rng.random() < _UNEVEN_SHARE else (lamps(rng), environment(rng))
-    scene = Scene(bodies, lights, ambient, background)
-    return SceneSample(scene, intrinsics, X_world_camera, tuple(placed), 0 if with_tools else 2)
+    return Scene(bodies, lights, ambient, background)
 
 
 @dataclass(frozen=True)
 class _View:
-    """The camera: its intrinsics, and its pose in the world."""
+    """The camera: its intrinsics, its pose in the world, and its pitch [rad]."""
 
     intrinsics: CameraIntrinsics
     X_world_camera: Array
+    pitch: float
+
+    @staticmethod
+    def random(rng: np.random.Generator, bench_view: bool) -> _View:
+        """At the origin of a world with z up; the table is placed so that it does not intersect held tools."""
+        intrinsics = random_intrinsics(rng)
+        pitch = np.deg2rad(rng.uniform(-85.0, -20.0 if bench_view else 30.0))
+        roll = rng.normal(0.0, 0.15) if rng.random() < 0.5 else rng.uniform(-np.pi, np.pi)
+        way = np.array([np.cos(pitch), 0.0, np.sin(pitch)])
+        return _View(intrinsics, look(np.zeros(3), way, roll), pitch)
 
     def tool(self, tool: ToolShape, rng: np.random.Generator) -> Array:
         """X_world_tool of a tool anywhere in view."""
@@ -118,9 +132,10 @@ class _View:
 
 
 def _tools(
-    rng: np.random.Generator, pool: Pool, view: _View, count: int, bench_view: bool
+    rng: np.random.Generator, pool: Pool, view: _View, bench_view: bool
 ) -> tuple[list[Body], list[PlacedTool], list[ToolShape]]:
     """The hands of the tools that are held, the tools in the air, and those that are to rest on the table."""
+    count = int(rng.choice([1, 2, 3], p=[0.2, 0.3, 0.5] if bench_view else [0.5, 0.3, 0.2]))
     hands: list[Body] = []
     placed: list[PlacedTool] = []
     resting: list[ToolShape] = []
