@@ -167,7 +167,8 @@ def test_every_command_is_one_line_of_its_groups_help_on_one_screen(
         with pytest.raises(SystemExit):
             run([*words, "--help"])
         lines = capsys.readouterr().out.splitlines()
-        assert all(len(line) <= 80 for line in lines), words
+        assert all(len(line) <= 80 and "…" not in line for line in lines), words
+        assert len(lines) <= 24, words
         for name in {path[len(words)] for path in command_paths() if path[: len(words)] == words}:
             assert sum(line.startswith(f"  {name} ") for line in lines) == 1, (words, name)
 

@@ -25,7 +25,7 @@ EXIT_FAILED, EXIT_USER = 1, 2
 
 GROUPS: dict[str, tuple[str, str]] = {
     "sim": ("sim", "Do a job in simulation; nothing real moves"),
-    "rehearse": ("rehearse", "Do a job with your station file on emulated devices; nothing real moves"),
+    "rehearse": ("rehearse", "Do a job with your station file on emulated devices"),
     "run": ("run", "Do a job with the real robot; the arm moves"),
     "station": ("station", "Write, check, show and upgrade the station file of a lab"),
     "doctor": ("doctor", "Check a station before any motion: robot, devices, computer"),
@@ -159,12 +159,11 @@ def _list(path: tuple[str, ...], description: str, summaries: Mapping[str, str],
     columns = shutil.get_terminal_size().columns
     call = " ".join(("toolee", *path, "COMMAND"))
     indent = max(map(len, summaries)) + 4
-    print(f"usage: {call} [OPTIONS]", file=stream)
+    print(f"usage: {call}     `{call} --help` says more", end="\n\n", file=stream)
     for paragraph in description.split("\n\n"):
         print(textwrap.fill(paragraph, columns, break_on_hyphens=False), end="\n\n", file=stream)
     for name, summary in summaries.items():
         print(f"  {name:{indent - 4}}  {textwrap.shorten(summary, columns - indent, placeholder=' …')}", file=stream)
-    print(f"\n`{call} --help` says more.", file=stream)
     raise SystemExit(0 if asked else EXIT_USER)
 
 

@@ -240,7 +240,7 @@ class Camera(JsonOption):
 
 @dataclass(frozen=True, kw_only=True)
 class Check(JsonOption):
-    """Compare where the camera sees a corner with where the arm touches it.
+    """Compare a corner as the camera sees it and as the arm touches it.
 
     Example: toolee calibrate check --record camera.json --image board.png --bars-mm 251.2 179.4 --corner 0 --touched-mm
     602.1 -148.7 262.3 --frame pendant_base

@@ -33,7 +33,9 @@ _Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 
 @dataclass(frozen=True)
 class Generate:
-    """Generate RGB-D examples with masks, poses and clouds: BOP scenes and COCO files.
+    """Generate RGB-D examples with masks, poses and clouds.
+
+    They are BOP scenes and COCO files.
 
     Example: toolee dataset generate --config hard --size 1000 --out data/hard
 
@@ -148,7 +150,9 @@ class Generate:
 
 @dataclass(frozen=True)
 class Inspect:
-    """Draw a data set: a montage, and how alike the tools are (the paper's Fig. 3).
+    """Draw a montage, and how alike the tools are.
+
+    The measure is that of the paper's Fig. 3.
 
     Example: toolee dataset inspect data/hard --out pictures
 
@@ -189,7 +193,9 @@ class Inspect:
 
 @dataclass(frozen=True)
 class Validate:
-    """Check every file of a data set: broken, missing, changed or contradicting another.
+    """Check every file of a data set.
+
+    It finds files that are broken, missing, changed, or contradict another.
 
     Example: toolee dataset validate data/hard
 

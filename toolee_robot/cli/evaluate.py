@@ -36,7 +36,9 @@ _Device = Annotated[str, tyro.conf.arg(metavar="DEVICE")]
 
 @dataclass(frozen=True)
 class EvaluatePose:
-    """The paper's Table I and stricter ones, confidence, usable poses, frames without a tool.
+    """Measure the poses of a data set.
+
+    The report has the paper's Table I and stricter ones, confidence, usable poses, and frames without a tool.
 
     Example: toolee evaluate pose data/hard --out report
 
@@ -136,7 +138,9 @@ class EvaluateSegmentation:
 
 @dataclass(frozen=True)
 class EvaluatePhotographs:
-    """Detector and estimator on real RGB-D frames: ends found, poses right, false alarms.
+    """Measure detector and estimator on real RGB-D frames.
+
+    The report has the ends found, the poses that are right, and the false alarms.
 
     Example: toolee evaluate photographs data/photographs
 

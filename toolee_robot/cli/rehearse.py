@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RehearseHammer(JobOptions):
-    """Rehearse driving a nail: the station's own drivers, on emulated devices in front of a simulated cell.
+    """Drive a nail with your drivers on emulated devices.
+
+    The devices are emulated in front of a simulated cell.
 
     Example: toolee rehearse hammer rehearsal.yaml --seed 3
 

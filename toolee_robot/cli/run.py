@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RunHammer(JobOptions):
-    """Drive a nail with the real robot: every device of the station file by its driver. The arm moves.
+    """Drive a nail with the real robot. The arm moves.
+
+    Every device of the station file is opened by its driver.
 
     Example: toolee run hammer lab.yaml
 

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SimHammer(JobOptions):
-    """Drive a nail in simulation: take a hammer from a person, look at it, strike. Nothing real moves.
+    """Take a hammer, look at it, and drive a simulated nail.
+
+    Nothing real moves.
 
     Example: toolee sim hammer --seed 100
 

@@ -28,7 +28,9 @@ BACK = "<"
 
 @dataclass(frozen=True)
 class New:
-    """Write a lab's station file: a commented template with just the fields that apply, to fill in.
+    """Write a commented template of a lab's station file.
+
+    It has just the fields that apply, to fill in.
 
     Example: toolee station new lab.yaml --arm UR10e --hand inspire --camera realsense
 
@@ -213,7 +215,9 @@ def _told_by_the_camera(data: dict[str, Any], console: Console) -> bool:
 
 @dataclass(frozen=True)
 class Check:
-    """Check a lab's station file, then its devices as `toolee doctor` does. Nothing is moved.
+    """Check a lab's station file, then its devices.
+
+    The devices are checked as `toolee doctor` does. Nothing is moved.
 
     Example: toolee station check lab.yaml
 
@@ -254,7 +258,9 @@ class Check:
 
 @dataclass(frozen=True)
 class Show:
-    """Show a station file in three dimensions, on a page of this computer. Ctrl-C ends it.
+    """Show a station file in three dimensions.
+
+    The page is on this computer. Ctrl-C ends it.
 
     Example: toolee station show lab.yaml
 
@@ -286,7 +292,9 @@ class Show:
 
 @dataclass(frozen=True)
 class Upgrade:
-    """Make a station file of version 2 one of version 3: what programs measured moves to `measured.yaml`.
+    """Make a station file of version 2 one of version 3.
+
+    What programs measured moves to `measured.yaml`.
 
     Example: toolee station upgrade lab.yaml
 

@@ -104,7 +104,9 @@ class Segmentation(_Training, _Data):
 
 @dataclass(frozen=True)
 class Refinement(_Training, _Data):
-    """Train the refiner, which segments again, in enlarged crops, the end effectors that the detector found.
+    """Train the refiner of the detector's masks.
+
+    It segments the end effectors that the detector found again, in enlarged crops.
 
     Example: toolee train refinement --data data/refine/train --detector runs/segmentation --out runs/segmentation
 
@@ -139,7 +141,9 @@ ColumnName = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_h
 
 @dataclass(frozen=True)
 class Clouds:
-    """Keep the clouds of a data set's images, under true masks and the detector's, for the pose network's training.
+    """Keep a data set's clouds for the pose network.
+
+    They are the clouds under true masks and under the detector's.
 
     Example: toolee train clouds data/hard/train --out runs/clouds.npz --workers 2
 
@@ -204,7 +208,9 @@ class Clouds:
 
 @dataclass(frozen=True)
 class Pose(_Training):
-    """Train the pose network on clouds that are made as they are needed.
+    """Train the pose network.
+
+    Its clouds are made as they are needed.
 
     Example: toolee train pose --out runs/pose --minutes 20
 
@@ -262,7 +268,9 @@ class Pose(_Training):
 
 @dataclass(frozen=True)
 class Trust:
-    """Fit how far a pose under the detector's mask is to be trusted, once both networks are trained.
+    """Fit how far a pose is to be trusted.
+
+    It is the pose under the detector's mask, once both networks are trained.
 
     Example: toolee train trust --data data/hard-trust/train --weights runs/both --workers 2
 
