@@ -22,7 +22,7 @@ from toolee_robot.errors import TooleeError
 from toolee_robot.frames import angle_between
 from toolee_robot.station import sim_station
 from toolee_robot.stations.simulated_nail import simulated_nail_board
-from toolee_robot.tasks.calibration.still_frame import mean_frame
+from toolee_robot.tasks.calibration.collect import mean_frame
 
 ASKED = {"beside [mm]": 1.0, "height [mm]": 0.3, "tilt [deg]": 1.0}
 """Largest medians that are asked for."""

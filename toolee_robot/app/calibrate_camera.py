@@ -12,11 +12,10 @@ import numpy as np
 import toolee_robot
 from toolee_robot.app.listener import Listener
 from toolee_robot.calibration.board import SHEETS, Board
-from toolee_robot.calibration.build_record import build_record
 from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.calibration.record import CalibrationRecord, write_record
-from toolee_robot.calibration.session import Session, SessionPose, observe, read_session, write_session
+from toolee_robot.calibration.session import Session, SessionPose, build_record, observe, read_session, write_session
 from toolee_robot.control import RobotModel
 from toolee_robot.devices.cameras.recording import recording_of
 from toolee_robot.errors import UserError

@@ -35,7 +35,7 @@ from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.stations.rehearsal.job import camera_covariance
 from toolee_robot.stations.simulated_nail import print_on_wood, simulated_nail_board
-from toolee_robot.tasks.calibration.still_frame import mean_frame
+from toolee_robot.tasks.calibration.collect import mean_frame
 
 PIXEL_NOISE = 0.3
 """Standard deviation of a board's corner where the camera was calibrated by another program [px]."""

@@ -21,11 +21,10 @@ from toolee_robot.doctor.configuration import (
     check_sides,
 )
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
-from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time
+from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time, check_weights
 from toolee_robot.doctor.mounting import check_base
 from toolee_robot.doctor.reach import check_reach
 from toolee_robot.doctor.robot import examine_robot
-from toolee_robot.doctor.weights import check_weights
 from toolee_robot.errors import ConfigError, DeviceError, UserError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array

@@ -14,7 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from toolee_robot.devices.ur.servo.clock import PRIORITY
+from toolee_robot.errors import AssetError
 from toolee_robot.findings import Finding, fail, ok, warn
+from toolee_robot.perception import ToolPerception
 
 CPUS = 4
 """Recommended number of cores: servo process, task with planner, perception, and the rest of the system."""
@@ -147,3 +149,17 @@ def _may_lock() -> bool:
         return False
     resource.setrlimit(resource.RLIMIT_MEMLOCK, before)
     return True
+
+
+def check_weights(folder: Path | None = None) -> Finding:
+    """Check that the weights can be loaded.
+
+    Args:
+        folder: Folder of the weights; None for the shipped ones.
+    """
+    began = time.perf_counter()
+    try:
+        ToolPerception.load(folder)
+    except AssetError as error:
+        return Finding.of_error("networks", error, "reinstall the package")
+    return ok("networks", f"loaded in {time.perf_counter() - began:.1f} s")

@@ -14,8 +14,7 @@ from toolee_robot.control.supervisor_checks import AT_REST
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import MotionOutcome
 from toolee_robot.tasks.bring_up.caps import SlowStation
-from toolee_robot.tasks.bring_up.lag_fit import LagFigures, measure_lag
-from toolee_robot.tasks.bring_up.lag_motion import lag_motion
+from toolee_robot.tasks.bring_up.lag_motion import LagFigures, lag_motion, measure_lag
 
 PAIRS = ((200.0, 0.2), (300.0, 0.1), (500.0, 0.08), (800.0, 0.06), (1200.0, 0.04), (2000.0, 0.03))
 """Gain and lookahead [s], gentle to sharp. 300 and 0.1 are URScript's defaults, 2000 and 0.03 the end of its range."""

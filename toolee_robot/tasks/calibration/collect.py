@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.observation import camera_board, find_board
@@ -16,10 +17,12 @@ from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, s
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.errors import DeviceError, PersonNearError, PlanningError, StaleDataError, UserError
 from toolee_robot.frames import Array
-from toolee_robot.hal import MotionOutcome, Station
+from toolee_robot.hal import MotionOutcome, RgbdCamera, Station
 from toolee_robot.station import StationConfig
 from toolee_robot.types import RgbdFrame
 
+MEAN_FRAMES = 5
+"""Number of frames of a scene that stands still that are averaged."""
 DEPTH_UNIT = 1e-4
 """Length of one step of a recorded depth image [m]."""
 SETTLING = 0.4
@@ -185,3 +188,25 @@ def session_of(station: Station, poses: Sequence[SessionPose]) -> Session:
     return Session(
         station.robot_serial, station.camera_serial, station.camera.intrinsics, tuple(poses), depth_unit=DEPTH_UNIT
     )
+
+
+def mean_frame(camera: RgbdCamera, count: int = MEAN_FRAMES) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Average frames of a scene that stands still.
+
+    Args:
+        camera: The camera.
+        count: Number of frames.
+
+    Returns:
+        Mean image, (H, W, 3) uint8, and median depth, (H, W) [m], NaN where no frame has one.
+
+    Raises:
+        DeviceError: The camera does not answer.
+    """
+    frames = [camera.read() for _ in range(count)]
+    rgb = np.rint(np.mean([frame.rgb for frame in frames], axis=0)).astype(np.uint8)
+    depths = np.stack([np.where(frame.depth > 0.0, frame.depth, np.nan) for frame in frames])
+    known = np.isfinite(depths).any(axis=0)
+    median = np.full(depths.shape[1:], np.nan, np.float32)
+    median[known] = np.nanmedian(depths[:, known], axis=0)
+    return rgb, median
