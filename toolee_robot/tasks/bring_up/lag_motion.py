@@ -1,4 +1,4 @@
-"""The motion of one joint that shows a servo's lag, and its fit: a rest, a sine, a smooth step, a rest, the step back."""
+"""The motion of one joint that shows a servo's lag, and its fit: rest, sine, smooth step, rest, and the step back."""
 
 from __future__ import annotations
 
