@@ -13,6 +13,7 @@ from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import PlanningError, UnreachableError
 from toolee_robot.frames import Array, inverse, rotation_z, transform
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.types import Trajectory
 
@@ -22,11 +23,11 @@ STARTS = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)  # a round tip may begi
 
 
 def plan_turn(
-    robot: RobotModel, config: StationConfig, motions: Motions, X_base_screw: Array, angle: float
+    robot: RobotModel, config: StationConfig, motions: Motions, held: HeldTool, X_base_screw: Array, angle: float
 ) -> tuple[Trajectory, Trajectory]:
     """The way to a place HEIGHT above the screw, and the turn of the tip on it. Raises UnreachableError."""
-    world, up = motions.world(), transform(p=[0.0, 0.0, HEIGHT])
-    for turn in turns(robot, motions, X_base_screw, angle):
+    world, up = motions.world(held), transform(p=[0.0, 0.0, HEIGHT])
+    for turn in turns(robot, motions, held, X_base_screw, angle):
         inside = np.all((turn.q > robot.arm.lower) & (turn.q < robot.arm.upper))
         if inside and np.abs(turn.qd).max() < 1.0 and world.free(turn.q[::20], CLEARANCE, BRAKE_EXEMPT):
             with suppress(PlanningError):  # this one cannot be reached: the next
@@ -37,9 +38,11 @@ def plan_turn(
     raise UnreachableError("the screw cannot be turned there: move it nearer to the middle of the arm's reach")
 
 
-def turns(robot: RobotModel, motions: Motions, X_base_screw: Array, angle: float) -> Iterator[Trajectory]:
+def turns(
+    robot: RobotModel, motions: Motions, held: HeldTool, X_base_screw: Array, angle: float
+) -> Iterator[Trajectory]:
     """The turn from every start and on every branch of the inverse kinematics, collisions not considered."""
-    X_ee_flange = inverse(robot.X_flange_hand(motions.q_hand) @ motions.X_hand_ee)
+    X_ee_flange = inverse(robot.X_flange_hand(motions.q_hand) @ held.X_hand_ee)
     axis, origin = X_base_screw[:3, 2], X_base_screw[:3, 3]
     profile = travel_profile(0.0, angle, speed=0.5, acceleration=1.0, jerk=10.0)  # [rad/s], [rad/s^2], [rad/s^3]
     for start in STARTS:

@@ -1,5 +1,7 @@
 """A task of one's own: take a screwdriver from the person, look at it, set its tip on a screw, turn it."""
 
+import numpy as np
+
 from examples.plan_turn import HEIGHT, plan_turn
 from toolee_robot import Category, StationConfig, ToolPerception
 from toolee_robot.control.limits import Mode
@@ -8,9 +10,12 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import GripError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Station
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.types import HoldingHand
+from toolee_robot.types import HoldingHand, Payload
+
+SCREWDRIVER = Payload(0.15, np.zeros(3))  # mass [kg] and centre of mass in the tip's frame [m]
 
 
 class TurnScrew:
@@ -19,37 +24,40 @@ class TurnScrew:
     def __init__(self, station: Station, perception: ToolPerception, config: StationConfig, X_hand_ee: Array) -> None:
         self.station, self.perception, self.config = station, perception, config
         self.robot = RobotModel.of_station(config)
-        self.motions = Motions(station, config, self.robot, TaskObserver(), X_hand_ee)
+        self.motions = Motions(station, config, self.robot, TaskObserver())
+        self.nominal = HeldTool.nominally(X_hand_ee, SCREWDRIVER)
 
     def run(self, X_base_screw: Array, angle: float) -> None:
         """Turn the screw about its z, which points into the wood, by `angle` [rad]: clockwise if positive."""
         self.motions.begin()
         self.take_tool()
-        self.motions.X_hand_ee = self.look()
-        way, turn = plan_turn(self.robot, self.config, self.motions, X_base_screw, angle)
-        self.motions.transfer("above the screw", way)
-        self.motions.straight("down", (0.0, 0.0, -1.0), HEIGHT)
-        self.motions.execute("turn", turn, at_work=True)
-        self.motions.straight("up", (0.0, 0.0, 1.0), HEIGHT)
+        held = self.look(self.nominal)
+        way, turn = plan_turn(self.robot, self.config, self.motions, held, X_base_screw, angle)
+        self.motions.transfer("above the screw", way, held)
+        self.motions.straight("down", (0.0, 0.0, -1.0), HEIGHT, held)
+        self.motions.execute("turn", turn, held, at_work=True)
+        self.motions.straight("up", (0.0, 0.0, 1.0), HEIGHT, held)
 
     def take_tool(self) -> None:
         """Raises GripError when no tool is in the hand, or the person stays."""
         m, hand, person = self.motions, self.station.hand, self.motions.person
         hand.open()
-        m.transfer("to the handover", plan_handover(self.robot, self.config, m.world(), m.q, m.q_hand))
+        m.transfer("to the handover", plan_handover(self.robot, self.config, m.world(None), m.q, m.q_hand), None)
         handed = person.request_handover("Put the screwdriver into the open hand.", timeout=30.0)
         hand.close()
         if not (handed and person.release("Let go and step back.", timeout=30.0) and hand.state().holding):
             raise GripError("the hand holds no tool, or the person did not step back")
-        m.held, m.arm.mode = True, Mode.UNATTENDED
+        m.arm.mode = Mode.UNATTENDED
 
-    def look(self, views: int = 3) -> Array:
-        """X_hand_ee as the camera sees it. Raises PerceptionError when it does not see the tip."""
+    def look(self, held: HeldTool, views: int = 3) -> HeldTool:
+        """The tool as the camera sees it. Raises PerceptionError when it does not see the tip."""
         m, seen, hands = self.motions, [], []
         R_hand_tool = self.robot.description.hand.grasp.R_hand_tool
-        for view in plan_views(self.robot, self.config, m.world(), m.q, m.q_hand, m.X_hand_ee, count=views).views:
-            m.transfer("to a view", view.transfer)
+        for view in plan_views(
+            self.robot, self.config, m.world(held), m.q, m.q_hand, held.X_nominal, count=views
+        ).views:
+            m.transfer("to a view", view.transfer, held)
             self.station.clock.sleep(0.3)  # until arm and tool have stopped swinging
             hands.append(inverse(self.config.camera.X_base_camera) @ self.robot.fk(m.q, m.q_hand)[1])
             seen.append(self.perception.estimate(self.station.camera.read(), HoldingHand(hands[-1], R_hand_tool)))
-        return self.perception.fuse(seen, hands, Category.SCREWDRIVER_HEAD).X_hand_ee
+        return held.moved(self.perception.fuse(seen, hands, Category.SCREWDRIVER_HEAD).X_hand_ee)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -191,7 +191,7 @@ class Bench:
 
     def blind_task(self, log: TaskObserver, config: StationConfig = CONFIG) -> HammeringTask:
         """Make a job that uses the true grasp without looking."""
-        return HammeringTask(self.station, NoPerception(), config, self.true_grasp, correction=False, observer=log)
+        return HammeringTask(self.station, None, config, self.true_grasp, observer=log)
 
     def seeing_task(
         self, log: TaskObserver, config: StationConfig = CONFIG, perceiver: Perceiver | None = None
@@ -226,16 +226,6 @@ class Bench:
         """Let the hand lose the hammer."""
         assert self.sim.world.grip is not None
         self.sim.world.grip.release()
-
-
-class NoPerception:
-    """Perception that fails the test when it is used."""
-
-    def estimate(self, *_args: Any, **_kwargs: Any) -> Any:
-        raise AssertionError("perception was asked for an estimate")
-
-    def fuse(self, *_args: Any, **_kwargs: Any) -> Any:
-        raise AssertionError("perception was asked to fuse")
 
 
 def at_rest(sim: SimStation) -> bool:

@@ -10,6 +10,7 @@ from toolee_robot.control import Mode, RobotModel, plan_over_nail, plan_strike
 from toolee_robot.frames import inverse
 from toolee_robot.sim_backend.devices.flange_sensor import ReadingErrors
 from toolee_robot.station import StationConfig
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.hammering.touch import Touch
 from toolee_robot.types import ArmModel
@@ -25,37 +26,37 @@ class Rig:
         robot = self._robot = RobotModel.of_station(config)
         bench.hand.close()
         self.log = Log()
-        motions = self.motions = Motions(bench.station, config, robot, self.log, bench.true_grasp.X_hand_ee)
+        motions = self.motions = Motions(bench.station, config, robot, self.log)
         motions.begin()
         grasp = bench.true_grasp
+        self.held = HeldTool.nominally(grasp.X_hand_ee, grasp.swung)
         motions.set_payload(robot.payload(motions.q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
-        motions.held = True
+        motions.carry(self.held)
         assert motions.person.hold_switch("", 1.0)
         assert motions.person.request_handover("", 1.0)
         assert motions.person.release("", 1.0)
         motions.arm.mode = Mode.UNATTENDED
-        self.touch = Touch(motions, config, robot, self.log)
+        self.touch = Touch(motions, config)
         nail = config.work.X_base_nail(self._world.nail.protrusion)
-        state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee, nail
+        state = motions.world(self.held), motions.q, motions.q_hand, grasp.X_hand_ee, nail
         self._plan = plan_strike(robot, config, *state, tool=grasp.swung)
 
     def go_over(self, over: float) -> None:
         """Go to rest so far over the nail [m], and look where the face is: the tool hangs in the hand."""
-        motions = self.motions
         self.back_over(over)
         self._world.advance(0.3)
-        motions.X_hand_ee = inverse(self._world.X_base_hand()) @ self._world.X_base_ee()
+        self.held = self.held.moved(inverse(self._world.X_base_hand()) @ self._world.X_base_ee())
 
     def back_over(self, over: float) -> None:
         """Go to rest so far over the nail [m], with the face believed where it was."""
         motions = self.motions
-        way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, self._plan, over)
-        motions.transfer("over the nail", way)
+        way = plan_over_nail(self._robot, self._config, motions.world(self.held), motions.q, self._plan, over)
+        motions.transfer("over the nail", way, self.held)
 
     def error(self, over: float) -> float:
         """Touch the nail from so far over it [m]; returns the height's error [m], NaN where nothing was met."""
         self.go_over(over)
         assert self.touch.prepare()
-        contact = self.touch.lower("nail", over + 0.010)
-        self.motions.straight("up", UP, 0.010)
+        contact = self.touch.lower("nail", over + 0.010, self.held)
+        self.motions.straight("up", UP, 0.010, self.held)
         return np.nan if contact is None else contact.felt - self._world.nail.protrusion

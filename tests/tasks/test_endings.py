@@ -15,18 +15,20 @@ from tests.rigs.people import People
 from tests.rigs.scripted_perception import ScriptedPerception, moved, unsure
 from tests.tasks.bench import Log, is_home, soon
 from toolee_robot.control import Meeting, RobotModel
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError, StaleDataError, UserError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.nail import HINGE_X, SLIDE
 from toolee_robot.station import CameraDevice, StationConfig
-from toolee_robot.tasks.common.look import Look
+from toolee_robot.tasks.common.held_tool import HeldTool
+from toolee_robot.tasks.common.look import Views
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
-from toolee_robot.types import CameraError, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraError, InHandEstimate, Payload, RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=80)
 
@@ -191,7 +193,7 @@ def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: 
 def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, reason: str) -> None:
     nominal = bench.true_grasp.X_hand_ee
     perceiver = ScriptedPerception(bench.sim.judge, lambda e: replace(e, X_hand_ee=nominal @ X))
-    look = Look(CONFIG, RobotModel.load(), perceiver, Log(), nominal)
+    look = Views(CONFIG, RobotModel.load(), perceiver, Log(), _held(nominal))
     look.take(bench.station)
     with pytest.raises(PerceptionError, match=reason):
         look.fuse(0.0)
@@ -207,7 +209,9 @@ def test_a_look_tells_how_far_the_camera_is_off(bench: Bench, millimetres: float
     said = []
     for known in (None, found):
         log = Log()
-        look = Look(CONFIG, RobotModel.load(), perceiver, log, bench.true_grasp.X_hand_ee, known)
+        before = None if known is None else replace(_estimate(bench.true_grasp.X_hand_ee), camera=known)
+        held = replace(_held(bench.true_grasp.X_hand_ee), seen=before)
+        look = Views(CONFIG, RobotModel.load(), perceiver, log, held)
         look.take(bench.station)
         look.fuse(0.0)
         said.append([text for text in log.messages if "camera" in text])
@@ -234,13 +238,22 @@ def test_a_job_that_ends_without_a_pose_says_that_the_camera_is_too_near(bench: 
 def test_a_camera_is_too_near_only_where_no_pose_was_found_within_its_least_range(bench: Bench, least: float) -> None:
     X_camera_hand = transform(p=[0.0, 0.0, 0.5]) @ inverse(bench.true_grasp.X_hand_ee)  # the face at 0.5 m
     scripted = ScriptedPerception(bench.sim.judge, lambda e: e, unsure)
-    look = Look(_with_least_range(least), RobotModel.load(), scripted, Log(), bench.true_grasp.X_hand_ee)
+    held = _held(bench.true_grasp.X_hand_ee)
+    look = Views(_with_least_range(least), RobotModel.load(), scripted, Log(), held)
     look.add(bench.station.camera.read(), X_camera_hand)
     look.fuse(0.0)
     with pytest.raises(PerceptionError) as error:
         look.fuse(0.0)
     assert error.value.code == ("perception.too_near" if least == 0.6 else "perception.not_usable")
     assert ("0.50 m before it in 1 of 1 views" in str(error.value)) is (least == 0.6)
+
+
+def _held(X_hand_ee: Array) -> HeldTool:
+    return HeldTool.nominally(X_hand_ee, Payload(0.6, np.zeros(3)))
+
+
+def _estimate(X_hand_ee: Array) -> InHandEstimate:
+    return InHandEstimate(Category.HAMMER_HEAD, X_hand_ee, 1e-6 * np.eye(6), 0.9, 2, 2, True, "ok")
 
 
 def _with_least_range(least: float) -> StationConfig:
@@ -250,7 +263,7 @@ def _with_least_range(least: float) -> StationConfig:
 def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> None:
     perceiver = ScriptedPerception(bench.sim.judge, lambda e: e)
     far = bench.true_grasp.X_hand_ee @ transform(p=[0.0, 0.4, 0.0])
-    look = Look(CONFIG, RobotModel.load(), perceiver, Log(), far)
+    look = Views(CONFIG, RobotModel.load(), perceiver, Log(), _held(far))
     look.take(bench.station)
     with pytest.raises(PerceptionError, match="where a held hammer cannot have it"):
         look.fuse(0.0)

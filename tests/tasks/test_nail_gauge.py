@@ -10,9 +10,9 @@ import pytest
 from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.bench import Log
 from tests.tasks.noisy_arm import Rig
-from toolee_robot.control import RobotModel
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.nail_gauge import (
     CLEAR,
@@ -62,25 +62,26 @@ def measured(bench: Bench, log: Log, result: HammerResult) -> None:
 def test_a_head_that_stands_higher_than_expected_ends_the_fast_way(bench: Bench) -> None:
     """What was expected 12 mm lower is met fast, and then touched slowly from the start."""
     rig = Rig(bench, 1, scale=0.0)
-    gauge = NailGauge(rig.motions, CONFIG, RobotModel.of_station(CONFIG), rig.log)
+    gauge = NailGauge(rig.motions, CONFIG)
     protrusion = bench.sim.world.nail.protrusion
     rig.go_over(CLEAR)
-    assert gauge.measure(protrusion) == pytest.approx(protrusion, abs=0.001)
+    measured, rig.held = gauge.measure(protrusion, rig.held)
+    assert measured == pytest.approx(protrusion, abs=0.001)
     rig.back_over(CLEAR)
-    assert gauge.measure(protrusion - 0.012) == pytest.approx(protrusion, abs=0.001)
+    assert gauge.measure(protrusion - 0.012, rig.held)[0] == pytest.approx(protrusion, abs=0.001)
     assert rig.log.motions.count("touch the nail") == 2
 
 
 def test_what_later_touches_tell_of_the_stiffness_counts_for_earlier_ones(bench: Bench) -> None:
     rig = Rig(bench, 6)
-    gauge = NailGauge(rig.motions, CONFIG, RobotModel.of_station(CONFIG), rig.log)
+    gauge = NailGauge(rig.motions, CONFIG)
     protrusion = bench.sim.world.nail.protrusion
     rig.go_over(CLEAR)
-    first = gauge.measure(protrusion)
+    first, rig.held = gauge.measure(protrusion, rig.held)
     touches = gauge.latest
     assert touches is not None
     rig.back_over(CLEAR)
-    assert gauge.measure(protrusion) == pytest.approx(protrusion, abs=0.0015)
+    assert gauge.measure(protrusion, rig.held)[0] == pytest.approx(protrusion, abs=0.0015)
     assert gauge.protrusion(touches) == pytest.approx(protrusion, abs=0.0015)
     assert gauge.protrusion(touches) != first
     assert touches[0].height != touches[0].felt
@@ -108,11 +109,11 @@ def test_a_tool_that_is_pressed_from_the_side_is_lifted_and_looked_at_again(
     """At the first touch of the nail, and at that after a strike."""
     lower, touches = Touch.lower, [0]
 
-    def pressed(self: Touch, what: str, reach: float) -> Contact | None:
+    def pressed(self: Touch, what: str, reach: float, held: HeldTool) -> Contact | None:
         touches[0] += 1
         if touches[0] == touch:
             raise SidewaysContactError(11.0)
-        return lower(self, what, reach)
+        return lower(self, what, reach, held)
 
     monkeypatch.setattr(Touch, "lower", pressed)
     log = Log()

@@ -11,7 +11,7 @@ from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from tests.tasks.bench import Log, is_home
 from toolee_robot.perception.nail.sight import HeadOffset
 from toolee_robot.tasks.common.outcome import Outcome, Strike
-from toolee_robot.tasks.hammering.nail_driving import SOON
+from toolee_robot.tasks.hammering.nail_driving import STRIKES_BEFORE_SECOND_LOOK
 from toolee_robot.tasks.hammering.nail_watch import is_bent
 
 pytestmark = pytest.mark.sim(seconds=30)
@@ -71,7 +71,7 @@ def test_a_nail_that_strikes_have_bent_is_seen_and_struck_no_further_once_it_is_
     assert "the camera sees the nail's head" in result.reason
     assert "for the second time" in result.reason
     assert any("it may be bent" in message for message in log.messages), "it is told at the first look"
-    assert len(result.strikes) == USUAL + SOON
+    assert len(result.strikes) == USUAL + STRIKES_BEFORE_SECOND_LOOK
     assert is_home(bench.sim)
     assert at_rest(bench.sim)
     assert grip_kept(bench.sim)

@@ -56,11 +56,12 @@ def test_a_tool_that_is_low_among_nails_rises_before_it_goes_anywhere() -> None:
         motions = rig.motions
         motions.in_the_way = nail_bodies(config.work, ["left", "right"])
         rig.go_over(0.030)
-        motions.straight("down", UP, config.work.wood_height + 0.010 - float(motions.X_base_ee[2, 3]))
-        nearer = motions.X_base_ee[:3, :3].T @ [0.0, 0.004, 0.0]
-        motions.X_hand_ee = motions.X_hand_ee @ transform(p=nearer)
+        height = config.work.wood_height + 0.010 - float(motions.X_base_ee(rig.held)[2, 3])
+        motions.straight("down", UP, height, rig.held)
+        nearer = motions.X_base_ee(rig.held)[:3, :3].T @ [0.0, 0.004, 0.0]
+        held = rig.held.moved(rig.held.X_hand_ee @ transform(p=nearer))
         with pytest.raises(CollisionError, match="tool head and nail left"):
-            plan_transfer(robot, config, motions.world(), motions.q, HOME)
-        motions.rise_from_among_nails()
-        motions.transfer("home", plan_transfer(robot, config, motions.world(), motions.q, HOME))
+            plan_transfer(robot, config, motions.world(held), motions.q, HOME)
+        motions.rise_from_among_nails(held)
+        motions.transfer("home", plan_transfer(robot, config, motions.world(held), motions.q, HOME), held)
         assert rig.log.motions[-2:] == ["up from among the nails", "home"]

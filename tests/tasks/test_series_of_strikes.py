@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.nail_gauge import NailGauge
 from toolee_robot.types import CameraError, InHandEstimate, ToolEstimate
@@ -96,9 +98,9 @@ def test_a_touch_that_reads_flush_after_a_strike_that_was_not_felt_is_believed_o
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=2), strike=strike, work=work)
     measure, beside_the_nail = NailGauge.measure, iter([False, True, False])
 
-    def misread(gauge: NailGauge, expected: float, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED) -> float:
-        height = measure(gauge, expected, strikes, missed)
-        return 0.0003 if next(beside_the_nail) else height
+    def misread(*args: Any) -> tuple[float, HeldTool]:
+        height, held = measure(*args)
+        return 0.0003 if next(beside_the_nail) else height, held
 
     monkeypatch.setattr(NailGauge, "measure", misread)
     log = Log()
@@ -122,9 +124,9 @@ def test_a_nail_that_no_strike_was_felt_to_meet_is_not_called_flush(
     config = replace(CONFIG, task=task, strike=strike, work=work)
     measure, first = NailGauge.measure, iter([True])
 
-    def misread(gauge: NailGauge, expected: float, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED) -> float:
-        height = measure(gauge, expected, strikes, missed)
-        return height if next(first, False) else 0.0003
+    def misread(*args: Any) -> tuple[float, HeldTool]:
+        height, held = measure(*args)
+        return height if next(first, False) else 0.0003, held
 
     monkeypatch.setattr(NailGauge, "measure", misread)
     result = bench.blind_task(Log(), config).run()
@@ -142,8 +144,9 @@ def test_a_nail_that_a_noisy_force_tells_to_be_flush_is_struck_once_more(
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=12), work=work)
     measure = NailGauge.measure
 
-    def too_high(gauge: NailGauge, expected: float, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED) -> float:
-        return max(measure(gauge, expected, strikes, missed), 0.0004)
+    def too_high(*args: Any) -> tuple[float, HeldTool]:
+        height, held = measure(*args)
+        return max(height, 0.0004), held
 
     monkeypatch.setattr(NailGauge, "measure", too_high)
     monkeypatch.setattr(NailGauge, "noisy", property(lambda _: noisy))

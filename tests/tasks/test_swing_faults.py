@@ -34,6 +34,7 @@ from toolee_robot.errors import (
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend.devices.arm import HOLD_TIME, RATE
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.types import Trajectory
 
@@ -60,7 +61,7 @@ class Swing:
         return Scene(self.bench, self.log, ScriptedPerception(self.bench.sim.judge))
 
     def run(self) -> MotionReport:
-        return self.motions.swing("strike", self.plan)[0]
+        return self.motions.swing("strike", self.plan, self.motions.held)[0]
 
     def fails(self, error: type[MotionFaultError]) -> MotionReport:
         """The swing ends with this error; the arm stands and goes on standing, on its path, before the nail; nothing
@@ -106,9 +107,9 @@ def swing(over_nail: tuple[Bench, StrikePlan]) -> Swing:
     bench.hand.closed = True
     log = Log()
     robot = RobotModel.load()
-    motions = Motions(bench.station, CONFIG, robot, log, bench.true_grasp.X_hand_ee)
+    motions = Motions(bench.station, CONFIG, robot, log)
     motions.begin()
-    motions.held = True
+    motions.carry(HeldTool.nominally(bench.true_grasp.X_hand_ee, bench.true_grasp.swung))
     assert motions.person.hold_switch("", 1.0)
     assert motions.person.request_handover("", 1.0)
     assert motions.person.release("", 1.0)
@@ -119,7 +120,7 @@ def swing(over_nail: tuple[Bench, StrikePlan]) -> Swing:
 
 @pytest.mark.sim
 def test_the_strike_itself_meets_the_nail(swing: Swing) -> None:
-    report, verdict = swing.motions.swing("strike", swing.plan)
+    report, verdict = swing.motions.swing("strike", swing.plan, swing.motions.held)
     assert report.contact is not None
     assert verdict.meeting == "expected"
     # Two cycles of the arm and of the force at 1.2 m/s, and what wrist and wood give way.
@@ -189,7 +190,7 @@ def test_a_fault_at_rest_and_the_way_out(swing: Swing, name: str) -> None:
     supervisor.reset(confirmed=True)
     swing.motions.begin()
     assert supervisor.mode is Mode.HANDOVER
-    swing.motions.straight("up", (0.0, 0.0, 1.0), 0.02)
+    swing.motions.straight("up", (0.0, 0.0, 1.0), 0.02, swing.motions.held)
     assert at_rest(bench.sim)
     assert grip_kept(bench.sim)
 
@@ -245,8 +246,8 @@ def test_the_hand_is_watched_all_the_way(swing: Swing, motion: str, name: str) -
     path = swing.plan.strike
     move: Callable[[], object] = swing.run
     if motion == "transfer":
-        path = plan_straight(swing.robot, CONFIG, motions.world(), motions.q, 0.15, (0.0, 0.0, 1.0), 0.15)
-        move = partial(motions.execute, "to a view", path)
+        path = plan_straight(swing.robot, CONFIG, motions.world(motions.held), motions.q, 0.15, (0.0, 0.0, 1.0), 0.15)
+        move = partial(motions.execute, "to a view", path, motions.held)
     soon(bench, lambda: cause(bench), 0.05)()
     with bench.in_real_time(), pytest.raises(error, match=expected_text):
         move()

@@ -105,7 +105,7 @@ def test_what_presses_on_the_tools_side_is_no_contact_of_the_face_and_no_phantom
     assert rig.touch.prepare()
     bench.arm._sensor._errors = Beside(10.0)
     with pytest.raises(SidewaysContactError) as ended:
-        rig.touch.lower("nail", 0.020)
+        rig.touch.lower("nail", 0.020, rig.held)
     assert ended.value.force == pytest.approx(10.0, abs=1.0)
     assert rig.log.motions.count("touch the nail") == 1, "it presses no harder"
 
@@ -115,7 +115,7 @@ def leaning(bench: Bench) -> tuple[Rig, float]:
     rig = Rig(bench, 3, scale=0.0)
     rig.go_over(0.006)
     assert rig.touch.prepare()
-    assert rig.touch.lower("nail", 0.016) is not None
+    assert rig.touch.lower("nail", 0.016, rig.held) is not None
     pressing = bench.arm.state().wrench[2]
     assert pressing > CONFIG.strike.touch_force
     return rig, pressing
@@ -132,7 +132,7 @@ def test_a_zero_that_was_taken_while_the_face_leant_is_told_before_the_next_touc
     """The offset is unknown before the first zero; but free again, the face misses the force that it leant with."""
     rig, pressing = leaning(bench)
     rig.motions.zero_wrench()
-    rig.motions.straight("up", (0.0, 0.0, 1.0), 0.010)
+    rig.motions.straight("up", (0.0, 0.0, 1.0), 0.010, rig.held)
     assert not rig.touch.prepare()
     assert bench.arm.state().wrench[2] == pytest.approx(-pressing, abs=1.5)
 
@@ -173,7 +173,7 @@ def test_a_thing_whose_height_a_release_leaves_unsure_is_touched_again_and_harde
         return surer(a, b)
 
     monkeypatch.setattr(Contact, "surer", compare)
-    contact = rig.touch.lower("nail", 0.020)
+    contact = rig.touch.lower("nail", 0.020, rig.held)
     assert contact is not None
     assert rig.log.motions.count("touch the nail") == 3
     assert contact.deviation == np.min(deviations)

@@ -314,13 +314,7 @@ def test_a_doubt_about_the_grip_is_answered_by_weighing_again(
 def test_without_a_look_an_unknown_face_is_not_struck_with() -> None:
     config = sim_station()
     with SimStation.build(config, SEED, ERRORS) as simulation, raises(UserError, code="user.unknown_face"):
-        HammeringTask(
-            simulation.station,
-            PerfectPerception(simulation.judge),
-            config,
-            measured_grasp(UNKNOWN, config),
-            correction=False,
-        )
+        HammeringTask(simulation.station, None, config, measured_grasp(UNKNOWN, config))
 
 
 @settings(max_examples=60, deadline=None)

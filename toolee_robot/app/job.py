@@ -160,8 +160,7 @@ def _run(spec: JobSpec, folder: Path, observer: JobObserver) -> tuple[HammerResu
         perceiver, config = job_perceiver(spec.variant, networks, opened)
         keeper = RecordingObserver(recorder, opened.station, opened.config)
         task = HammeringTask(
-            opened.station, perceiver, config, opened.grasp,
-            correction=spec.variant.corrects,
+            opened.station, perceiver if spec.variant.corrects else None, config, opened.grasp,
             observer=Observers(observer, keeper, collector), nails=spec.nails or source.config.work.names,
         )  # fmt: skip
         if machine is not None:

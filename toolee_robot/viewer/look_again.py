@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,10 @@ from toolee_robot.perception import ToolPerception
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.series import SeenEstimate
 from toolee_robot.station import StationConfig
-from toolee_robot.tasks.common.look import Look
+from toolee_robot.tasks.common.held_tool import HeldTool
+from toolee_robot.tasks.common.look import Views
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.types import InHandEstimate
+from toolee_robot.types import InHandEstimate, Payload
 
 _AXIS = Category.HAMMER_HEAD.symmetry
 
@@ -103,12 +104,13 @@ def look_again(history: RunHistory, config: StationConfig, perception: ToolPerce
     perception = perception or ToolPerception.load()
     robot = RobotModel.of_station(config)
     nominal = np.array(json.loads(history.metadata["X_hand_ee"]))
-    looks, begin, camera = [], 0, None
+    looks, begin = [], 0
+    held = HeldTool.nominally(nominal, Payload(0.0, np.zeros(3)))
     ends = history.in_hand.stamps or ([history.end] if len(history.images) else [])
     for stamp in ends:
         end = history.images.index(stamp) + 1
         fused = _Fused()
-        look = Look(config, robot, perception, fused, nominal, camera)
+        look = Views(config, robot, perception, fused, held)
         reason = ""
         try:
             for i in range(begin, end):
@@ -118,7 +120,8 @@ def look_again(history: RunHistory, config: StationConfig, perception: ToolPerce
             look.fuse(stamp)
         except (PerceptionError, DeviceError) as error:
             reason = str(error)
-        camera = fused.estimate.camera if fused.estimate is not None and not reason else camera
+        if fused.estimate is not None and not reason:
+            held = replace(held, seen=fused.estimate)
         recorded = history.in_hand.at(stamp) if len(history.in_hand) else None
         looks.append(LookAgain(stamp, end - begin, recorded, fused.estimate, reason))
         begin = end

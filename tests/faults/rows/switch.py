@@ -115,7 +115,7 @@ def in_slow_motion(fault: SwitchFault, rig: Rig) -> FaultRow:
             motions = _motions(rig, person)
             motions.begin()
             try:
-                return motions.execute("slow motion", motion)
+                return motions.execute("slow motion", motion, None)
             finally:
                 after.extend(_not_refused(rig, motions))
 
@@ -196,7 +196,7 @@ def _motions(rig: Rig, person: Person) -> Motions:
     config: StationConfig = replace(planned.config, task=task, supervisor=bounds)
     devices: Any = {"hand": _OpenHand(planned.q_hand), "camera": None}
     station = Station(arm=rig.arm, person=person, clock=HostClock(), **devices)
-    motions = Motions(station, config, planned.robot, TaskObserver(), planned.X_hand_ee)
+    motions = Motions(station, config, planned.robot, TaskObserver())
     assert motions.arm.mode is Mode.HANDOVER
     return motions
 
@@ -208,7 +208,7 @@ def _not_refused(rig: Rig, motions: Motions) -> list[str]:
     away = good(rig.swing, rig.q_commanded, LITTLE * (rig.strike.q[0] - rig.strike.q[-1]))
     wrong = []
     attempts: tuple[tuple[str, Callable[[], object]], ...] = (
-        (NOT_TAKEN, lambda: motions.transfer("next", away)),
+        (NOT_TAKEN, lambda: motions.transfer("next", away, None)),
         (NOT_CONFIRMED, lambda: motions.arm.permit_swings(ANSWER_TIME)),
     )
     for code, attempt in attempts:

@@ -1,13 +1,15 @@
-"""Look at the held tool from several views and fuse the estimates into its pose in the hand."""
+"""Look at the held tool from several views: its end effector's pose in the hand, and how it slips there."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
-from toolee_robot.control.planning.views import DISTANCE
+from toolee_robot.control.contact import merge, slip
+from toolee_robot.control.planning.views import DISTANCE, plan_views
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
@@ -15,7 +17,10 @@ from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
 from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.held_region import held_region
+from toolee_robot.tasks.common.held_tool import HeldTool
+from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
 from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 LEAST_DISPLACEMENT = 0.10
@@ -30,6 +35,17 @@ CAMERA_OFF = 0.004
 """Displacement of the tool by the camera's error beyond which a calibration is to be repeated [m]."""
 MIN_DEPTH = 0.3
 """Least share of a frame's pixels with a known depth; with less, the camera is blinded or covered."""
+
+SETTLE = 0.3
+"""Time at standstill before a frame is taken, so that arm, wrist and tool have stopped swinging [s]."""
+STEADY, STEADY_ANGLE = 0.00075, np.deg2rad(0.5)
+"""Largest slip per strike of a tool that is held steadily: in the plane of the face [m], since touches measure the slip
+along its normal, and of its normal [rad]."""
+WELL_SEEN = 0.04
+"""Distance of a face from where the views were planned to see it, up to which they see it as well [m]."""
+OWN_ERRORS = 0.5
+"""Share of the variances of two looks that is in their difference: what is left of the camera's error, and what the
+network makes of this tool, are in both. Assumed."""
 
 
 def largest_displacement(X_hand_ee: Array) -> float:
@@ -89,17 +105,16 @@ class Perceiver(Protocol):
         """
 
 
-class Look:
-    """One look at the held tool: the frames taken, and their fusion.
+class Views:
+    """The frames of one look at the held tool, and their fusion.
 
     Args:
         config: Configuration of the station.
         robot: Kinematic model of arm and hand.
         perceiver: Estimates poses from frames.
         observer: Receives frames and estimates.
-        X_hand_ee_nominal: Pose of the end effector in the hand in a nominal grasp, (4, 4).
-        camera: What an earlier look says of the error of the camera's calibration; None for the first.
-        ee_off: How far the end effector may be from its nominal pose beside what any grasp leaves open [m].
+        held: The tool as it was known before.
+        category: Category of its end effector.
 
     Attributes:
         frames: The frames taken.
@@ -111,20 +126,17 @@ class Look:
         robot: RobotModel,
         perceiver: Perceiver,
         observer: TaskObserver,
-        X_hand_ee_nominal: Array,
-        camera: CameraError | None = None,
-        ee_off: float = 0.0,
+        held: HeldTool,
+        category: Category = Category.HAMMER_HEAD,
     ) -> None:
-        self._camera = camera
+        self._camera = None if held.seen is None else held.seen.camera
         self._X_camera_base = inverse(config.camera.X_base_camera)
-        self._robot = robot
+        self._robot, self._perceiver, self._observer, self._category = robot, perceiver, observer, category
         self._R_hand_tool = robot.description.hand.grasp.R_hand_tool
-        self._perceiver = perceiver
-        self._observer = observer
-        self._nominal = X_hand_ee_nominal
-        self._largest = largest_displacement(X_hand_ee_nominal) + ee_off
+        self._nominal = held.X_nominal
+        self._largest = largest_displacement(held.X_nominal) + held.off
         self._device = config.camera.device
-        self._region = held_region(config, X_hand_ee_nominal, self._largest)
+        self._region = held_region(config, held.X_nominal, self._largest)
         self.frames: list[RgbdFrame] = []
         self._seen: list[list[ToolEstimate]] = []
         self._hands: list[Array] = []
@@ -163,7 +175,7 @@ class Look:
         """
         hand = HoldingHand(X_camera_hand, self._R_hand_tool, self._region)
         try:
-            estimates = self._perceiver.estimate(frame, hand, [Category.HAMMER_HEAD])
+            estimates = self._perceiver.estimate(frame, hand, [self._category])
         except UserError as error:  # the frame is the camera's, not the user's
             raise DeviceError(f"the camera's frame is unusable: {error}", code="device.camera_frame") from error
         self._observer.frame(frame, estimates, X_camera_hand)
@@ -198,7 +210,7 @@ class Look:
             raise PerceptionError(f"{near}{said}", code="perception.too_near") from error
 
     def _fuse(self, stamp: float) -> InHandEstimate:
-        estimate = self._perceiver.fuse(self._seen, self._hands, Category.HAMMER_HEAD, self._camera)
+        estimate = self._perceiver.fuse(self._seen, self._hands, self._category, self._camera)
         self._observer.in_hand(stamp, estimate)
         if not estimate.usable:
             raise PerceptionError(
@@ -255,3 +267,117 @@ class Look:
             float(np.linalg.norm(X_hand_ee[:3, 3] - self._nominal[:3, 3])),
             angle_between(X_hand_ee[:3, 2], self._nominal[:3, 2]),
         )
+
+
+class Look:
+    """Looks at the held tool: `held = look(held, views=3)`.
+
+    Args:
+        motions: The arm and its motions.
+        perceiver: Estimates poses from frames.
+        category: Category of the tool's end effector.
+
+    Attributes:
+        estimates: Fused pose of each look, with its time on the station's clock [s].
+    """
+
+    def __init__(self, motions: Motions, perceiver: Perceiver, category: Category) -> None:
+        self.estimates: list[tuple[float, InHandEstimate]] = []
+        self._motions, self._perceiver, self._category = motions, perceiver, category
+
+    def __call__(self, held: HeldTool, views: int) -> HeldTool:
+        """Estimate the pose of the end effector in the hand; on failure once more, from other views.
+
+        Args:
+            held: The tool as it was known before.
+            views: Number of views.
+
+        Returns:
+            The tool as it was seen.
+
+        Raises:
+            PerceptionError: The tool was not found, or its pose cannot be trusted.
+            JobEnded: The tool has slipped too far since the last look.
+            TooleeError: A motion or a device failed.
+        """
+        m = self._motions
+        taken = Views(m.config, m.robot, self._perceiver, m.observer, held, self._category)
+        try:
+            seen = self._seen(held, taken, views, seed=0)
+        except (PerceptionError, JobEnded) as error:
+            # Not usable, or slipped too far. The same views would give the same result: another seed gives others.
+            m.observer.message(f"{error}; looking again")
+            seen = self._seen(held, taken, views, seed=1)
+        if held.off:  # a face of which nothing was known
+            away = float(np.linalg.norm(seen.X_hand_ee[:3, 3] - held.X_nominal[:3, 3]))
+            m.observer.message(f"the face is {away * 1e3:.0f} mm from where it was looked for first")
+            if away > WELL_SEEN:
+                return self(replace(held.moved(seen.X_hand_ee), X_nominal=seen.X_hand_ee, off=0.0), views)
+            seen = replace(seen, X_nominal=seen.X_hand_ee, off=0.0)
+        assert seen.seen is not None
+        self.estimates.append((m.station.clock.now(), seen.seen))
+        m.carry(seen := replace(seen, frames=tuple(taken.frames), strikes=0))
+        return seen
+
+    def _seen(self, held: HeldTool, taken: Views, views: int, seed: int) -> HeldTool:
+        """Take frames from so many views, and fuse all that were taken."""
+        m = self._motions
+        with m.stages(Stage.VIEW):
+            m.rise_from_among_nails(held)
+            plan = plan_views(m.robot, m.config, m.world(held), m.q, m.q_hand, held.X_nominal, count=views, seed=seed)
+        for view in plan.views:
+            with m.stages(Stage.VIEW):
+                m.transfer("to a view", view.transfer, held)
+                m.station.clock.sleep(SETTLE)
+            with m.stages(Stage.PERCEIVE):
+                taken.take(m.station)
+        with m.stages(Stage.PERCEIVE):
+            now = taken.fuse(m.station.clock.now())
+            if held.seen is None:
+                return replace(held.moved(now.X_hand_ee), seen=now, steady=False, turn=(0.0, 0.0, 0.0))
+            strikes, task = max(held.strikes, 1), m.config.task
+            steady, turn = holding_between(held.seen, now, strikes, task.slip_angle_per_strike)
+            self._check_slip(held.seen, now)
+            drift = strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike
+            merged = merge(held.seen, now, *drift)
+            return replace(held.moved(merged.X_hand_ee), seen=merged, steady=steady, turn=turn)
+
+    def _check_slip(self, before: InHandEstimate, now: InHandEstimate) -> None:
+        """End the job when the tool has slipped too far."""
+        task = self._motions.config.task
+        distance, angle = slip(before, now)
+        self._motions.observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f}°")
+        if distance > task.abort_slip or angle > task.abort_slip_angle:
+            raise JobEnded(
+                Outcome.TOOL_SLIPPED,
+                f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f}° in the hand: grip it again",
+            )
+
+
+def holding_between(
+    before: InHandEstimate, now: InHandEstimate, strikes: int, usual: float
+) -> tuple[bool, tuple[float, float, float]]:
+    """Compare two looks: whether the hand holds the tool steadily, and how a strike turns it there.
+
+    The turn of a strike is the most probable one: what the looks tell counts the less, the less certain they are.
+
+    Args:
+        before: The earlier look.
+        now: The later look.
+        strikes: Number of strikes between them.
+        usual: Standard deviation of the turn of a strike before anything is seen [rad].
+
+    Returns:
+        Both, as `HeldTool` has them.
+    """
+    moved = inverse(before.X_hand_ee) @ now.X_hand_ee
+    angle = angle_between(before.X_hand_ee[:3, 2], now.X_hand_ee[:3, 2])
+    steady = np.linalg.norm(moved[:2, 3]) <= strikes * STEADY and angle <= strikes * STEADY_ANGLE
+    axis = np.array([-moved[1, 2], moved[0, 2], 0.0])  # of the turn from one normal to the other
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9:
+        return bool(steady), (0.0, 0.0, 0.0)
+    expected = (strikes * usual) ** 2
+    share = expected / (expected + OWN_ERRORS * (before.sigma_axis**2 + now.sigma_axis**2))
+    x, y, z = (axis * (share * angle / (sine * strikes))).tolist()
+    return bool(steady), (x, y, z)

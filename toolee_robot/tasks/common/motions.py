@@ -24,8 +24,10 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, KeepsCourse, MotionOutcome, MotionReport, Station
 from toolee_robot.station import StationConfig, check_upright
 from toolee_robot.tasks.common.hand_watch import HandWatch, check_held
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.person_proof import PersonProof
+from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.types import Payload, Trajectory
 
 UP = (0.0, 0.0, 1.0)
@@ -45,26 +47,30 @@ HOLD_SWITCH = "Release the hold-to-run switch, then hold it: the arm moves slowl
 
 
 class Motions:
-    """The arm and what it carries. Every command passes the supervisor.
+    """The arm, and the motions with what the hand holds. Every command passes the supervisor.
+
+    What is held is told with each motion; None for an empty hand.
 
     Args:
         station: The devices of the station.
         config: Configuration of the station.
         robot: Kinematic model of arm and hand.
         observer: Receives the motions.
-        X_hand_ee: Initial estimate of the end effector's pose in the hand, (4, 4).
 
     Raises:
         ConfigError: The arm's base is tilted (`config.mounting_tilted`).
 
     Attributes:
+        station: The devices of the station.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        observer: Receives the motions, and other events of the task.
+        stages: Times the stages of the task.
         arm: The supervisor around the station's arm.
         person: The person at the station, whose inputs must be seen to change before the arm moves fast.
         q: Joint positions that the arm holds, (6,) [rad]; set by `begin`.
-        X_hand_ee: Estimated pose of the end effector in the hand, (4, 4).
-        held: Whether the hand holds the tool.
+        carried: The tool in the hand as told last; None where the hand is empty.
         in_the_way: Bodies of the work that nothing may touch, beside those of the station.
-        tool_off: How far the tool may be from where `X_hand_ee` has it, beyond what its envelope allows for [m].
         payload: What the flange carries; None before it was set.
         noise: Readings of the force at rest, one a cycle, (N, 3) [N]; None before they were taken.
         readied: How often `begin` was called: at the job's begin and after every reset.
@@ -72,30 +78,19 @@ class Motions:
 
     q: Array
 
-    def __init__(
-        self,
-        station: Station,
-        config: StationConfig,
-        robot: RobotModel,
-        observer: TaskObserver,
-        X_hand_ee: Array,
-    ) -> None:
+    def __init__(self, station: Station, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
         check_upright(config.arm, "a task")
-        self.X_hand_ee = X_hand_ee
-        self.held = False
+        self.station, self.config, self.robot, self.observer = station, config, robot, observer
+        self.stages = Stages(observer)
+        self.carried: HeldTool | None = None
         self.in_the_way: tuple[Body, ...] = ()
-        self.tool_off = 0.0
         self.payload: Payload | None = None
         self.noise: Array | None = None
         self.readied = 0
         self._zeroed: Array | None = None
         self._q_hand_seen: Array = np.zeros(len(robot.description.hand_joints))
         self.person = PersonProof(station.person)
-        self.arm = Supervisor(station.arm, self.person, robot, config, self.world)
-        self._station = station
-        self._config = config
-        self._robot = robot
-        self._observer = observer
+        self.arm = Supervisor(station.arm, self.person, robot, config, self._carried_world)
 
     def begin(self) -> None:
         """Read the joint positions that the arm holds.
@@ -110,18 +105,30 @@ class Motions:
     @property
     def q_hand(self) -> Array:
         """Measured joint positions of the hand, wrist first, (n,) [rad]."""
-        self._q_hand_seen = self._station.hand.state().joints.q
+        self._q_hand_seen = self.station.hand.state().joints.q
         return self._q_hand_seen
 
-    @property
-    def X_base_ee(self) -> Array:
-        """Estimated pose of the end effector in `base`, (4, 4)."""
-        return self._robot.X_base_ee(self.q, self.q_hand, self.X_hand_ee)
+    def X_base_ee(self, held: HeldTool) -> Array:
+        """Estimated pose of the held tool's end effector in `base`, (4, 4)."""
+        return self.robot.X_base_ee(self.q, self.q_hand, held.X_hand_ee)
 
-    def world(self) -> CollisionWorld:
-        """Collision model of the present state."""
-        X_hand_ee = self.X_hand_ee if self.held else None
-        return CollisionWorld(self._robot, self._config, self.q_hand, X_hand_ee, self.in_the_way, self.tool_off)
+    def world(self, held: HeldTool | None) -> CollisionWorld:
+        """Collision model of the present state, with what is held."""
+        X_hand_ee, off = (None, 0.0) if held is None else (held.X_hand_ee, held.off)
+        return CollisionWorld(self.robot, self.config, self.q_hand, X_hand_ee, self.in_the_way, off)
+
+    def _carried_world(self) -> CollisionWorld:
+        return self.world(self.carried)
+
+    def carry(self, held: HeldTool | None) -> None:
+        """Note what the hand holds from now on."""
+        self.carried = held
+
+    @property
+    def held(self) -> HeldTool:
+        """The tool in the hand as told last, after whatever has interrupted a task."""
+        assert self.carried is not None, "the hand is empty"
+        return self.carried
 
     def set_payload(self, payload: Payload) -> None:
         """Tell the arm what its flange carries; see `hal.Arm`.
@@ -136,7 +143,13 @@ class Motions:
         self.payload, self._zeroed = payload, None
 
     def execute(
-        self, name: str, trajectory: Trajectory, guard: ContactGuard | None = None, *, at_work: bool = False
+        self,
+        name: str,
+        trajectory: Trajectory,
+        held: HeldTool | None,
+        guard: ContactGuard | None = None,
+        *,
+        at_work: bool = False,
     ) -> MotionReport:
         """Execute a trajectory; the arm brakes at once when the hand doubts its grip or reports a fault.
 
@@ -145,6 +158,7 @@ class Motions:
         Args:
             name: Name of the motion in the recording and in messages.
             trajectory: The motion, from rest to rest.
+            held: What the hand holds.
             guard: Contact detection; None for none.
             at_work: Whether the tool may touch block and stand.
 
@@ -158,31 +172,33 @@ class Motions:
             DeviceError: The hand reports a fault or does not answer, or the arm was stopped.
             TooleeError: What `Supervisor.execute` raises.
         """
-        with self._watched(name) as hand:
+        with self._watched(name, held) as hand:
             report = self.arm.execute(trajectory, guard, at_work=at_work)
         self._done(name, report, hand)
         return report
 
-    def transfer(self, name: str, trajectory: Trajectory, speed: float = np.inf) -> None:
+    def transfer(self, name: str, trajectory: Trajectory, held: HeldTool | None, speed: float = np.inf) -> None:
         """Move through free space, slowed down to the speed limit of the mode.
 
         Args:
             name: Name of the motion.
             trajectory: The motion, from rest to rest.
+            held: What the hand holds.
             speed: Largest speed of hand and tool, where it is less than the mode's [m/s].
 
         Raises:
             TooleeError: As `execute`.
         """
-        speed = min(speed, self.arm.mode.speed(self._config.supervisor))
-        self.execute(name, slowed_to(trajectory, self.world(), speed))
+        speed = min(speed, self.arm.mode.speed(self.config.supervisor))
+        self.execute(name, slowed_to(trajectory, self.world(held), speed), held)
 
-    def swing(self, name: str, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
+    def swing(self, name: str, plan: StrikePlan, held: HeldTool) -> tuple[MotionReport, ContactVerdict]:
         """Execute the strike of a plan, without any modification.
 
         Args:
             name: Name of the motion.
             plan: The plan of the strike.
+            held: What the hand holds.
 
         Returns:
             What was commanded and measured, and how the strike met the nail.
@@ -191,8 +207,8 @@ class Motions:
             TooleeError: As `execute`.
         """
         self.check_hand()
-        guard = strike_guard(self._config.strike, plan.contact_time, self.noise, self.arm.rate)
-        with self._watched(name) as hand:
+        guard = strike_guard(self.config.strike, plan.contact_time, self.noise, self.arm.rate)
+        with self._watched(name, held) as hand:
             report, verdict = self.arm.swing(plan.strike, guard, plan.expected_contact)
         self._done(name, report, hand)
         return report, verdict
@@ -202,6 +218,7 @@ class Motions:
         name: str,
         direction: ArrayLike,
         length: float,
+        held: HeldTool | None,
         guard: ContactGuard | None = None,
         *,
         speed: float = STRAIGHT_SPEED,
@@ -213,6 +230,7 @@ class Motions:
             name: Name of the motion.
             direction: Unit vector in `base`, (3,).
             length: Length along it [m]; negative for the opposite direction.
+            held: What the hand holds.
             guard: Contact detection; None for none.
             speed: Largest speed [m/s]; less where the mode allows less.
             share: Largest velocity and acceleration of the joints as a share of a strike's; those of transfers if None.
@@ -225,12 +243,12 @@ class Motions:
         """
         if abs(length) <= 1e-4:
             return False
-        world = self.world()
-        speed = min(speed, 0.95 * self.arm.mode.speed(self._config.supervisor))
-        move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed, share)
-        return self.execute(name, move, guard, at_work=True).contact is not None
+        world = self.world(held)
+        speed = min(speed, 0.95 * self.arm.mode.speed(self.config.supervisor))
+        move = plan_straight(self.robot, self.config, world, self.q, length, direction, speed, share)
+        return self.execute(name, move, held, guard, at_work=True).contact is not None
 
-    def rise_from_among_nails(self) -> None:
+    def rise_from_among_nails(self, held: HeldTool | None) -> None:
         """Rise straight until the tool is clear of the nails that stand beside the one that is struck.
 
         A face on a nail that has been driven is lower than they are, and a transfer may not begin there.
@@ -238,21 +256,21 @@ class Motions:
         Raises:
             TooleeError: As `straight`.
         """
-        if not (self.in_the_way and self.held):
-            return
-        self.rise("up from among the nails")
+        if self.in_the_way and held is not None:
+            self.rise("up from among the nails", held)
 
-    def rise(self, name: str, least: float = 0.0) -> None:
+    def rise(self, name: str, held: HeldTool | None, least: float = 0.0) -> None:
         """Rise straight until a transfer may begin, by what is known of the tool.
 
         Args:
             name: Name of the motion.
+            held: What the hand holds.
             least: Least height [m].
 
         Raises:
             TooleeError: As `straight`.
         """
-        self.straight(name, UP, max(least, rise_to_clear(self._robot, self.world(), self.q)))
+        self.straight(name, UP, max(least, rise_to_clear(self.robot, self.world(held), self.q)), held)
 
     def retreat(self) -> bool:
         """After the tool has dropped, move slowly up and away from the person's place, else up, else not at all.
@@ -262,17 +280,17 @@ class Motions:
         Returns:
             Whether the arm has moved away.
         """
-        self.held = False
+        self.carry(None)
         self.arm.mode = Mode.HANDOVER
         with suppress(DeviceError):
-            away = self._robot.fk(self.q, self.q_hand)[1][:3, 3] - np.asarray(self._config.scene.person_center)
+            away = self.robot.fk(self.q, self.q_hand)[1][:3, 3] - np.asarray(self.config.scene.person_center)
             away[2] = 0.0
             x, y, _ = away / max(float(np.linalg.norm(away)), 1e-6)
             for direction in ((float(x), float(y), 1.0), UP):
                 with suppress(PlanningError):
-                    world = self.world()
-                    move = plan_straight(self._robot, self._config, world, self.q, RETREAT, direction, RETREAT_SPEED)
-                    self.execute("retreat", move)
+                    world = self.world(None)
+                    move = plan_straight(self.robot, self.config, world, self.q, RETREAT, direction, RETREAT_SPEED)
+                    self.execute("retreat", move, None)
                     return True
         return False
 
@@ -304,6 +322,22 @@ class Motions:
         """
         return self.wrenches(duration)[:, :3]
 
+    def read_noise(self, duration: float, before: Array) -> Array:
+        """Read the force at rest once more, as `forces`, for the noise that a strike's contact detection bears.
+
+        Args:
+            duration: Time over which it is read [s].
+            before: Readings that count, too, (N, 3) [N].
+
+        Returns:
+            All readings.
+
+        Raises:
+            DeviceError: The arm does not answer.
+        """
+        self.noise = np.concatenate([before, self.forces(duration)])
+        return self.noise
+
     def wrenches(self, duration: float) -> Array:
         """Read the wrench of the arm at rest.
 
@@ -316,7 +350,7 @@ class Motions:
         Raises:
             DeviceError: The arm does not answer.
         """
-        return wrenches_at_rest(self.arm, self._station.clock, duration)
+        return wrenches_at_rest(self.arm, self.station.clock, duration)
 
     def check_hand(self) -> None:
         """Check the hand before a strike.
@@ -325,8 +359,8 @@ class Motions:
             GripError: The hand has lost the tool.
             DeviceError: The hand reports a fault, or is too hot.
         """
-        hand, most = self._station.hand, self._config.supervisor.max_hand_temperature
-        check_held(hand, self._station.clock)
+        hand, most = self.station.hand, self.config.supervisor.max_hand_temperature
+        check_held(hand, self.station.clock)
         state = hand.state()
         if state.temperature is not None and not state.temperature <= most:  # NaN included
             raise DeviceError(
@@ -336,19 +370,20 @@ class Motions:
 
     def stand_still(self) -> None:
         """Stop arm and fingers, ignoring devices that have failed; the hand keeps its grip."""
-        for device in (self.arm, self._station.hand):
+        for device in (self.arm, self.station.hand):
             with suppress(DeviceError):
                 device.stop()
 
     @contextmanager
-    def _watched(self, name: str) -> Iterator[HandWatch | None]:
+    def _watched(self, name: str, held: HeldTool | None) -> Iterator[HandWatch | None]:
         """Context of a motion: starts at standstill, monitors the grip, and reports a motion that a fault ended."""
+        self.carry(held)
         self._wait_until_still()
-        watch = HandWatch(self._station.hand, self.arm.stop) if self.held else None
-        if self.held:
-            check_held(self._station.hand, self._station.clock)
+        watch = None if held is None else HandWatch(self.station.hand, self.arm.stop)
+        if held is not None:
+            check_held(self.station.hand, self.station.clock)
         if self.arm.mode is Mode.HANDOVER and not self.person.hold_switch(
-            HOLD_SWITCH, self._config.task.handover_timeout
+            HOLD_SWITCH, self.config.task.handover_timeout
         ):
             raise PersonNearError(
                 f"the hold-to-run switch was not taken anew before {name!r}: no motion; release it, then hold it, and "
@@ -367,18 +402,18 @@ class Motions:
 
     def _flange(self) -> Array:
         """Position of the flange in `base`, (3,) [m]."""
-        return self._robot.arm.fk(self.q)[:3, 3]
+        return self.robot.arm.fk(self.q)[:3, 3]
 
     def _wait_until_still(self) -> None:
         with suppress(DeviceError):  # the supervisor refuses an arm without data, with the specific reason
             for _ in range(int(STILL_PATIENCE / STILL_STEP)):
                 if np.abs(self.arm.state().joints.qd).max() < AT_REST:
                     return
-                self._station.clock.sleep(STILL_STEP)
+                self.station.clock.sleep(STILL_STEP)
 
     def wait_for_readings(self) -> None:
         """Wait until the person's inputs are known and have settled, for `READINGS_PATIENCE` at most."""
-        clock = self._station.clock
+        clock = self.station.clock
         end = clock.now() + READINGS_PATIENCE
         while not self.person.readings_certain() and clock.now() < end:
             clock.sleep(STILL_STEP)
@@ -389,8 +424,8 @@ class Motions:
         self._report(name, report, hand)
         if hand is not None and hand.error is not None:
             raise hand.error
-        if self.held:
-            check_held(self._station.hand, self._station.clock)
+        if self.carried is not None:
+            check_held(self.station.hand, self.station.clock)
         if hand is not None and hand.doubted:
             raise GripDoubtError(f"the hand doubted its grip during the motion {name!r}; it holds the tool")
         if report.outcome is MotionOutcome.STOPPED:
@@ -399,10 +434,10 @@ class Motions:
     def _report(self, name: str, report: MotionReport, watch: HandWatch | None) -> None:
         # A hand that no longer answers, or is gone, must not prevent the recording: any age of its state is accepted.
         with suppress(DeviceError):
-            self._q_hand_seen = self._station.hand.state(max_age=np.inf).joints.q
-        begin = float(report.stamps[0]) if len(report.stamps) else self._station.clock.now()
-        hand, course = self._station.hand, None if watch is None else watch.course
+            self._q_hand_seen = self.station.hand.state(max_age=np.inf).joints.q
+        begin = float(report.stamps[0]) if len(report.stamps) else self.station.clock.now()
+        hand, course = self.station.hand, None if watch is None else watch.course
         if course is not None and isinstance(hand, KeepsCourse):
             course = list(hand.course(begin))
         course = [(stamp, q) for stamp, q in course or () if stamp >= begin]
-        self._observer.motion(name, report, course or [(begin, self._q_hand_seen)])
+        self.observer.motion(name, report, course or [(begin, self._q_hand_seen)])

@@ -7,10 +7,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.dynamics.tool_weight import ToolWeight
 from toolee_robot.control.limits import Mode
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.views import plan_handover
-from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import (
     DeviceError,
     LatchedError,
@@ -19,12 +19,9 @@ from toolee_robot.errors import (
     PlanningError,
     UnreachableError,
 )
-from toolee_robot.hal import Station
-from toolee_robot.station import StationConfig
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
-from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
-from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.hammering.weighing import Weighing
 from toolee_robot.types import Payload
@@ -68,76 +65,72 @@ class Handover:
     stop, once a person has looked and confirmed it, and they are then seen out of reach once more.
 
     Args:
-        station: The devices of the station.
-        config: Configuration of the station.
-        robot: Kinematic model of arm and hand.
-        motions: The arm and what it carries.
-        stages: Times the stages of the job.
-        observer: Receives messages.
+        motions: The arm and its motions.
         grasp: Nominal grasp of the tool.
         nails: Names of the nails that will be struck.
-        weighing: Weighs a tool of which nobody has said what it weighs.
 
     Attributes:
-        grasp: Nominal grasp of the tool, with what was weighed.
         person_clear: Whether nobody was asked to come near since a person was last seen out of reach.
     """
 
-    def __init__(
-        self,
-        station: Station,
-        config: StationConfig,
-        robot: RobotModel,
-        motions: Motions,
-        stages: Stages,
-        observer: TaskObserver,
-        grasp: Grasp,
-        nails: Sequence[str],
-        weighing: Weighing,
-    ) -> None:
+    def __init__(self, motions: Motions, grasp: Grasp, nails: Sequence[str]) -> None:
         self.person_clear = True
-        self.grasp = grasp
-        self._station, self._config, self._robot, self._motions = station, config, robot, motions
-        self._stages, self._observer, self._nails, self._weighing = stages, observer, nails, weighing
-        self._prompts = _MOUNT if robot.description.hand.clamps else _HAND
+        self._motions, self._grasp, self._nails, self._weighing = motions, grasp, nails, Weighing(motions)
+        self._station, self._config, self._robot = motions.station, motions.config, motions.robot
+        self._prompts = _MOUNT if motions.robot.description.hand.clamps else _HAND
 
-    def take_tool(self) -> None:
+    @property
+    def weight(self) -> ToolWeight | None:
+        """What the arm has weighed of the tool; None before, or if it was told."""
+        return self._weighing.weight
+
+    def take_tool(self) -> HeldTool:
         """Bring the empty hand to the handover, close it around the tool, and see the person out of reach.
 
         A mount neither closes nor senses the tool: the person fixes it and says so.
+
+        Returns:
+            The tool as it is nominally held, weighed if nobody has told its weight.
 
         Raises:
             JobEnded: No tool was handed over, or the hand does not hold it.
             TooleeError: A motion or a device failed, or the person stays.
         """
         hand, timeout = self._station.hand, self._config.task.handover_timeout
-        person = self._motions.person
-        with self._stages(Stage.HANDOVER):
+        person, grasp = self._motions.person, self._grasp
+        held = HeldTool.nominally(grasp.X_hand_ee, grasp.swung, grasp.ee_off)
+        with self._motions.stages(Stage.HANDOVER):
             self._check_reach()
             if self._empty_hand():
                 self._once_reset(self._go_there)
             else:
                 self._go_there()
-            if self.grasp.to_weigh:
-                self._weighing.feel_empty_hand(self.grasp)
+            if grasp.to_weigh:
+                self._weighing.feel_empty_hand(grasp, held)
             self.person_clear = False
-            give = self._prompts.give + (UNKNOWN_GIVE if self.grasp.ee_off else "")
+            give = self._prompts.give + (UNKNOWN_GIVE if grasp.ee_off else "")
             if not person.request_handover(give, timeout):
                 raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
-        with self._stages(Stage.GRIP):
+        with self._motions.stages(Stage.GRIP):
             hand.close()
             if not hand.state().holding:
                 raise JobEnded(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
             self.clear_person("Let go and step back.")
             if not hand.state().holding:
                 raise JobEnded(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
-            self._motions.held = True
-        self.tell_payload()
+            self._motions.carry(held)
+        return self.tell_payload(held)
 
-    def tell_payload(self) -> None:
+    def tell_payload(self, held: HeldTool) -> HeldTool:
         """Tell the arm that it carries the tool; an arm that was stopped since the person came is reset by a person.
 
         A tool that nobody has weighed is weighed first.
+
+        Args:
+            held: What the hand holds.
+
+        Returns:
+            The same, with what was weighed.
 
         Raises:
             PersonNearError: The person who has looked at the stopped arm was not seen out of reach.
@@ -145,12 +138,13 @@ class Handover:
             WeighingError: The tool cannot be weighed, or not well enough.
         """
         q_hand = self._motions.q_hand
-        if self.grasp.to_weigh:
+        if self._grasp.to_weigh:
             self._tell(self._robot.description.hand_payload(q_hand))
-            with self._stages(Stage.WEIGH):
-                self.grasp = self._weighing.weigh(self.grasp)
-        grasp = self.grasp
+            with self._motions.stages(Stage.WEIGH):
+                self._grasp, held = self._weighing.weigh(self._grasp, held)
+        grasp = self._grasp
         self._tell(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
+        return held
 
     def _tell(self, payload: Payload) -> None:
         if self._once_reset(lambda: self._motions.set_payload(payload)):
@@ -159,8 +153,8 @@ class Handover:
     def _go_there(self) -> None:
         q_hand = self._motions.q_hand
         world = CollisionWorld(self._robot, self._config, q_hand)
-        way = plan_handover(self._robot, self._config, world, self._motions.q, q_hand, tool_off=self._motions.tool_off)
-        self._motions.transfer("to the handover", way)
+        way = plan_handover(self._robot, self._config, world, self._motions.q, q_hand, tool_off=self._grasp.ee_off)
+        self._motions.transfer("to the handover", way, None)
 
     def clear_person(self, prompt: str) -> None:
         """Ask the person to step back, and allow fast motion once they were seen out of reach.
@@ -233,7 +227,7 @@ class Handover:
 
     def tool_gone(self) -> None:
         """Note that the hand is empty, and tell the arm as much: it carries the hammer no longer."""
-        self._motions.held = False
+        self._motions.carry(None)
         with suppress(DeviceError):  # a stopped arm may take no payload; the next job sets it
             self._motions.set_payload(self._robot.description.hand_payload(self._motions.q_hand))
 
@@ -265,18 +259,18 @@ class Handover:
         Other failures are only reported: a collision depends on the tool's true pose in the hand.
         """
         q_hand = self._robot.description.hand_closed
-        world = CollisionWorld(self._robot, self._config, q_hand, self._motions.X_hand_ee)
-        state = self._motions.q, q_hand, self._motions.X_hand_ee
+        world = CollisionWorld(self._robot, self._config, q_hand, self._grasp.X_hand_ee)
+        state = self._motions.q, q_hand, self._grasp.X_hand_ee
         for name in self._nails:
             X_base_nail = self._config.work.only(name).X_base_nail()
             whose = f"nail {name}: " if len(self._nails) > 1 else ""
             try:
-                plan_strike(self._robot, self._config, world, *state, X_base_nail, tool=self.grasp.swung)
+                plan_strike(self._robot, self._config, world, *state, X_base_nail, tool=self._grasp.swung)
             except UnreachableError as error:
-                if self.grasp.ee_off:  # the face may be elsewhere
-                    self._observer.message(f"{whose}with a face in the middle of where it may be: {error}")
+                if self._grasp.ee_off:  # the face may be elsewhere
+                    self._motions.observer.message(f"{whose}with a face in the middle of where it may be: {error}")
                     continue
                 raise UnreachableError(f"{whose}{error}", code=error.code) from error
             except PlanningError as error:
                 message = f"{whose}with the tool as it nominally lies in the hand no strike is possible: {error}"
-                self._observer.message(message)
+                self._motions.observer.message(message)

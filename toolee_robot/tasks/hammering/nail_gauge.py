@@ -7,12 +7,11 @@ import numpy as np
 from toolee_robot.control.contact import protrusion
 from toolee_robot.control.planning.straight import plan_over_nail
 from toolee_robot.control.records import StrikePlan
-from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard
 from toolee_robot.station import StationConfig
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
-from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
 from toolee_robot.tasks.hammering.bare_wood import way_to_bare_wood
 from toolee_robot.tasks.hammering.nail_watch import nail_of
@@ -61,21 +60,19 @@ class NailGauge:
     """Measures the nail's protrusion with the tool's face.
 
     The tool slips a little with every strike, so the protrusion is the difference of two touches. A measurement also
-    determines the face's position along its normal and updates `motions.X_hand_ee` with it.
+    determines the face's position along its normal: the held tool comes back with it.
 
     Args:
-        motions: The arm and what it carries.
-        config: Configuration of the station.
-        robot: Kinematic model of arm and hand.
-        observer: Receives the contacts.
+        motions: The arm and its motions.
+        config: Configuration of the station with this nail.
 
     Attributes:
         latest: Touches of the last measurement; None before it.
     """
 
-    def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
-        self._motions, self._config, self._robot = motions, config, robot
-        self._touch = Touch(motions, config, robot, observer)
+    def __init__(self, motions: Motions, config: StationConfig) -> None:
+        self._motions, self._config = motions, config
+        self._touch = Touch(motions, config)
         self.latest: Touches | None = None
         self._out = config.work.wood_normal
         self._over = CLEAR  # height over the nail's head at which the next measurement starts [m]
@@ -88,24 +85,28 @@ class NailGauge:
         """Whether a measurement may be off by half a millimetre, see `Touch.noisy`."""
         return self._touch.noisy
 
-    def begin(self, plan: StrikePlan) -> None:
+    def begin(self, plan: StrikePlan, held: HeldTool) -> HeldTool:
         """Touch a nail of known height, and the wood, to find the offset of the face along its normal.
 
         Args:
             plan: The strike whose line leads to the nail.
+            held: What the hand holds.
+
+        Returns:
+            The tool, with that offset.
 
         Raises:
             JobEnded: The offset is too large, or a touch met nothing.
         """
-        self.go_over(plan)
+        self.go_over(plan, held)
         known = self._config.work.nail_protrusion
         self._first = self.latest = None
         self._touch.forget()
-        measured = self.measure(known)
+        measured, held = self.measure(known, held)
         self._known, self._first = known, self.latest
         self._corrected = None  # the place of the face will shift by the offset in the next measurement
         if abs(known - measured) <= 0.5 * TOLERANCE:
-            return
+            return held
         if abs(measured) < NO_HEAD:
             raise JobEnded(
                 Outcome.NAIL_MISSED,
@@ -117,84 +118,89 @@ class NailGauge:
             Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as work.nail_protrusion says; {CHECK}"
         )
 
-    def resume(self, plan: StrikePlan, expected: float) -> float:
+    def resume(self, plan: StrikePlan, expected: float, held: HeldTool) -> tuple[float, HeldTool]:
         """Measure the nail after an interruption, from wherever the arm stands; the offset stays.
 
         Args:
             plan: The strike whose line leads to the nail.
             expected: Protrusion before the interruption [m]; an interrupted strike may have driven the nail.
+            held: What the hand holds.
 
         Returns:
-            The measured protrusion [m].
+            The measured protrusion [m], and the tool with the face's position along its normal.
 
         Raises:
             JobEnded: A touch met nothing.
         """
         self._corrected = None
-        self.go_over(plan)
-        return self.measure(expected)
+        self.go_over(plan, held)
+        return self.measure(expected, held)
 
-    def measure(self, expected: float, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED) -> float:
+    def measure(
+        self, expected: float, held: HeldTool, strikes: int = 1, missed: Outcome = Outcome.NAIL_MISSED
+    ) -> tuple[float, HeldTool]:
         """Measure the protrusion, from where `go_over` ends, or CLEAR over the nail; it ends beside it, above its head.
 
         Args:
             expected: Expected protrusion [m].
+            held: What the hand holds.
             strikes: Number of strikes that it does not know of.
             missed: Outcome of the job if the nail's head is not met.
 
         Returns:
-            The measured protrusion [m].
+            The measured protrusion [m], and the tool with the face's position along its normal.
 
         Raises:
             JobEnded: A touch met nothing, or the tool already touches something before it.
         """
         motions, expected, implausible = self._motions, max(expected, 0.0), strikes * IMPLAUSIBLE_DEPTH
-        place = motions.X_hand_ee[:3, 3]
+        place = held.X_hand_ee[:3, 3]
         known = self._corrected is not None and np.array_equal(place, self._corrected)  # but for the slip of strikes
         # A strike may have driven the nail, which `expected` does not know of.
-        lowest = self._height() - self._over - TOLERANCE - implausible
+        lowest = self._height(held) - self._over - TOLERANCE - implausible
         self._over = CLEAR
-        head = self._lower("nail", expected + MARGIN if known else None, lowest, missed)
+        head = self._lower("nail", held, expected + MARGIN if known else None, lowest, missed)
         nail = head.felt
-        self._rise_to(nail + LIFT)
+        self._rise_to(nail + LIFT, held)
         # Towards the handle, so that the hand moves away from the block.
-        way = way_to_bare_wood(self._config.work, motions.X_base_ee[:3, 0], expected)
-        motions.straight("aside", way / np.linalg.norm(way), float(np.linalg.norm(way)))
+        way = way_to_bare_wood(self._config.work, motions.X_base_ee(held)[:3, 0], expected)
+        motions.straight("aside", way / np.linalg.norm(way), float(np.linalg.norm(way)), held)
         # The nail may have sunk, never risen: the tool has slipped by at least this.
         slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
         lowest = min(slipped, 0.0) - TOLERANCE
-        wood = self._lower("wood", max(slipped, 0.0) + margin, lowest, Outcome.NAIL_MISSED)
+        wood = self._lower("wood", held, max(slipped, 0.0) + margin, lowest, Outcome.NAIL_MISSED)
         if self.protrusion((head, wood)) < expected - implausible:
             # A force felt above the wood makes the nail seem driven deeper; none can be felt below it.
-            self._rise_to(wood.felt + LIFT)
-            again = self._lower("wood", None, lowest, Outcome.NAIL_MISSED)
+            self._rise_to(wood.felt + LIFT, held)
+            again = self._lower("wood", held, None, lowest, Outcome.NAIL_MISSED)
             if again.felt < wood.felt:
                 wood.disbelieve()
                 wood = again
-        self._rise_to(max(nail, wood.felt) + LIFT + MARGIN)
+        self._rise_to(max(nail, wood.felt) + LIFT + MARGIN, held)
         self.latest = head, wood
         measured = self.protrusion(self.latest)
         # Correct the face's position along its normal, from the nail's head that it rested on.
-        motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, head.height - measured])
-        self._corrected = motions.X_hand_ee[:3, 3]
-        return measured
+        motions.carry(held := held.shifted(head.height - measured))
+        self._corrected = held.X_hand_ee[:3, 3]
+        return measured, held
 
-    def go_over(self, plan: StrikePlan) -> None:
+    def go_over(self, plan: StrikePlan, held: HeldTool) -> None:
         """Move to over the nail and those that stand beside it, by CLEAR, the face square to it.
 
         Args:
             plan: The strike whose line leads to the nail.
+            held: What the hand holds.
 
         Raises:
             TooleeError: There is no way there, or the motion failed.
         """
         motions = self._motions
-        motions.rise_from_among_nails()
+        motions.rise_from_among_nails(held)
         head, out = plan.X_base_ee_contact[:3, 3], self._out
         higher = [float((nail_of(body).head - head) @ out) for body in motions.in_the_way]
         self._over = CLEAR + max([0.0, *higher])
-        way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, plan, before=self._over)
-        motions.transfer("to the touch", way)
+        way = plan_over_nail(motions.robot, self._config, motions.world(held), motions.q, plan, before=self._over)
+        motions.transfer("to the touch", way, held)
 
     def protrusion(self, touches: Touches) -> float:
         """Protrusion by the touches of a measurement, and the first two, which met a nail of known height.
@@ -210,18 +216,19 @@ class NailGauge:
         offset = 0.0 if self._first is None else self._known - (self._first[0].height - self._first[1].height)
         return touches[0].height - touches[1].height + offset
 
-    def _height(self) -> float:
+    def _height(self, held: HeldTool) -> float:
         """Height of the face's centre over the wood by its estimated pose [m], as `Contact.felt` is."""
-        return protrusion(self._motions.X_base_ee, self._config.work.X_base_nail(0.0))
+        return protrusion(self._motions.X_base_ee(held), self._config.work.X_base_nail(0.0))
 
-    def _rise_to(self, height: float) -> None:
-        self._motions.straight("up", self._out, max(height - self._height(), 0.0))
+    def _rise_to(self, height: float, held: HeldTool) -> None:
+        self._motions.straight("up", self._out, max(height - self._height(held), 0.0), held)
 
-    def _lower(self, what: str, above: float | None, lowest: float, missed: Outcome) -> Contact:
+    def _lower(self, what: str, held: HeldTool, above: float | None, lowest: float, missed: Outcome) -> Contact:
         """Touch something.
 
         Args:
             what: What is touched.
+            held: What the hand holds.
             above: Height of the face down to which it moves fast [m]; None for nowhere.
             lowest: Least height of the face at which the thing may lie [m].
             missed: Outcome of the job if nothing is met.
@@ -234,25 +241,25 @@ class NailGauge:
         """
         motions = self._motions
         if not self._touch.prepare():
-            motions.straight("up", self._out, CLEAR)
+            motions.straight("up", self._out, CLEAR, held)
             message = f"before the {what} was touched the arm felt a force: the tool leans against something"
             raise JobEnded(missed, message)
-        begin = self._height()
+        begin = self._height(held)
         if above is not None and above < begin:
             guard = ContactGuard(self._config.strike.contact_force)
-            if motions.straight("down", self._out, above - begin, guard):
+            if motions.straight("down", self._out, above - begin, held, guard):
                 # The thing stands higher than expected, or the arm's own motion was felt: slowly from the start.
-                self._rise_to(begin)
-        reach = self._height() - lowest
+                self._rise_to(begin, held)
+        reach = self._height(held) - lowest
         try:
-            contact = self._touch.lower(what, reach)
+            contact = self._touch.lower(what, reach, held)
         except SidewaysContactError as error:
-            motions.straight("up", self._out, CLEAR)
+            motions.straight("up", self._out, CLEAR, held)
             message = f"while the {what} was approached something pressed on the tool's side with {error.force:.0f} N"
             raise JobEnded(
                 Outcome.NAIL_MISSED, f"{message}: the face is not where it is believed to be; {CHECK}"
             ) from error
         if contact is None:
-            motions.straight("up", self._out, reach)
+            motions.straight("up", self._out, reach, held)
             raise JobEnded(missed, f"the face was lowered to where the {what} should be and met nothing; {CHECK}")
         return contact

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 
 from toolee_robot.control.collision_shapes import nail_bodies
-from toolee_robot.errors import PlanningError
-from toolee_robot.station import WorkConfig
+from toolee_robot.errors import GripDoubtError, PlanningError
+from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
+from toolee_robot.tasks.common.held_tool import HeldTool
+from toolee_robot.tasks.common.look import Look
 from toolee_robot.tasks.common.motions import Motions
-from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, NailResult, Outcome, Strike
 from toolee_robot.tasks.hammering.nail_driving import NailDriving
 
+LIFT = 0.020
+"""Retraction from the work before the tool is looked at again [m]."""
 OF_THE_NAIL = frozenset(
     {Outcome.FLUSH, Outcome.BENT, Outcome.STUCK, Outcome.OUT_OF_STRIKES, Outcome.NAIL_MISSED, Outcome.NO_PLAN}
 )
@@ -23,29 +28,18 @@ class NailSeries:
     """The nails in order, and what became of them.
 
     Args:
-        work: The work.
-        motions: Is told which nails are in the way.
-        nails: What drives each nail, with its name, in order.
-        observer: Receives the events of the job.
+        motions: The arm and its motions; is told which nails are in the way.
+        look: Looks at the tool; None for the baseline, which strikes with the nominal pose in the hand.
+        names: Names of the nails, in order.
     """
 
-    def __init__(
-        self, work: WorkConfig, motions: Motions, nails: Sequence[tuple[str, NailDriving]], observer: TaskObserver
-    ) -> None:
-        self._work, self._motions, self._nails, self._observer = work, motions, nails, observer
+    def __init__(self, motions: Motions, look: Look | None, names: Sequence[str]) -> None:
+        self._motions, self._look, self._work = motions, look, motions.config.work
+        self._nails = [
+            (name, NailDriving(motions, replace(motions.config, work=self._work.only(name)), look)) for name in names
+        ]
         self._ended: list[NailResult] = []
         self._begun = False
-        self._unseen = 0
-
-    @property
-    def driving(self) -> NailDriving:
-        """What drives the present nail; the last one where all have ended."""
-        return self._nails[min(len(self._ended), len(self._nails) - 1)][1]
-
-    @property
-    def strikes_since_look(self) -> int:
-        """Number of strikes since the last look at the tool, on this nail or the one before."""
-        return self._unseen + self.driving.strikes_since_look
 
     @property
     def strikes(self) -> tuple[Strike, ...]:
@@ -62,16 +56,12 @@ class NailSeries:
         """Time that the nails have taken so far [s], station clock."""
         return sum(driving.seconds for _, driving in self._nails)
 
-    def looked(self) -> None:
-        """Note that the tool was looked at before the present nail."""
-        self._unseen = 0
-
-    def drive(self, drive: Callable[[bool], tuple[Outcome, str]], lift: bool) -> tuple[Outcome, str]:
+    def drive(self, held: HeldTool, *, lift: bool) -> tuple[Outcome, str]:
         """Drive the nails that have not ended; a nail that is given up does not keep the next one from being driven.
 
         Args:
-            drive: Drives the present nail, with whether the hand is lifted from the work first.
-            lift: Whether it is for the first of them.
+            held: What the hand holds.
+            lift: Whether it is lifted from the work first.
 
         Returns:
             Outcome of all, and the reason for a person.
@@ -83,20 +73,20 @@ class NailSeries:
         while len(self._ended) < len(self._nails):
             name, driving = self._nails[len(self._ended)]
             if not self._begun:
-                self._observer.nail_started(name, self._work.only(name).nail_protrusion)
+                self._motions.observer.nail_started(name, self._work.only(name).nail_protrusion)
             self._begun = True
             self._motions.in_the_way = nail_bodies(self._work, self._standing(name))
             try:
-                outcome, reason = drive(lift)
+                outcome, reason = self._look_and_strike(driving, held, lift)
             except JobEnded as end:
                 outcome, reason = end.outcome, str(end)
             except PlanningError as error:
                 outcome, reason = Outcome.NO_PLAN, str(error)
             if outcome not in OF_THE_NAIL:
                 raise JobEnded(outcome, reason)
-            self._unseen, self._begun, lift = driving.strikes_since_look, False, True
+            self._begun, lift, held = False, True, self._motions.held
             self._ended.append(_result(name, outcome, reason, driving))
-            self._observer.nail_ended(self._ended[-1])
+            self._motions.observer.nail_ended(self._ended[-1])
         if len(self._nails) == 1:
             return outcome, reason
         flush = [nail.name for nail in self._ended if nail.outcome is Outcome.FLUSH]
@@ -105,6 +95,25 @@ class NailSeries:
             return Outcome.FLUSH, f"all {len(flush)} nails are flush"
         reasons = "; ".join(f"{nail.name}: {nail.reason}" for nail in others)
         return others[0].outcome or Outcome.STUCK, f"{len(flush)} of {len(self._nails)} nails are flush; {reasons}"
+
+    def _look_and_strike(self, driving: NailDriving, held: HeldTool, lift: bool) -> tuple[Outcome, str]:
+        """Look at the tool and drive a nail; a doubt about the grip that passes is answered by a new look."""
+        doubts = strikes = 0
+        while True:
+            try:
+                if lift:
+                    with suppress(PlanningError):  # a hand that stands far from the work need not be lifted
+                        self._motions.rise("up", held, LIFT)
+                if self._look is not None:
+                    held = self._look(held, self._motions.config.task.views)
+                return driving.run(held)
+            except GripDoubtError as doubt:
+                done = len(driving.strikes)
+                doubts = doubts + 1 if done == strikes else 1
+                strikes, lift, held = done, True, self._motions.held
+                if doubts >= MAX_DOUBTS:
+                    raise
+                self._motions.observer.message(f"{doubt}; looking again")
 
     def _standing(self, struck: str) -> list[str]:
         """The nails other than the one that is struck that are not known to be flush."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from toolee_robot.control.contact import ContactVerdict
@@ -11,14 +9,12 @@ from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad, strike_load
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.swing import SwingLimits, plan_swing
 from toolee_robot.control.records import StrikePlan
-from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse
-from toolee_robot.hal import Clock, MotionReport
+from toolee_robot.hal import MotionReport
 from toolee_robot.station import StationConfig
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
-from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Strike
-from toolee_robot.types import Payload
 
 RETRACT_SPEED, RETRACT_SHARE = 0.8, 0.5
 """Largest speed of the way up after a strike, with nobody in reach [m/s], and share of a strike's velocities and
@@ -36,35 +32,23 @@ class Striking:
     """The strikes on one nail, one by one.
 
     Args:
-        motions: The arm and what it carries.
-        config: Configuration of the station.
-        robot: Kinematic model of arm and hand.
-        clock: The station's clock.
-        observer: Receives plans, contacts and strikes.
-        tool: Returns mass [kg] and centre of mass of the tool in the frame of its end effector [m].
+        motions: The arm and its motions.
+        config: Configuration of the station with this nail.
 
     Attributes:
         done: The strikes that were recorded.
     """
 
-    def __init__(
-        self,
-        motions: Motions,
-        config: StationConfig,
-        robot: RobotModel,
-        clock: Clock,
-        observer: TaskObserver,
-        tool: Callable[[], Payload],
-    ) -> None:
+    def __init__(self, motions: Motions, config: StationConfig) -> None:
         self.done: list[Strike] = []
-        self._motions, self._config, self._robot = motions, config, robot
-        self._clock, self._observer, self._tool = clock, observer, tool
+        self._motions, self._config, self._robot = motions, config, motions.robot
 
-    def plan(self, height: float) -> StrikePlan:
+    def plan(self, height: float, held: HeldTool) -> StrikePlan:
         """Plan a strike: along the nail's axis; square to the wood where the face's rim would else meet it.
 
         Args:
             height: Protrusion of the nail [m].
+            held: What the hand holds.
 
         Returns:
             The plan, from where the arm stands.
@@ -74,15 +58,16 @@ class Striking:
         """
         work, X_base_nail = self._config.work, self._config.work.X_base_nail(height)
         rim = FACE * float(np.tan(angle_between(work.nail_axis, work.wood_normal)))
-        return self._plan(X_base_nail if height > rim + DRIVEN or not self.leans else self._square(height))
+        return self._plan(X_base_nail if height > rim + DRIVEN or not self.leans else self._square(height), held)
 
-    def plan_touch(self, height: float) -> StrikePlan:
+    def plan_touch(self, height: float, held: HeldTool) -> StrikePlan:
         """Plan a strike whose line a touch is made on: square to the wood.
 
         The face's rim then meets the wood no sooner than its middle.
 
         Args:
             height: Protrusion of the nail [m].
+            held: What the hand holds.
 
         Returns:
             The plan, from where the arm stands.
@@ -90,7 +75,7 @@ class Striking:
         Raises:
             PlanningError: There is none.
         """
-        return self._plan(self._square(height) if self.leans else self._config.work.X_base_nail(height))
+        return self._plan(self._square(height) if self.leans else self._config.work.X_base_nail(height), held)
 
     @property
     def leans(self) -> bool:
@@ -102,23 +87,24 @@ class Striking:
         X_base_nail = self._config.work.X_base_nail(height)
         return frame_from_axes(z=-self._config.work.wood_normal, x=X_base_nail[:3, 0], p=X_base_nail[:3, 3])
 
-    def _plan(self, X_base_nail: Array) -> StrikePlan:
+    def _plan(self, X_base_nail: Array, held: HeldTool) -> StrikePlan:
         motions, deepest = self._motions, self._config.strike.deepest
-        motions.rise_from_among_nails()
-        state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee
+        motions.rise_from_among_nails(held)
+        state = motions.world(held), motions.q, motions.q_hand, held.X_hand_ee
         if deepest is None:
-            plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=self._tool())
+            plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=held.payload)
         else:
-            limits = SwingLimits(self._tool(), deepest)
+            limits = SwingLimits(held.payload, deepest)
             plan = plan_swing(self._robot, self._config, *state, X_base_nail, limits=limits)
-        self._observer.planned(self._clock.now(), plan)
+        motions.observer.planned(motions.station.clock.now(), plan)
         return plan
 
-    def swing(self, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
+    def swing(self, plan: StrikePlan, held: HeldTool) -> tuple[MotionReport, ContactVerdict]:
         """Execute a strike.
 
         Args:
             plan: The strike.
+            held: What the hand holds.
 
         Returns:
             What was done, and how it met the nail.
@@ -127,11 +113,11 @@ class Striking:
             TooleeError: A motion failed, or nobody permits it.
         """
         motions = self._motions
-        motions.transfer("to the run-up", plan.approach)
+        motions.transfer("to the run-up", plan.approach, held)
         motions.arm.permit_swings(self._config.task.handover_timeout)
-        return motions.swing("strike", plan)
+        return motions.swing("strike", plan, held)
 
-    def retract(self, plan: StrikePlan, above: float) -> None:
+    def retract(self, plan: StrikePlan, above: float, held: HeldTool) -> None:
         """Move straight out along the nail's axis from where a strike ended.
 
         The strike may have been stopped above the nail by an obstacle: never down.
@@ -139,6 +125,7 @@ class Striking:
         Args:
             plan: The strike.
             above: Height over the nail [m].
+            held: What the hand holds.
 
         Raises:
             TooleeError: The motion failed.
@@ -147,7 +134,8 @@ class Striking:
         X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
         out = self._config.work.nail_axis
         below = float((plan.X_base_ee_contact - X_base_ee)[:3, 3] @ out)
-        self._motions.straight("up", out, above + max(below, 0.0), speed=RETRACT_SPEED, share=RETRACT_SHARE)
+        up = above + max(below, 0.0)
+        self._motions.straight("up", out, up, held, speed=RETRACT_SPEED, share=RETRACT_SHARE)
 
     def load(self, report: MotionReport) -> StrikeLoad:
         """Compute what a strike asked of the arm.
@@ -177,7 +165,7 @@ class Striking:
         force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))
         stamp = report.stamps[-1] if report.contact is None else report.contact.stamp
         if report.contact is not None:
-            self._observer.contact(stamp, force, plan.X_base_ee_contact)
+            self._motions.observer.contact(stamp, force, plan.X_base_ee_contact)
         strike = Strike(len(self.done) + 1, float(stamp), plan.speed, force, verdict.meeting, load, height)
         self.done.append(strike)
-        self._observer.strike(strike)
+        self._motions.observer.strike(strike)

@@ -12,17 +12,15 @@ was stopped with the tool in the hand can go on after a person has looked:
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import replace
 from datetime import date
 
 import numpy as np
 
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import (
     DeviceError,
-    GripDoubtError,
     GripError,
     NotReadyError,
     PerceptionError,
@@ -33,22 +31,15 @@ from toolee_robot.errors import (
 )
 from toolee_robot.hal import Station
 from toolee_robot.station import StationConfig
-from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
-from toolee_robot.tasks.common.look import Perceiver
+from toolee_robot.tasks.common.look import Look, Perceiver
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, JobEnded, Outcome, Stage
 from toolee_robot.tasks.common.recovery import PUT_AWAY, TAKE_OUT, Stops
-from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.hammering.handover import Handover
-from toolee_robot.tasks.hammering.nail_driving import NailDriving
 from toolee_robot.tasks.hammering.nail_series import NailSeries
-from toolee_robot.tasks.hammering.tool_pose import Holding, ToolPose
-from toolee_robot.tasks.hammering.weighing import Weighing
 
-LIFT = 0.020
-"""Retraction from the work before the tool is looked at again [m]."""
 STOPPED = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR)
 """Outcomes after which a job may be resumed."""
 
@@ -58,11 +49,10 @@ class HammeringTask:
 
     Args:
         station: The devices of the station.
-        perceiver: Estimates the tool's pose from frames; usually a `ToolPerception`.
+        perceiver: Estimates the tool's pose from frames; usually a `ToolPerception`. None strikes with the nominal pose
+            in the hand, which is the paper's baseline, for comparison only.
         config: Configuration of the station.
         grasp: Nominal grasp of the tool that will be handed over.
-        correction: Whether the estimated in-hand pose is used. False strikes with the nominal one, which is the paper's
-            baseline, for comparison only.
         observer: Receives the events of the job; None for no observer.
         nails: Names of the nails to drive, in order; None for all of the station.
 
@@ -73,49 +63,26 @@ class HammeringTask:
     def __init__(
         self,
         station: Station,
-        perceiver: Perceiver,
+        perceiver: Perceiver | None,
         config: StationConfig,
         grasp: Grasp,
         *,
-        correction: bool = True,
         observer: TaskObserver | None = None,
         nails: Sequence[str] | None = None,
     ) -> None:
-        if grasp.ee_off and not correction:
+        if grasp.ee_off and perceiver is None:
             raise UserError(
                 "where the tool's face is, is not known, so that it cannot be struck with without a look at it: give "
                 "tool.face and tool.face_normal, or leave --variant no_correction out",
                 code="user.unknown_face",
             )
-        self._stops = Stops()
-        self._station = station
-        self._config = config
-        self._correction = correction
-        self._observer = observer = observer or TaskObserver()
-        self._robot = robot = RobotModel.of_station(config)
-        self._motions = motions = Motions(station, config, robot, observer, grasp.X_hand_ee)
-        self._stages = stages = Stages(observer)
         names = tuple(nails or config.work.names)
-        motions.tool_off = grasp.ee_off
-        self._weighing = weighing = Weighing(motions, config, robot, station.clock, observer)
-        self._handover = handover = Handover(station, config, robot, motions, stages, observer, grasp, names, weighing)
-        self._nails = series = NailSeries(
-            config.work,
-            motions,
-            [
-                (name, NailDriving(
-                    motions, replace(config, work=config.work.only(name)), robot, station.clock, stages, observer,
-                    self._look, lambda: self._tool_pose.frames, lambda: weighing.swung(handover.grasp),
-                    correction=correction,
-                ))
-                for name in names
-            ],
-            observer,
-        )  # fmt: skip
-        self._tool_pose = ToolPose(
-            station, perceiver, config, robot, motions, stages, observer, grasp.X_hand_ee, grasp.ee_off,
-            strikes_since_look=lambda: series.strikes_since_look,
-        )  # fmt: skip
+        self._stops = Stops()
+        self._station, self._config = station, config
+        self._motions = motions = Motions(station, config, RobotModel.of_station(config), observer or TaskObserver())
+        self._look = None if perceiver is None else Look(motions, perceiver, Category.HAMMER_HEAD)
+        self._handover = Handover(motions, grasp, names)
+        self._nails = NailSeries(motions, self._look, names)
         self._outcome: Outcome | None = None
         self._fault: DeviceError | None = None
         self._began = station.clock.now()
@@ -182,7 +149,7 @@ class HammeringTask:
     @property
     def holds_tool(self) -> bool:
         """Whether the tool is in the hand as far as is known."""
-        return self._motions.held
+        return self._motions.carried is not None
 
     @property
     def latched(self) -> str:
@@ -204,15 +171,15 @@ class HammeringTask:
             reason,
             self._nails.strikes,
             self._nails.protrusion,
-            self._stages.latest,
-            tuple(self._tool_pose.estimates),
-            dict(self._stages.seconds),
+            self._motions.stages.latest,
+            () if self._look is None else tuple(self._look.estimates),
+            dict(self._motions.stages.seconds),
             self._station.clock.now() - self._began,
             self._nails.seconds,
             self._nails.results(outcome, reason),
             self._stops.count,
             self._fault,
-            self._weighing.weight,
+            self._handover.weight,
         )
 
     def _end(self, job: Callable[[], tuple[Outcome, str]]) -> HammerResult:
@@ -229,7 +196,7 @@ class HammeringTask:
     def _ended(self, outcome: Outcome, reason: str) -> HammerResult:
         self._outcome = outcome
         result = self.result(outcome, reason)
-        self._observer.ended(result)
+        self._motions.observer.ended(result)
         return result
 
     def _ending(self, job: Callable[[], tuple[Outcome, str]]) -> tuple[Outcome, str]:
@@ -258,34 +225,13 @@ class HammeringTask:
     def _job(self) -> tuple[Outcome, str]:
         self._check_calibration()
         self._motions.begin()
-        self._handover.take_tool()
-        return self._nails.drive(self._drive, lift=False)
+        return self._nails.drive(self._handover.take_tool(), lift=False)
 
     def _go_on(self) -> tuple[Outcome, str]:
         self._motions.check_hand()
         self._handover.clear_person("Step back: the arm looks at the hammer again, and then strikes on.")
-        self._handover.tell_payload()
-        self._tool_pose.forget()
-        return self._nails.drive(self._drive, lift=True)
-
-    def _drive(self, lift: bool) -> tuple[Outcome, str]:
-        """Look at the tool and drive the present nail; a doubt about the grip that passes is answered by a new look."""
-        doubts, strikes, driving = 0, 0, self._nails.driving
-        while True:
-            try:
-                if lift:
-                    with suppress(PlanningError):  # a hand that stands far from the work need not be lifted
-                        self._motions.rise("up", LIFT)
-                self._look(self._config.task.views)
-                self._nails.looked()
-                return driving.run()
-            except GripDoubtError as doubt:
-                done = len(driving.strikes)
-                doubts = doubts + 1 if done == strikes else 1
-                strikes, lift = done, True
-                if doubts >= MAX_DOUBTS:
-                    raise
-                self._observer.message(f"{doubt}; looking again")
+        held = self._handover.tell_payload(self._motions.held)
+        return self._nails.drive(held.forgotten(), lift=True)
 
     def _after_loss(self) -> str:
         """Once a person has looked, and asked for it, move the arm away from where the tool may lie."""
@@ -297,13 +243,6 @@ class HammeringTask:
             return f"nobody confirmed that the arm may move away: {PUT_AWAY}"
         self._handover.tool_gone()
         return f"the arm moved away from it: {PUT_AWAY}" if self._motions.retreat() else PUT_AWAY
-
-    def _look(self, views: int, afresh: bool = False) -> Holding:
-        if not self._correction:
-            return Holding()
-        if afresh:
-            self._tool_pose.forget()
-        return self._tool_pose.look(views)
 
     def _check_calibration(self) -> None:
         """Refuse a station whose camera calibration is missing or invalid."""
@@ -331,14 +270,16 @@ class HammeringTask:
             if not self.holds_tool:
                 return outcome, f"{reason}; {PUT_AWAY}"
             return outcome, self._stops.add(reason)
-        with self._stages(Stage.PARK):
+        with self._motions.stages(Stage.PARK):
             try:
                 if not self._handover.person_clear:
                     self._handover.clear_person("Take the tool along and step back: the arm goes home.")
                 home = np.asarray(self._config.scene.home)
-                self._motions.rise_from_among_nails()
-                world = self._motions.world()
-                self._motions.transfer("home", plan_transfer(self._robot, self._config, world, self._motions.q, home))
+                held = self._motions.carried
+                self._motions.rise_from_among_nails(held)
+                world = self._motions.world(held)
+                way = plan_transfer(self._motions.robot, self._config, world, self._motions.q, home)
+                self._motions.transfer("home", way, held)
             except (PlanningError, DeviceError) as error:
                 self._motions.stand_still()
                 reason = f"{reason}; the arm stands where it stopped: {error}"

@@ -26,13 +26,12 @@ from toolee_robot.control.motion.touch_force import (
     touch_settings,
 )
 from toolee_robot.control.planning.straight import plan_straight
-from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME, ContactGuard, MotionReport
 from toolee_robot.station import StationConfig
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
-from toolee_robot.tasks.common.observer import TaskObserver
 
 NOISE_TIME, NOISE_TIMES = 1.0, 3
 """Time over which the noise is measured at rest [s], and how many times at most before the force is too noisy."""
@@ -115,14 +114,12 @@ class Touch:
     """Guarded touches of one nail.
 
     Args:
-        motions: The arm and what it carries.
-        config: Configuration of the station.
-        robot: Kinematic model of arm and hand.
-        observer: Receives the contacts.
+        motions: The arm and its motions.
+        config: Configuration of the station with this nail.
     """
 
-    def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
-        self._motions, self._config, self._robot, self._observer = motions, config, robot, observer
+    def __init__(self, motions: Motions, config: StationConfig) -> None:
+        self._motions, self._config, self._robot = motions, config, motions.robot
         self._settings: TouchSettings | None = None
         self._releases = Releases()
         self._up = config.work.wood_normal  # out of the wood, in `base`
@@ -164,13 +161,14 @@ class Touch:
         """Forget what the touches so far have told of the stiffness."""
         self._releases = Releases()
 
-    def lower(self, what: str, reach: float) -> Contact | None:
+    def lower(self, what: str, reach: float, held: HeldTool) -> Contact | None:
         """Lower the face square to the wood until it touches something; `prepare` was called just before.
 
         Args:
             what: What is touched, for the recording.
             reach: How far below the face the thing may lie [m]; the face goes on by the travel that the force is
                 averaged over, without which a contact at the very end would not be felt.
+            held: What the hand holds.
 
         Returns:
             What it met; None if it met nothing.
@@ -184,13 +182,14 @@ class Touch:
         best: Contact | None = None
         assert settings is not None, "prepare() comes first"
         # The wrist as it is while nothing presses on the face: it gives way under the contact.
-        X_flange_ee = self._robot.X_flange_hand(motions.q_hand) @ motions.X_hand_ee
+        X_flange_ee = self._robot.X_flange_hand(motions.q_hand) @ held.X_hand_ee
         end = self._height(X_flange_ee) - reach - 2.0 * WINDOW_WAY
         for force in settings.forces:
             guard = ContactGuard(force, averaging_window=settings.window)
             left = max(self._height(X_flange_ee) - end, 0.001)
-            down = plan_straight(self._robot, self._config, motions.world(), motions.q, -left, self._up, settings.speed)
-            report = motions.execute(f"touch the {what}", down, guard, at_work=True)
+            world = motions.world(held)
+            down = plan_straight(self._robot, self._config, world, motions.q, -left, self._up, settings.speed)
+            report = motions.execute(f"touch the {what}", down, held, guard, at_work=True)
             if report.contact is None:
                 return best
             pressing = float(np.mean(motions.forces(max(CONFIRM_TIME, settings.window)), axis=0) @ self._up)
@@ -202,12 +201,12 @@ class Touch:
             rise = onset(course) or Rise(float(course.heights[-1]), UNKNOWN.stiffness, np.inf)
             found = Contact(rise.height)
             if settings.release is not None:
-                released = self._release(what, rise, pressing, X_flange_ee)
+                released = self._release(what, rise, pressing, held, X_flange_ee)
                 if released is None:
                     continue
                 found = released
             X_base_ee = self._robot.arm.fk(report.contact.q) @ X_flange_ee
-            self._observer.contact(report.contact.stamp, float(course.forces[-1]), X_base_ee)
+            motions.observer.contact(report.contact.stamp, float(course.forces[-1]), X_base_ee)
             best = found if best is None else best.surer(found)
             if best.deviation <= UNSURE:
                 break
@@ -232,11 +231,9 @@ class Touch:
         motions = self._motions
         forces = np.empty((0, 3))
         for last in range(NOISE_TIMES):
-            forces = np.concatenate([forces, motions.forces(NOISE_TIME)])
+            forces = motions.read_noise(NOISE_TIME, forces)
             try:
-                settings = touch_settings(forces, motions.arm.rate, self._config.strike)
-                motions.noise = forces
-                return settings
+                return touch_settings(forces, motions.arm.rate, self._config.strike)
             except DeviceError:
                 if last == NOISE_TIMES - 1:
                     raise
@@ -252,7 +249,7 @@ class Touch:
         X_base_ee = self._robot.arm.fk(self._motions.q) @ X_flange_ee
         return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
 
-    def _release(self, what: str, down: Rise, force: float, X_flange_ee: Array) -> Contact | None:
+    def _release(self, what: str, down: Rise, force: float, held: HeldTool, X_flange_ee: Array) -> Contact | None:
         """Lift the face slowly from what it presses on with a force [N], which it met as the way down tells.
 
         Returns:
@@ -264,8 +261,9 @@ class Touch:
         known = releases.stiffness
         pressed = force / known if known else max(force / down.stiffness, down.height - self._height(X_flange_ee))
         pressed, speed = min(pressed, SLOPE_RANGE - FREE), settings.release_speed(known or down.stiffness)
-        up = plan_straight(self._robot, self._config, motions.world(), motions.q, pressed + FREE, self._up, speed)
-        report = motions.execute(f"release the {what}", up, at_work=True)
+        world, way = motions.world(held), pressed + FREE
+        up = plan_straight(self._robot, self._config, world, motions.q, way, self._up, speed)
+        report = motions.execute(f"release the {what}", up, held, at_work=True)
         course = self._course(report, np.inf, X_flange_ee)
         rise = onset(course)
         if rise is None or rise.stiffness * (rise.height - np.min(course.heights)) < CONFIRM_SHARE * settings.force:

@@ -13,14 +13,11 @@ from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.dynamics.tool_weight import RestReading, ToolWeight, WeighingPrior, rest_reading, weigh
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.planning.wrist_turns import plan_wrist_turns
-from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import GripDoubtError, PlanningError, WeighingError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.hal import Clock
-from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
+from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
-from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.types import ArmModel, Payload, Trajectory
 
@@ -56,27 +53,21 @@ class Weighing:
     """Weighs the tool of one job.
 
     Args:
-        motions: The arm and what it carries.
-        config: Configuration of the station.
-        robot: Kinematic model of arm and hand.
-        clock: The station's clock.
-        observer: Receives messages.
+        motions: The arm and its motions.
 
     Attributes:
         weight: What was weighed; None before.
     """
 
-    def __init__(
-        self, motions: Motions, config: StationConfig, robot: RobotModel, clock: Clock, observer: TaskObserver
-    ) -> None:
+    def __init__(self, motions: Motions) -> None:
         self.weight: ToolWeight | None = None
-        self._motions, self._config, self._robot = motions, config, robot
-        self._clock, self._observer = clock, observer
+        self._motions, self._config, self._robot = motions, motions.config, motions.robot
+        self._clock, self._observer = motions.station.clock, motions.observer
         self._empty: list[RestReading] = []
         self._felt_at, self._readied = -np.inf, 0
         self._qs: list[Array] = []
 
-    def feel_empty_hand(self, grasp: Grasp) -> None:
+    def feel_empty_hand(self, grasp: Grasp, expected: HeldTool) -> None:
         """Read what the arm feels with the empty hand: the tool is weighed against it.
 
         It is felt where the arm stands, and with the wrist turned as the tool will be, where there is a way; the arm
@@ -84,6 +75,7 @@ class Weighing:
 
         Args:
             grasp: Nominal grasp.
+            expected: The tool as it will be held, by that.
 
         Raises:
             DeviceError: The arm does not answer, or takes no payload.
@@ -93,20 +85,20 @@ class Weighing:
         motions.set_payload(self._robot.description.hand_payload(motions.q_hand))
         self._felt_at, self._readied = self._clock.now(), motions.readied
         self._qs, self._empty = [motions.q], [self._reading(LONG)]
-        closed, off = self._robot.description.hand_closed, motions.tool_off
-        with_tool = CollisionWorld(self._robot, self._config, closed, motions.X_hand_ee, tool_off=off)
+        closed = self._robot.description.hand_closed
+        with_tool = CollisionWorld(self._robot, self._config, closed, expected.X_hand_ee, tool_off=expected.off)
         goals, turns = list[Array](), list[Trajectory]()
         with suppress(PlanningError):  # the reading here is enough
             goals = [turn.q[-1] for turn in self._turns(grasp, 1, with_tool)]
-            turns = self._turns(grasp, 0, motions.world(), goals)
+            turns = self._turns(grasp, 0, motions.world(None), goals)
         if turns:
             self._observer.message("stay out of reach: the wrist turns twice, and the arm feels the empty hand")
-            motions.transfer("to feel the empty hand", turns[0], speed)
+            motions.transfer("to feel the empty hand", turns[0], None, speed)
             self._qs.append(motions.q)
             self._empty.append(self._reading(SHORT))
-            self._to_handover()
+            self._to_handover(None)
 
-    def weigh(self, grasp: Grasp) -> Grasp:
+    def weigh(self, grasp: Grasp, held: HeldTool) -> tuple[Grasp, HeldTool]:
         """Weigh the tool in the hand: the wrist turns slowly, and the arm feels the tool at rest in between.
 
         Before, the arm compensates the hand alone; with a result, also one that is refused, the tool, too. Without a
@@ -116,9 +108,11 @@ class Weighing:
 
         Args:
             grasp: Nominal grasp, with the mass for which the job was planned.
+            held: What the hand holds.
 
         Returns:
-            The grasp with the tool's mass and centre of mass.
+            Both with the tool's mass and centre of mass; for the plan of a strike it is taken for heavier by its
+            uncertainty.
 
         Raises:
             WeighingError: There is no result, or it is too uncertain (`weighing.uncertain`), or more than the job was
@@ -128,7 +122,7 @@ class Weighing:
         """
         try:
             try:
-                weight, count = self._felt_in_spite_of_doubts(grasp)
+                weight, count = self._felt_in_spite_of_doubts(grasp, held)
             except PlanningError as error:
                 raise WeighingError(
                     f"the tool cannot be weighed where it was handed over: {error}. Clear the space around it, or "
@@ -140,33 +134,36 @@ class Weighing:
         except WeighingError as error:
             self._observer.message(str(error))  # a motion or a device may fail on the way back
             with suppress(PlanningError):
-                self._to_handover()
+                self._to_handover(held)
             raise
         self._observer.message(f"the arm weighs the tool: {in_words(weight)}, in {count} orientations")
-        return replace(grasp, mass=weight.mass, p_tool_com=p_tool_com, to_weigh=False)
+        swung = Payload(weight.mass + HEAVIER * weight.mass_sigma, p_tool_com)
+        payload = swung.seen_from(inverse(held.X_hand_ee) @ grasp.X_hand_tool)
+        told = replace(grasp, mass=weight.mass, p_tool_com=p_tool_com, to_weigh=False)
+        return told, replace(held, payload=payload, weighed=True)
 
-    def _felt_in_spite_of_doubts(self, grasp: Grasp) -> tuple[ToolWeight, int]:
+    def _felt_in_spite_of_doubts(self, grasp: Grasp, held: HeldTool) -> tuple[ToolWeight, int]:
         """The same as `_felt`; from the beginning where the hand doubted its grip, since the tool may have moved."""
         for _ in range(MAX_DOUBTS - 1):
             try:
-                return self._felt(grasp)
+                return self._felt(grasp, held)
             except GripDoubtError as doubt:
                 self._observer.message(f"{doubt}; weighing again")
-        return self._felt(grasp)
+        return self._felt(grasp, held)
 
-    def _felt(self, grasp: Grasp) -> tuple[ToolWeight, int]:
+    def _felt(self, grasp: Grasp, held: HeldTool) -> tuple[ToolWeight, int]:
         """The tool's weight, and in how many orientations it was felt."""
         motions, config = self._motions, self._config
-        self._to_handover()  # a resumed job stands elsewhere
-        held = [self._reading(LONG)]
-        turns = self._turns(grasp, POSTURES, motions.world(), self._qs[1:])
+        self._to_handover(held)  # a resumed job stands elsewhere
+        readings = [self._reading(LONG)]
+        turns = self._turns(grasp, POSTURES, motions.world(held), self._qs[1:])
         for turn in turns:
-            motions.transfer("to weigh the tool", turn, config.supervisor.handover_speed)
-            held.append(self._reading(SHORT))
+            motions.transfer("to weigh the tool", turn, held, config.supervisor.handover_speed)
+            readings.append(self._reading(SHORT))
         # Where the tool hinders the turn of the empty hand, only the reading at the handover is one of a pair.
         paired = len(self._qs) > 1 and bool(turns) and _same(turns[0].q[-1], self._qs[1])
         empty = self._empty if paired else self._empty[:1]
-        return weigh(held, empty, config.arm.gravity, self._prior(grasp)), len(held)
+        return weigh(readings, empty, config.arm.gravity, self._prior(grasp)), len(readings)
 
     def _turns(
         self, grasp: Grasp, count: int, world: CollisionWorld, first: Sequence[Array] | None = None
@@ -191,27 +188,12 @@ class Weighing:
         self.weight = weight
         return np.asarray(p_tool_com)
 
-    def _to_handover(self) -> None:
+    def _to_handover(self, held: HeldTool | None) -> None:
         motions, config = self._motions, self._config
         assert self._qs, "the empty hand is felt before the handover"
         if not _same(motions.q, self._qs[0]):
-            way = plan_transfer(self._robot, config, motions.world(), motions.q, self._qs[0])
-            motions.transfer("to the handover", way, config.supervisor.handover_speed)
-
-    def swung(self, grasp: Grasp) -> Payload:
-        """What is swung, for the plan of a strike; a weighed tool is taken for heavier by its uncertainty.
-
-        Args:
-            grasp: The grasp.
-
-        Returns:
-            Mass of the tool [kg] and its centre of mass in the end effector's frame [m]: of a weighed one where the
-            hand holds it, by the last look.
-        """
-        if self.weight is None:
-            return grasp.swung
-        held = Payload(self.weight.mass + HEAVIER * self.weight.mass_sigma, grasp.p_tool_com)
-        return held.seen_from(inverse(self._motions.X_hand_ee) @ grasp.X_hand_tool)
+            way = plan_transfer(self._robot, config, motions.world(held), motions.q, self._qs[0])
+            motions.transfer("to the handover", way, held, config.supervisor.handover_speed)
 
     def _reading(self, duration: float) -> RestReading:
         self._clock.sleep(SETTLE)

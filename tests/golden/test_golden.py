@@ -1,0 +1,64 @@
+"""Jobs, data set and recording as they were before the code was halved (tag `before-half`).
+
+The jobs are 20 of `toolee sim hammer --seed N --json`; a change of behaviour is either better and said, or a fault.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from toolee_robot.cli.app import run
+from toolee_robot.runtime.files import sha256
+
+HERE = Path(__file__).parent
+JOBS: list[dict[str, Any]] = json.loads((HERE / "jobs.json").read_text())
+DATASET: dict[str, str] = json.loads((HERE / "dataset.json").read_text())
+COMMAND = ("sim", "hammer")
+SAME = ("success", "outcome", "nail", "tool", "robot", "hand", "stops", "off_face_strikes")
+"""Figures that have to be the same."""
+TOLERANCES = {
+    "strikes": 3,
+    "protrusion_mm": 0.4,
+    "measured_protrusion_mm": 0.7,
+    "contact_speed": 0.03,
+    "largest_impulse": 0.3,
+    "largest_torque_share": 0.1,
+    "robot_seconds": 25.0,
+}
+"""Largest differences to either side."""
+NO_WORSE = {
+    "pose_error_mm": 0.8,
+    "pose_error_deg": 0.8,
+    "strike_offset_mm": 1.5,
+    "strike_tilt_deg": 2.0,
+    "nail_bend_deg": 2.0,
+    "nail_shift_mm": 0.5,
+    "largest_flange_force": 25.0,
+}
+"""By how much figures may be larger: less is better."""
+
+
+@pytest.mark.nightly
+@pytest.mark.sim(seconds=90)
+@pytest.mark.parametrize("before", JOBS, ids=lambda job: str(job["seed"]))
+def test_a_job_ends_as_it_did(before: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status = run([*COMMAND, "--seed", str(before["seed"]), "--json", "--out", str(tmp_path)])
+    now = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert status == int(not before["success"])
+    assert {name: now[name] for name in SAME} == {name: before[name] for name in SAME}
+    assert now["errors"] == pytest.approx(before["errors"], abs=1e-3), "another draw of the same seed"
+    different = [f"{n}: {before[n]} -> {now[n]}" for n, most in TOLERANCES.items() if abs(now[n] - before[n]) > most]
+    worse = [f"{n}: {before[n]} -> {now[n]}" for n, most in NO_WORSE.items() if now[n] > before[n] + most]
+    assert not different + worse
+
+
+@pytest.mark.sim(seconds=20)
+def test_a_data_set_has_the_bytes_that_it_had(tmp_path: Path) -> None:
+    """Another processor may round a pixel otherwise; on the same one a changed byte is a changed data set."""
+    options = ["--config", "hard", "--size", "4", "--seed", "5", "--workers", "1", "--out", str(tmp_path / "hard")]
+    assert run(["dataset", "generate", *options]) == 0
+    assert {name: sha256(tmp_path / "hard" / name) for name in DATASET} == DATASET
