@@ -27,10 +27,10 @@ from toolee_robot.perception.offline.evaluation.examples import Part, parts, rea
 from toolee_robot.perception.offline.evaluation.pose import right_poses
 from toolee_robot.perception.offline.evaluation.records import Examples
 from toolee_robot.perception.offline.evaluation.run import empty_frame
+from toolee_robot.perception.offline.processes import ProcessMap
 from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.perception.pose import PoseEstimator, confidence
 from toolee_robot.perception.trust import FEATURES, Trust, features
-from toolee_robot.runtime.process_map import ProcessMap
 
 PRECISION = 0.95
 """Wanted share of right poses among the usable ones."""

@@ -28,6 +28,7 @@ from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.spec import refuse_test_set
 from toolee_robot.perception.offline.evaluation.examples import Part, parts, read_part
 from toolee_robot.perception.offline.evaluation.records import Case, Instance, spin_points
+from toolee_robot.perception.offline.processes import ProcessMap
 from toolee_robot.perception.offline.research.tooleenet import Column
 from toolee_robot.perception.offline.synthetic_clouds.rendered import (
     MAX_COMPLETED,
@@ -37,7 +38,6 @@ from toolee_robot.perception.offline.synthetic_clouds.rendered import (
 )
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.perception.pose.canonical import MIN_POINTS
-from toolee_robot.runtime.process_map import ProcessMap
 
 NOTHING_THERE = 0.1
 """A mask that overlaps every EE of its category by less (IoU) is a negative; between this and a match it is dropped."""

@@ -3,63 +3,37 @@
 from __future__ import annotations
 
 import os
-import threading
-from collections import deque
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Self
 
 PERIOD = 1.0
-"""Time between two samples [s]."""
-SAMPLES = 10
-"""Number of samples that are kept: the load of the last ten seconds is told."""
+"""Time over which the load is measured [s]."""
 _PROC = Path("/proc")
 _IDLE = slice(3, 5)  # idle and iowait among the columns of /proc/stat
 
 
-class CpuLoad:
-    """Context in which the cores' use by other programs than this one and its children is sampled.
+def load_of_others() -> float | None:
+    """Measure the share of all cores' time that other programs take than this one and its children, 0 to 1.
 
-    On an operating system without /proc nothing is known.
+    It takes PERIOD. The time that the host of a virtual machine takes counts, too.
+
+    Returns:
+        The share; None on an operating system without /proc.
     """
-
-    def __init__(self) -> None:
-        self._samples: deque[tuple[float, float]] = deque(maxlen=SAMPLES + 1)
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._sample, name="cpu load", daemon=True)
-
-    def __enter__(self) -> Self:
-        """Start the samples."""
-        self._take()
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-
-    def others(self) -> float | None:
-        """Share of all cores' time that other programs took in the last ten seconds, 0 to 1; None where unknown.
-
-        The time that the host of a virtual machine takes counts, too.
-        """
-        self._take()
-        samples = list(self._samples)
-        if len(samples) < 2:
-            return None
-        (total, others), (total_now, others_now) = samples[0], samples[-1]
+    with suppress(OSError):
+        total, others = _ticks_so_far()
+        time.sleep(PERIOD)
+        total_now, others_now = _ticks_so_far()
         return min(max((others_now - others) / max(total_now - total, 1.0), 0.0), 1.0)
+    return None
 
-    def _sample(self) -> None:
-        while not self._over.wait(PERIOD):
-            self._take()
 
-    def _take(self) -> None:
-        with suppress(OSError):
-            ticks = [int(column) for column in (_PROC / "stat").read_text().split("\n", 1)[0].split()[1:9]]
-            own = sum(_ticks(pid) for pid in _family(os.getpid()))
-            self._samples.append((sum(ticks), sum(ticks) - sum(ticks[_IDLE]) - own))
+def _ticks_so_far() -> tuple[float, float]:
+    """CPU time of all cores since the start, and that of other programs."""
+    ticks = [int(column) for column in (_PROC / "stat").read_text().split("\n", 1)[0].split()[1:9]]
+    return sum(ticks), sum(ticks) - sum(ticks[_IDLE]) - sum(_ticks(pid) for pid in _family(os.getpid()))
 
 
 def _family(pid: int) -> Iterator[int]:

@@ -18,7 +18,7 @@ from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
 from toolee_robot.errors import TooleeError
-from toolee_robot.runtime.process_pool import ONE_THREAD, environment
+from toolee_robot.runtime.process_environment import ONE_THREAD, environment
 
 if TYPE_CHECKING:
     from toolee_robot.app.job import JobSpec

@@ -12,7 +12,8 @@ from typing import TypeVar
 
 from toolee_robot.errors import TooleeError
 from toolee_robot.perception.offline.dataset.spec import SceneJob
-from toolee_robot.runtime.process_pool import ONE_THREAD, WorkerPool, environment
+from toolee_robot.perception.offline.processes import WorkerPool
+from toolee_robot.runtime.process_environment import ONE_THREAD, environment
 
 T = TypeVar("T")
 

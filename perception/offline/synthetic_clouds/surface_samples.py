@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, inverse
+from toolee_robot.perception.offline.processes import WorkerPool
 from toolee_robot.robots import SHADOW_HAND
-from toolee_robot.runtime.process_pool import WorkerPool
 from toolee_robot.tools.catalog import TOOL_SPECS, make_tool, test_seeds, train_seeds
 from toolee_robot.tools.model import ToolKind
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from toolee_robot.errors import TooleeError
 from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
+from toolee_robot.perception.offline.processes import WorkerPool
 from toolee_robot.perception.offline.training.labelled_images import SegmentationImages
-from toolee_robot.runtime.process_pool import WorkerPool
 
 _DECODERS = 8
 """Largest number of processes that decode images."""

@@ -25,7 +25,7 @@ from toolee_robot.robots import MOUNT
 from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
-from toolee_robot.runtime.cpu_load import CpuLoad
+from toolee_robot.runtime.cpu_load import load_of_others
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.hands import emulated_hand, find_emulator
 from toolee_robot.sim_backend.options import SimOptions
@@ -112,7 +112,7 @@ class EmulatedLab:
             )
         self._cell, self._tell, self._purpose, self._doing = cell, tell, purpose, doing
         self._clock, self._profile = HostClock(real_time_factor), profile
-        self._load, self._stack = CpuLoad(), ExitStack()
+        self._stack = ExitStack()
 
     def __enter__(self) -> Self:
         """Start the emulators, and connect the drivers.
@@ -126,7 +126,6 @@ class EmulatedLab:
             stack.callback(sys.setswitchinterval, sys.getswitchinterval())
             sys.setswitchinterval(SWITCH_INTERVAL)
             stack.enter_context(CpuKeepalive())
-            stack.enter_context(self._load)
             host = stack.enter_context(claimed_address())
             self._doing(f"starting the simulated cell behind a controller at {host}")
             world = RemoteWorld(cell.true, cell.seed, cell.options, host, clock, self._profile)
@@ -187,7 +186,7 @@ class EmulatedLab:
         """
         unsure = isinstance(error, PersonNearError) and UNSURE in str(error)
         if unsure or isinstance(error, StaleDataError | OverrunError) or error.code in _LATE:
-            return late_because(self._load.others(), self._clock.real_time_factor)
+            return late_because(load_of_others(), self._clock.real_time_factor)
         return ""
 
     def _set_up_robot(self, world: RemoteWorld) -> None:

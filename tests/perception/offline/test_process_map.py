@@ -10,7 +10,7 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.errors import AssetError, TooleeError, UserError
-from toolee_robot.runtime.process_map import ProcessMap
+from toolee_robot.perception.offline.processes import ProcessMap
 
 
 def begin() -> list[int]:

@@ -11,7 +11,7 @@ from tests.runtime.processes import alive
 
 PARENT = """
 import os, time
-from toolee_robot.runtime.process_pool import WorkerPool
+from toolee_robot.perception.offline.processes import WorkerPool
 
 if __name__ == "__main__":
     with WorkerPool(1) as pool:

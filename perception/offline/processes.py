@@ -1,0 +1,173 @@
+"""Processes that share work: a pool that neither outlives nor blocks its parent, and a map over processes."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
+from multiprocessing.connection import wait
+from typing import Any, Generic, ParamSpec, Self, TypeVar
+
+import cv2
+import torch
+
+from toolee_robot.errors import TooleeError, UserError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+State = TypeVar("State")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class WorkerPool(ProcessPoolExecutor):
+    """A pool of spawned processes.
+
+    They are spawned because a fork would inherit the threads of torch and embree in an undefined state. They end when
+    the parent process ends, for whatever reason, and do not receive Ctrl-C; when an exception leaves the pool's
+    context, the pool kills them.
+
+    Args:
+        workers: Number of processes.
+        initializer: Called first in every process; None for none.
+        initargs: Arguments of `initializer`.
+    """
+
+    def __init__(
+        self, workers: int, initializer: Callable[..., object] | None = None, initargs: tuple[object, ...] = ()
+    ) -> None:
+        super().__init__(workers, multiprocessing.get_context("spawn"), _begin, (initializer, initargs))
+
+    def submit(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Submit a call as ProcessPoolExecutor does; the first call starts the processes.
+
+        Args:
+            function: The function; it and its arguments must be picklable.
+            *args: Its positional arguments.
+            **kwargs: Its keyword arguments.
+
+        Returns:
+            The future of the call's result.
+        """
+        # A worker that Ctrl-C interrupts while it holds a queue's lock would block the pool.
+        with _ctrl_c_blocked():  # a process inherits the signal mask
+            return super().submit(function, *args, **kwargs)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Wait for the running calls; after an exception kill the processes instead, so that nothing blocks."""
+        if kind is None:
+            self.shutdown(cancel_futures=True)
+            return
+        with _ctrl_c_blocked():
+            for worker in list((self._processes or {}).values()):  # kill_workers() of Python 3.14
+                worker.kill()
+            self.shutdown(cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _ctrl_c_blocked() -> Iterator[None]:
+    """Context in which Ctrl-C is deferred to its end."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin(initializer: Callable[..., object] | None, initargs: tuple[object, ...]) -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+    if initializer is not None:
+        initializer(*initargs)
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)
+
+
+class ProcessMap(Generic[State]):
+    """Maps functions over items in several processes, each with a state of its own.
+
+    Args:
+        begin: Makes the state of a process; picklable.
+        workers: Number of processes; with one, the calling process does the work.
+
+    Raises:
+        UserError: `workers` is less than 1.
+    """
+
+    def __init__(self, begin: Callable[[], State], workers: int) -> None:
+        if workers < 1:
+            raise UserError(f"--workers {workers}: give 1 or more", code="user.workers")
+        self._begin, self._workers = begin, workers
+        self._own: list[State] = []
+        self._pool: WorkerPool | None = None
+        if workers > 1:
+            self._pool = WorkerPool(workers, _begin_state, (begin,))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if self._pool is not None:
+            self._pool.__exit__(*error)
+
+    def map(self, function: Callable[[State, Item], Result], items: Iterable[Item]) -> Generator[Result]:
+        """Evaluate function(state, item) for every item, lazily, so that the items may be endless.
+
+        Args:
+            function: The function; picklable.
+            items: The items; picklable.
+
+        Yields:
+            The results in the order of the items.
+
+        Raises:
+            TooleeError: A worker process died; otherwise what `function` raises.
+        """
+        if self._pool is None:
+            if not self._own:
+                self._own.append(self._begin())
+            for item in items:
+                yield function(self._own[0], item)
+            return
+        left = iter(items)
+        running: deque[Future[Result]] = deque()
+        try:
+            while True:
+                for item in islice(left, 2 * self._workers - len(running)):
+                    running.append(self._pool.submit(_call, function, item))
+                if not running:
+                    return
+                yield running.popleft().result()
+        except BrokenProcessPool as error:
+            raise TooleeError(
+                "a worker process died (out of memory?): run it again with fewer --workers",
+                code="toolee.worker_died",
+            ) from error
+        finally:
+            for future in running:
+                future.cancel()
+
+
+_state: list[Any] = []
+
+
+def _begin_state(begin: Callable[[], Any]) -> None:
+    # One core each: threads of every process for every core of a large machine leave none of them any.
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    _state.append(begin())
+
+
+def _call(function: Callable[[Any, Any], Any], item: Any) -> Any:
+    return function(_state[0], item)
