@@ -274,7 +274,7 @@ class InspireEmulator(LineEmulator[Hand]):
         return replies
 
     def _carry_out(self, body: bytes) -> list[bytes]:
-        if len(body) < 6 or sum(body[:-1]) & 0xFF != body[-1] or body[0] != self.number:
+        if len(body) < 7 or sum(body[:-1]) & 0xFF != body[-1] or body[0] != self.number or body[2] not in (0x11, 0x12):
             self.ignored += 1
             return []
         command, address, payload = body[2], body[3] + 256 * body[4], body[5:-1]
@@ -326,7 +326,7 @@ class ModbusEmulator(InspireEmulator):
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:
         """See `HandEmulator.happen`."""
-        if motor is None and event == "shift":
+        if motor is None and event == "shift" and words:
             self.shift = int(*words)
         elif motor is None and event == "refuse" and len(words) in (1, 2):
             code, times = (int(word) for word in (*words, "1")[:2])
@@ -376,7 +376,7 @@ class ModbusEmulator(InspireEmulator):
         if function == 16 and len(body) >= 6 and 1 <= count <= 123 and body[5] == 2 * count == len(body) - 6:
             return body[:5] if self._put(address, body[6:]) else b"\x90\x02"
         if function == 6 and len(body) == 5:
-            return body if self._put(address, body[3:]) else b"\x86\x02"
+            return body if self._put(address, body[3:]) else bytes([0x86, 3 if address == CLEAR else 2])
         return bytes([function | 0x80, 3])
 
     def _put(self, address: int, data: bytes) -> bool:

@@ -289,7 +289,7 @@ class RosbridgeLine:
             if said["op"] == "status":
                 self._notice = str(said.get("msg"))
             return self._read(said["topic"], said["msg"]) if said["op"] == "publish" else None
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             message = f"rosbridge sent what no right Shadow Hand of ROS 1 says: {words_of(error)}"
             self._problem = ProtocolError(message, code="protocol.rosbridge")
             self.counts.corrupt += 1
