@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from toolee_robot.errors import ConfigError, TooleeError
 from toolee_robot.station import StationConfig
@@ -63,8 +65,7 @@ def lead_trials(plan: TrialPlan, folder: Path, ask: Ask, tell: Tell, job: Job) -
                             "cause (payload, speed of the strike, what it meets) before the next trial"
                         )
                         raise _Stopped
-                    task = task_of(plan, trial, folder)
-                    _Trial(plan, task, results, ask, tell, i + 1, len(order), job).lead()
+                    _Led(results, ask, tell, job, plan).lead(task_of(plan, trial, folder), f"{i + 1} of {len(order)}")
         except (_Stopped, EOFError, KeyboardInterrupt) as stop:
             results.note(Happened.STOPPED)
             tell("stopped: the same command goes on")
@@ -104,51 +105,47 @@ def _stops(events: Sequence[Event]) -> int:
     return sum(event.facts["figures"].get("stops", 0) for event in events[begun:] if event.what is Happened.ENDED)
 
 
-class _Trial:
-    """Leads a person through one trial."""
+@dataclass(frozen=True, eq=False)
+class _Led:
+    """Leads a person through trials."""
 
-    def __init__(
-        self, plan: TrialPlan, task: Task, results: Results, ask: Ask, tell: Tell, number: int, of: int, job: Job
-    ) -> None:
-        self._plan, self._task, self._results, self._config = plan, task, results, task.spec.source.config
-        self._ask, self._tell, self._number, self._of, self._job = ask, tell, number, of, job
+    results: Results
+    ask: Ask
+    tell: Tell
+    job: Job
+    plan: TrialPlan
 
-    @property
-    def _nails(self) -> tuple[str, ...]:
-        """Those that are to be driven."""
-        return self._task.spec.nails or self._config.work.names
-
-    def lead(self) -> None:
-        trial, results = self._task.trial, self._results
+    def lead(self, task: Task, number: str) -> None:
+        trial, results = task.trial, self.results
         while trial not in results.done:
             last = [event for event in results.events if event.trial == trial][-1:]
             if last and last[0].what is Happened.ENDED:  # the person has not measured yet
-                self._measure(last[0].facts)
+                self._measure(task, number, last[0].facts["figures"])
                 continue
             if last and last[0].what is Happened.BEGUN:
-                self._tell("The command ended while this trial was under way: it is done again.")
-            for line in self._card():
-                self._tell(line)
-            answer = choice(READY, "rsq", self._ask)
+                self.tell("The command ended while this trial was under way: it is done again.")
+            for line in self._card(task, number):
+                self.tell(line)
+            answer = choice(READY, "rsq", self.ask)
             if answer == "q":
                 raise _Stopped
             if answer == "s":
-                results.note(Happened.SKIPPED, trial, reason=words("Why is it skipped? ", self._ask))
+                results.note(Happened.SKIPPED, trial, reason=words("Why is it skipped? ", self.ask))
                 return
-            self._do()
+            self._do(task)
 
-    def _card(self) -> list[str]:
+    def _card(self, task: Task, number: str) -> list[str]:
         """What the person sets up."""
-        trial, config = self._task.trial, self._config
+        trial, config = task.trial, task.spec.source.config
         sheet = config.tool
         tool = "the station file names none" if sheet is None else f"{sheet.name}, {sheet.weight_in_words}"
         lines = [
             "",
-            f"Trial {self._number} of {self._of}: arm {trial.arm.replace('_', ' ')}, repetition {trial.seed}",
+            f"Trial {number}: arm {trial.arm.replace('_', ' ')}, repetition {trial.seed}",
             f"  tool  {tool}; the robot asks for it",
         ]
         for name, work in config.work.each():
-            if name in self._nails:
+            if name in _nails(task):
                 hole = work.pilot_hole_diameter * 1e3
                 lines.append(
                     f"  nail  {trial.nail or name}: {work.nail_diameter * 1e3:g} x {work.nail_length * 1e3:g} mm, head "
@@ -158,32 +155,36 @@ class _Trial:
                 )
         wood = f"{trial.wood}, " if trial.wood else ""
         lines.append(f"  wood  {wood}specific gravity {config.work.wood_specific_gravity:g}")
-        return [*lines, *(f"  {line}" for line in self._plan.instructions.splitlines())]
+        return [*lines, *(f"  {line}" for line in self.plan.instructions.splitlines())]
 
-    def _do(self) -> None:
-        trial, results = self._task.trial, self._results
-        results.note(Happened.BEGUN, trial, station=_digest(self._plan))
+    def _do(self, task: Task) -> None:
+        trial, results = task.trial, self.results
+        results.note(Happened.BEGUN, trial, station=_digest(self.plan))
         begun = now()
         try:
-            figures = self._job(self._task.spec, self._task.out)
+            figures = self.job(task.spec, task.out)
         except (TooleeError, KeyboardInterrupt) as error:
             reason = str(error) or "it was interrupted before it began"
             results.note(Happened.NOT_BEGUN, trial, reason=reason)
-            self._tell(f"The job came to no end of its own, and does not count: {reason}")
+            self.tell(f"The job came to no end of its own, and does not count: {reason}")
             return
-        results.note(Happened.ENDED, trial, figures={**figures, "begun": begun}, command=self._task.command)
+        results.note(Happened.ENDED, trial, figures={**figures, "begun": begun}, command=task.command)
 
-    def _measure(self, facts: dict[str, object]) -> None:
-        trial, results, figures = self._task.trial, self._results, facts["figures"]
-        assert isinstance(figures, dict)
-        self._tell(f"Trial {self._number} of {self._of}: measure, without regard to what the robot says.")
-        judgement = judged(self._config, self._nails, self._ask, self._tell)
+    def _measure(self, task: Task, number: str, figures: dict[str, Any]) -> None:
+        trial, results = task.trial, self.results
+        self.tell(f"Trial {number}: measure, without regard to what the robot says.")
+        judgement = judged(task.spec.source.config, _nails(task), self.ask, self.tell)
         made = judgement.outcome(figures)
-        if not yes(COUNTS, self._ask):
-            reason = words("What was not as the plan says? ", self._ask)
+        if not yes(COUNTS, self.ask):
+            reason = words("What was not as the plan says? ", self.ask)
             results.note(Happened.VOID, trial, reason=reason, figures=made)
             return
         tries = sum(event.trial == trial and event.what is Happened.BEGUN for event in results.events)
-        record = Record(trial, {**made, "number": self._number, "tries": tries}, tuple(self._task.command))
+        record = Record(trial, {**made, "number": int(number.split()[0]), "tries": tries}, tuple(task.command))
         results.add(record)
-        self._tell(told(record))
+        self.tell(told(record))
+
+
+def _nails(task: Task) -> tuple[str, ...]:
+    """Those that are to be driven."""
+    return task.spec.nails or task.spec.source.config.work.names

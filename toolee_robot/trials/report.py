@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
-import numpy as np
 from markupsafe import Markup
 
 from toolee_robot.recording import PICTURE, RECORDING
@@ -17,13 +18,13 @@ from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.html_page import Page
 from toolee_robot.tasks.common.outcome import Stage
 from toolee_robot.tasks.common.recovery import cause
-from toolee_robot.trials.panels import BLUE, errors, panels, png, rates
+from toolee_robot.trials.by_size import curves
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.report_attended import agreement, attended_section
 from toolee_robot.trials.results import Event, Record, read_results, read_results_file
-from toolee_robot.trials.run_links import RunLinks
-from toolee_robot.trials.statistics import Share, by_conditions, by_size, compare, median, of_arm, share
+from toolee_robot.trials.statistics import Share, by_conditions, compare, median, of_arm, share
 from toolee_robot.trials.table import TABLE, write_table
+from toolee_robot.trials.tasks import out_of
 
 REPORT, FIGURES = "report.html", "report.json"
 """Names of the page and of its figures, in the trials' folder."""
@@ -37,29 +38,6 @@ MEDIANS = {
     "strike_tilt_deg": "strike tilt, °",
 }
 """Figures of which the medians are told, and how they are headed."""
-ERRORS = {
-    "camera_mm": "camera's place, mm",
-    "camera_deg": "camera's orientation, °",
-    "nail_beside_mm": "nail beside its place, mm",
-    "nail_height_mm": "wood's height, mm",
-    "nail_lean_deg": "lean of the nail, °",
-    "face_mm": "face on the tool, mm",
-    "face_deg": "direction of the face, °",
-    "handle_mm": "radius of the handle, mm",
-    "mass_percent": "tool's mass, %",
-    "balance_mm": "tool's centre of mass, mm",
-    "kinematics_mm": "lengths of the arm, mm",
-    "wood_percent": "specific gravity of the wood, %",
-    "friction_percent": "friction of hand and handle, %",
-    "payload_percent": "hand's mass, %",
-    "wrench_percent": "errors of the force, % of its generation's",
-    "compliance_percent": "compliance of the joints, % of the nominal one",
-    "handover_mm": "handover: shift along the handle, mm",
-    "handover_spin_deg": "handover: turn about the handle, °",
-    "handover_tilt_deg": "handover: tilt of the handle, °",
-    "other_tool_percent": "tool's data, % of the way to another hammer's",
-}
-"""Errors against which success is shown, and how the axis is called."""
 CONDITIONS = "conditions"
 """Head of the column with a trial's nail, wood, tool and sensor."""
 FALSE_FLUSH = "flush_by_the_robot_alone"
@@ -170,7 +148,15 @@ def _page(
     if plan.led:
         attended_section(page, made["attended"])
     else:
-        _drawn(page, plan, first)
+        page.section("Success against the size of each error")
+        if (drawn := curves(first)) is None:
+            page.paragraph("No error was drawn, or there are too few trials for bins.")
+        else:
+            caption = (
+                f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush in four bins of as many trials "
+                "each, by the size of one error while the others vary, with 95 % intervals."
+            )
+            page.picture(drawn, caption)
     page.section("Every trial")
     head = ["arm", pair, CONDITIONS, "tool", "outcome", "strikes", "robot's time, s", "tries"]
     _listed(page, head, [_row(record, runs) for record in records], 5)
@@ -180,20 +166,6 @@ def _page(
     if records:
         page.paragraph(f"A trial is repeated by its own command, the first one by: {records[0].repeated_by}")
     return page.text()
-
-
-def _drawn(page: Page, plan: TrialPlan, records: Sequence[Record]) -> None:
-    """The section of errors that were drawn."""
-    page.section("Success against the size of each error")
-    drawn = _curves(records)
-    if drawn is None:
-        page.paragraph("No error was drawn, or there are too few trials for bins.")
-        return
-    caption = (
-        f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush in four bins of as many trials each, "
-        "by the size of one error while the others vary, with 95 % intervals."
-    )
-    page.picture(drawn, caption)
 
 
 def _arms(made: dict[str, Any]) -> list[list[str]]:
@@ -283,15 +255,34 @@ def _words(value: Any) -> str:
     return ", ".join(map(_words, value)) or "none" if isinstance(value, list | tuple) else str(value)
 
 
-def _curves(records: Sequence[Record]) -> bytes | None:
-    drawn = {name: bins for name in ERRORS if (bins := by_size(records, name))}
-    if not drawn:
-        return None
-    figure, axes = panels(len(drawn))
-    for ax, (name, bins) in zip(axes, drawn.items(), strict=True):
-        x = np.array([(b.low + b.high) / 2 for b in bins])
-        sizes = [(b.high - b.low) / 2 for b in bins]
-        shares = [b.share for b in bins]
-        ax.errorbar(x, rates(shares), yerr=errors(shares), xerr=sizes, fmt="o", color=BLUE, capsize=2)
-        ax.set_xlabel(ERRORS[name])
-    return png(figure)
+@dataclass(frozen=True)
+class RunLinks:
+    """Where a report and the folders of its jobs lie.
+
+    Attributes:
+        page: Folder of the report.
+        trials: Folder of the trials, in which the jobs' folders are.
+    """
+
+    page: Path
+    trials: Path
+
+    def link(self, record: Record, words: str, file: str) -> Markup | str:
+        """A link to a file of a job, where that is here: results may have come alone.
+
+        Args:
+            record: The job's result.
+            words: What is clicked on.
+            file: Name of the file in the job's folder.
+
+        Returns:
+            The link, relative to the report's folder; the words alone where the file is not here.
+        """
+        run = Path(record.figures.get("run_folder") or "").name
+        if run in ("", ".."):  # a file of results may say anything
+            return words
+        place = out_of(record.trial, self.trials) / run / file
+        if not place.is_file():
+            return words
+        way = Path(os.path.relpath(place.resolve(), self.page.resolve())).as_posix()
+        return Markup('<a href="{0}">{1}</a>').format(quote(way), words)

@@ -82,43 +82,6 @@ def compare(arm: Sequence[Record], other: Sequence[Record]) -> Comparison:
     return Comparison(len(pairs), better, worse, p)
 
 
-@dataclass(frozen=True)
-class Bin:
-    """Trials whose error is of about one size.
-
-    Attributes:
-        low: Least size.
-        high: Largest size.
-        share: Share of successes.
-    """
-
-    low: float
-    high: float
-    share: Share
-
-
-def by_size(records: Sequence[Record], error: str, bins: int = 4) -> list[Bin]:
-    """Sort trials by the size of one drawn error, into bins of about as many trials each.
-
-    Args:
-        records: The results.
-        error: Name of the error, as in `errors` of a summary.
-        bins: Number of bins.
-
-    Returns:
-        The bins, from small to large errors; empty where the error was not drawn or is the same everywhere.
-    """
-    sizes = [abs(r.figures["errors"][error]) for r in records if (r.figures.get("errors") or {}).get(error) is not None]
-    known = [r for r in records if (r.figures.get("errors") or {}).get(error) is not None]
-    if len(known) < bins or np.ptp(sizes) == 0:
-        return []
-    order = np.argsort(sizes)
-    return [
-        Bin(float(sizes[part[0]]), float(sizes[part[-1]]), share([known[i].success for i in part]))
-        for part in np.array_split(order, bins)
-    ]
-
-
 def median(records: Sequence[Record], figure: str) -> float | None:
     """Median of a figure.
 
