@@ -133,7 +133,7 @@ def read_typed(path: Path) -> Any:
     """
     if not path.exists():
         raise ConfigError(
-            f"there is no station file {path}: `toolee station new {path}` asks for what it needs",
+            f"there is no station file {path}: `toolee station new {path} --ask` asks for what it needs",
             code="config.unreadable",
         )
     return read_yaml(path, "station's file") or {}
