@@ -310,7 +310,7 @@ def test_the_lines_of_what_a_lab_must_measure_and_of_other_units_are_said(tmp_pa
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     with raises(ConfigError, "config.unmeasured") as caught:
         load_lab_station(path)
-    assert "scene.camera_size; `toolee" in str(caught.value), "a section that is not there has no line"
+    assert "scene.workspace_upper; `toolee" in str(caught.value), "a section that is not there has no line"
 
 
 def test_an_error_in_data_of_no_file_has_no_line(tmp_path: Path) -> None:

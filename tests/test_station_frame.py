@@ -133,7 +133,7 @@ def test_an_obstacle_that_is_none_is_refused_by_name(tmp_path: Path, obstacle: d
 
 @pytest.mark.parametrize(("section", "name"), [*POINTS, *((BOX[0], corner) for corner in BOX[1:])])
 def test_a_position_without_a_frame_is_refused(tmp_path: Path, section: str, name: str) -> None:
-    value = getattr(getattr(sim_station(), section), name)
+    value = getattr(getattr(sim_station(), section), name) or (0.75, 0.10)
     with raises(ConfigError, code="config.no_frame") as refused:
         _load(tmp_path, {section: {name: value}})
     assert f"{section}.{name}" in str(refused.value)

@@ -30,6 +30,6 @@ ShankLength = Annotated[float, Metres(0.005, 0.4)]
 NailHead = Annotated[float, Metres(0.0005, 0.05)]
 Protrusion = Annotated[float, Metres(0.0005, 0.4)]
 Hole = Annotated[float, Metres(0.0, 0.02, "0 for none")]
-Slope = Annotated[float, Number(-1.0, 1.0, "metres per metre, 0.0175 for 1 degree")]
+Slope = Annotated[float, Number(-10.0, 10.0, "metres per metre, 0.0175 for 1 degree")]
 Gravity = Annotated[float, Number(0.05, 1.4, "balsa 0.1, lignum vitae 1.3")]
 """Specific gravity of a wood."""
