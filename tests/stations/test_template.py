@@ -168,7 +168,7 @@ def test_an_empty_template_lacks_everything_and_nothing_in_it_is_wrong(model: st
     assert [field.name for field in open_questions(read)] == [field.name for field in open_questions(data)]
     assert all(f"  {field.path[-1]}:" in template(data) or f"#{field.path[-1]}:" in template(data)
                for field in open_questions(data) if field.name != "frame")  # fmt: skip
-    with pytest.raises(ConfigError, match="camera.device.serial: is missing"):
+    with pytest.raises(ConfigError, match=r"camera\.device\.serial: is missing"):
         load_lab_station(path)
 
 
