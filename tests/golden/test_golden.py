@@ -1,6 +1,6 @@
 """Jobs, data set and recording as they were before the code was halved (tag `before-half`).
 
-The jobs are 20 of `toolee sim hammer --seed N --json`; a change of behaviour is either better and said, or a fault.
+The jobs are `toolee sim hammer --seed N --json`; a change of behaviour is either better and said, or a fault.
 """
 
 from __future__ import annotations
