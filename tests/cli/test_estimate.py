@@ -124,9 +124,10 @@ def test_one_unreadable_frame_does_not_cost_the_others(
     (broken / "rgb" / "000004.png").write_text("not an image")
     assert run(["estimate", "--bop", str(broken), "--json"]) == 2
     captured = capsys.readouterr()
-    lines = [json.loads(line) for line in captured.out.splitlines()]
+    *lines, failure = [json.loads(line) for line in captured.out.splitlines()]
     assert [line["im_id"] for line in lines] == [0, 4, 8]
     assert [("error" in line) for line in lines] == [False, True, False]
+    assert failure["error"]["code"] == "user.unreadable_frames"
     assert "000004.png" in captured.err
 
 

@@ -103,7 +103,7 @@ def test_the_evaluation_reports_on_them(made: Path, tmp_path: Path, capsys: pyte
     assert 1 <= report["data"]["held_out_tools"] <= 2
     groups = report["estimators"]["ours"]["truth"]["groups"]
     assert set(groups) == {"held-out"}
-    assert set(groups["held-out"]["accuracy"]) == {"hammer_head", "average"}
+    assert set(groups["held-out"]["table"]) == {"hammer_head", "average"}
 
 
 def test_another_folder_with_the_same_content_gives_the_same_bytes(tools: Path, made: Path, tmp_path: Path) -> None:
