@@ -168,11 +168,11 @@ def _list(path: tuple[str, ...], description: str, summaries: Mapping[str, str],
 
 
 def _unknown(name: str, known: Mapping[str, object], path: tuple[str, ...]) -> UserError:
-    """No such command; names those that are spelled alike, or that have the name in another group."""
+    """No such command; names those that have the name in another group, or one that is spelled alike."""
     from difflib import get_close_matches
 
-    alike = [(*path, other) for other in get_close_matches(name, known, n=1)]
-    meant = alike or [other for other in command_paths() if other[-1] == name]
+    elsewhere = [other for other in command_paths() if other[-1] == name]
+    meant = elsewhere or [(*path, other) for other in get_close_matches(name, known, n=1)]
     words = " or ".join(f"`toolee {' '.join(other)}`" for other in meant)
     call = " ".join(("toolee", *path))
     hint = f"did you mean {words}?" if meant else f"`{call} --help` lists the commands"
