@@ -139,12 +139,14 @@ def _with_nails(typed: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]
 def _check_moved(typed: dict[str, Any], measured: dict[str, Any], station: Path) -> None:
     pairs = [(name, typed.get(name), measured.get(name)) for name in ("nail_xy", "stand_height")]
     located = {nail["name"]: nail.get("xy") for nail in measured.get("nails", ())}
-    for nail in typed.get("nails") or ():
+    nails = typed.get("nails")
+    for nail in nails if isinstance(nails, list) else ():
         if isinstance(nail, dict):
             pairs.append((f"nails, {nail.get('name')}: xy", nail.get("xy"), located.get(nail.get("name"))))
     for name, by_hand, by_program in pairs:
         try:
-            apart = math.dist(*(point if isinstance(point, list) else [point] for point in (by_hand, by_program)))
+            one, other = (point if isinstance(point, list) else [point] for point in (by_hand, by_program))
+            apart = math.dist(one, other)
         except (TypeError, ValueError):
             continue  # one is not given, or is none, which is told elsewhere
         if apart > MOVED:

@@ -67,7 +67,10 @@ def upgrade(path: Path) -> Upgraded:
     for section, fields in measured.items():
         wanted[section] = {name: value for name, value in data[section].items() if name not in fields}
     shorter = "".join(_without(text, measured))
-    left = yaml.safe_load(shorter) != {name: value for name, value in wanted.items() if value != {}}
+    try:
+        left = yaml.safe_load(shorter) != {name: value for name, value in wanted.items() if value != {}}
+    except yaml.YAMLError:
+        left = True
     shutil.copy(place, kept)
     with written_whole(place) as scratch:
         shutil.copy(place, scratch)  # its permissions
@@ -85,7 +88,8 @@ def upgrade(path: Path) -> Upgraded:
 def _without(text: str, moved: dict[str, dict[str, Any]]) -> Iterator[str]:
     """The lines of a file but for those of fields in block style, and of sections that are left without any."""
     gone: set[int] = set()
-    for key, section in yaml.compose(text, yaml.SafeLoader).value:
+    root: Any = yaml.compose(text, yaml.SafeLoader)
+    for key, section in root.value:
         names = moved.get(key.value, {})
         fields = {name.value: (name, value) for name, value in section.value} if names else {}
         whole = bool(fields) and set(fields) <= set(names)

@@ -252,7 +252,8 @@ def template(data: dict[str, Any]) -> str:
     Returns:
         The text.
     """
-    lines, before = [HEAD], ()
+    lines = [HEAD]
+    before: tuple[str, ...] = ()
     for field in applicable(data):
         *sections, name = field.path
         for depth, section in enumerate(sections):
