@@ -37,6 +37,8 @@ IMAGE_TIME = 2.0
 """Longest wait for an image: an emulated camera renders each new view [s]."""
 NOMINAL_FOCAL = 0.72
 """Focal length of a rehearsed camera of which the file says none yet, in widths of the image."""
+ANY_PLACE = {"position": [1.0, 0.0, 1.0], "target": [0.0, 0.0, 0.0]}
+"""A place of the camera, which its intrinsics do not depend on [m]."""
 NUMBERS = ("fx", "fy", "cx", "cy", "distortion")
 """Fields of the section that a measurement changes; the size stays."""
 
@@ -237,7 +239,7 @@ def camera_of(path: Path) -> CameraConfig:
         width, height = float(kept["width"]), float(kept["height"])
         focal = NOMINAL_FOCAL * width
         kept = {"fx": focal, "fy": focal, "cx": (width - 1) / 2, "cy": (height - 1) / 2, **kept}
-    return to_record(kept, path, CameraConfig, "station's camera")
+    return to_record({**ANY_PLACE, **kept}, path, CameraConfig, "station's camera")
 
 
 def check_entry(path: Path, *, rehearsed: bool) -> None:

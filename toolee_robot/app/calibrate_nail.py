@@ -184,7 +184,12 @@ class Located:
         """
         entries = self.entries(None)
         nails = [{"name": item[1], **values} for item, values in entries if item]
-        write_measured(path, work=entries[0][1] | ({"nails": nails} if nails else {}))
+        try:
+            write_measured(path, work=entries[0][1] | ({"nails": nails} if nails else {}))
+        except ConfigError as error:
+            if why := mistake(self.entry, self.config.work.p_base_entry):
+                raise ConfigError(f"{error} ({why})", code=error.code) from error
+            raise
 
 
 @dataclass(frozen=True)
