@@ -271,7 +271,7 @@ def test_a_lab_that_does_not_say_which_arm_it_has_and_how_it_stands_is_refused(
     ("work", "reason"),
     [
         ("nail_xy: [0.75, 0.1]\n  nail_lean: [0.1, 0]", "tilt it by"),
-        ("nail_xy: [0.67, 0.1]\n  block_xy: [0.6, 0.1]", "outside of the block"),
+        ("nail_xy: [0.68, 0.1]\n  block_xy: [0.66, 0.1]", "outside of the block"),
         ("nails: [{name: a, xy: [0.75, 0.12]}, {name: b, xy: [0.75, 0.08], lean: [0.1, 0]}]", "nail b: wood_rise"),
     ],
 )
