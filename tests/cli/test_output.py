@@ -12,9 +12,9 @@ from tests.errors import raises
 from toolee_robot.app.run_folder import run_folder
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
-from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.json_line import json_line
+from toolee_robot.runtime.pose_text import pose_text, sigma_text
 
 
 def test_json_is_one_strict_line_even_of_numpy_and_of_what_is_not_finite() -> None:

@@ -102,7 +102,9 @@ def test_it_follows_a_job_that_runs(tmp_path: Path) -> None:
             view.update()
             time.sleep(0.02)
     view.update()
+    view.update()
     shown = logged.read()
+    assert len(shown["world/hand/seen/cloud"]) == 1
     said = [row["text"][0] for _, row in shown["now"]]
     assert "Connecting" in said[0]
     assert any("➤ Lay the hammer into the open hand." in text for text in said)

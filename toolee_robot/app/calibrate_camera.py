@@ -15,13 +15,13 @@ from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.calibration.record import CalibrationRecord, write_record
+from toolee_robot.calibration.report import calibration_report
 from toolee_robot.calibration.session import Session, SessionPose, build_record, observe, read_session, write_session
 from toolee_robot.control import RobotModel
 from toolee_robot.devices.cameras.recording import recording_of
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
-from toolee_robot.recording.calibration_report import calibration_report
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import draw_handover

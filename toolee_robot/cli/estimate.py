@@ -15,9 +15,9 @@ from rich.table import Table
 from toolee_robot.cli.options import Flag
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
-from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.json_line import json_line
+from toolee_robot.runtime.pose_text import pose_text, sigma_text
 from toolee_robot.station import sim_station
 from toolee_robot.types import HoldingHand, RgbdFrame, ToolEstimate
 

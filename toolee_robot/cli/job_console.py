@@ -17,8 +17,8 @@ from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array
-from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.runtime.pose_text import pose_text, sigma_text
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform, transform_points
-from toolee_robot.recording.pose_text import sigma_text
+from toolee_robot.runtime.pose_text import sigma_text
 from toolee_robot.types import CameraIntrinsics, RgbdFrame, ToolEstimate
 
 _INK, _MUTED, _GRID = "#1f2933", "#6b7785", "#e3e8ee"

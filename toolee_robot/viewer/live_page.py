@@ -66,3 +66,4 @@ class LivePage:
         while not self._over.wait(PERIOD_S):
             self._view.update()
         self._view.update()
+        self._view.update()  # the last frames

@@ -11,7 +11,7 @@ from typing import Any
 from toolee_robot.errors import UserError
 from toolee_robot.viewer.rerun_server import HOST, free_port, listens
 
-START_S = 30.0
+START_S = 60.0
 """Longest time that the viewer's program may take to start [s]."""
 PORTS_TRIED = 50
 

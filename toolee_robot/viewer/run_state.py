@@ -21,6 +21,8 @@ GAP = 0.1
 
 ON_NAIL, ON_WOOD = 0.025, 0.06
 """Distances from a nail's axis at which a face is on the nail, and on the wood beside it [m]."""
+DEEP = 0.02
+"""A face that is believed so deep in the wood has struck the nail: touches of the wood are slow [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +145,8 @@ class RunStates:
             p = X_base_ee[:3, 3] - nail.entry
             height = float(p @ nail.axis)
             beside = float(np.linalg.norm(p - height * nail.axis))
-            least = nail.begin - sunk[name] if beside < ON_NAIL else 0.0
+            struck = beside < ON_NAIL or height < -DEEP
+            least = nail.begin - sunk[name] if struck else 0.0
             if beside > ON_WOOD or height >= least:
                 continue
             v = X_base_ee[:3, 3] - p_grip

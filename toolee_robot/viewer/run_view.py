@@ -104,7 +104,8 @@ class RunView:
         self.states = RunStates(history, config)
         self._prompt, self._prompted = "", 0
         self._rr, self._stream, self._history, self._live = rr, stream, history, live
-        self._logged: dict[str, int] = {}
+        self._logged: dict[int, int] = {}
+        self._frames: list[tuple[float, Any]] = []
         self._drawn, self._held = -np.inf, False
         shown = [body for body in bodies(config) if body.body_id is not BodyId.PERSON]
         self._nails = {body.name: body.X_base_body for body in shown if body.body_id is BodyId.NAIL}
@@ -121,18 +122,12 @@ class RunView:
         """Log what has been recorded since the last call."""
         h, rr = self._history, self._rr
         with h.lock:
-            joints, wrenches = self._new("joints", h.joints), self._new("wrenches", h.wrenches)
-            decisions, logs, status = (
-                self._new("decisions", h.decisions),
-                self._new("logs", h.logs),
-                self._new("", h.status),
-            )
-            heights, frames, fused = (
-                self._new("nail", h.protrusions),
-                self._new("images", h.images),
-                self._new("fused", h.in_hand),
-            )
+            joints, wrenches, decisions = self._new(h.joints), self._new(h.wrenches), self._new(h.decisions)
+            logs, status, heights = self._new(h.logs), self._new(h.status), self._new(h.protrusions)
+            frames, fused = self._new(h.images), self._new(h.in_hand)
         self._log_poses(self._thinned(joints) + [t for t, _ in decisions])
+        if self._live:  # what was found in a frame is recorded just after it
+            frames, self._frames = self._frames, frames
         if wrenches:
             at = [rr.TimeColumn(TIMELINE, duration=[t for t, _ in wrenches])]
             forces = np.linalg.norm([w[:3] for _, w in wrenches], axis=1)
@@ -144,11 +139,8 @@ class RunView:
         for stamp, estimate in fused:
             if estimate.X is not None and estimate.usable:
                 self._log_ellipsoid(stamp, f"{HAND}/fused", estimate.X, estimate.covariance, FUSED)
-        for stamp, decision in decisions:
-            if worth_telling(decision):
-                text = f"{decision.name.replace('_', ' ')}: {decision.reason}"
-                self._log(stamp, "decisions", rr.TextLog(text, level="INFO"))
-        for stamp, text in logs:
+        lines = [(t, f"{d.name.replace('_', ' ')}: {d.reason}") for t, d in decisions if worth_telling(d)]
+        for stamp, text in sorted([*lines, *logs]):
             self._log(stamp, "decisions", rr.TextLog(text, level="INFO"))
         for stamp in sorted({t for series in (decisions, logs, status) for t, _ in series}):
             self.log_now(stamp)
@@ -180,7 +172,7 @@ class RunView:
             code = "" if seen.error_code is None else f", {seen.error_code}"
             parts.append(f"**Robot**: {seen.status.replace('_', ' ')}{code}")
         if not h.complete and stamp >= h.end and not self._live:
-            parts.append("*The run was killed: the recording ends where it was last written.*")
+            parts.append(f"*{h.damage or 'The run was killed: the recording ends where it was last written.'}*")
         strikes = [d.reason for t, d in h.decisions if d.name == "strike" and t <= stamp]
         messages = [text for t, text in h.logs if t <= stamp][-2:]
         parts += [f"- {line}" for line in [*strikes[-3:], *messages]]
@@ -197,10 +189,10 @@ class RunView:
         self._log(stamp, f"{HAND}/today", axes(X_hand_ee[None], 0.8 * FACE_AXES))
         self._log_ellipsoid(stamp, f"{HAND}/today/covariance", X_hand_ee, covariance, TODAY)
 
-    def _new(self, name: str, series: Series[Any]) -> list[tuple[float, Any]]:
+    def _new(self, series: Series[Any]) -> list[tuple[float, Any]]:
         """What was added to a series since the last call."""
-        begin = self._logged.get(name, 0)
-        self._logged[name] = len(series)
+        begin = self._logged.get(id(series), 0)
+        self._logged[id(series)] = len(series)
         return list(zip(series.stamps[begin:], series.values[begin:], strict=True))
 
     def _thinned(self, samples: list[tuple[float, Any]]) -> list[float]:
@@ -222,11 +214,8 @@ class RunView:
         if not states:
             return
         at = np.array([state.stamp for state in states])
-        Xs = {
-            body_path(name): np.array([state.links[name] for state in states])
-            for name in self._links
-            if name in states[0].links
-        }
+        links = self._links & states[0].links.keys()
+        Xs = {body_path(name): np.array([state.links[name] for state in states]) for name in links}
         Xs[HAND] = np.array([state.X_base_hand for state in states])
         for name, X in self._nails.items():
             Xs[body_path(name)] = np.array([self.states.X_base_nail_part(name, X, state.sunk) for state in states])
@@ -238,11 +227,8 @@ class RunView:
         held = [state for state in states if state.X_base_tool is not None]
         if held:
             at = np.array([state.stamp for state in held])
-            send_poses(
-                self._stream,
-                {TOOL: np.array([s.X_base_tool for s in held]), FACE: np.array([s.X_base_ee for s in held])},
-                at,
-            )
+            tools, faces = np.array([s.X_base_tool for s in held]), np.array([s.X_base_ee for s in held])
+            send_poses(self._stream, {TOOL: tools, FACE: faces}, at)
 
     def _tool(self) -> Any:
         data = self._history.attachments.get("tool.glb")

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from toolee_robot.calibration.hand_eye.refinement import confidence_factor, point_covariance
 from toolee_robot.calibration.record import CalibrationRecord
 from toolee_robot.frames import HALF_TURN
-from toolee_robot.recording.pose_text import pose_text
 from toolee_robot.runtime.html_page import Page
+from toolee_robot.runtime.pose_text import pose_text
 
 _THUMBNAIL = 300  # [px] width
 _ACROSS = 4
