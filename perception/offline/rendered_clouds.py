@@ -29,7 +29,6 @@ from toolee_robot.perception.offline.dataset.spec import refuse_test_set
 from toolee_robot.perception.offline.evaluation.examples import Part, parts, read_part
 from toolee_robot.perception.offline.evaluation.records import Case, Instance, spin_points
 from toolee_robot.perception.offline.processes import ProcessMap
-from toolee_robot.perception.offline.research.tooleenet import Column
 from toolee_robot.perception.offline.synthetic_clouds.rendered import (
     MAX_COMPLETED,
     MAX_POINTS,
@@ -50,7 +49,8 @@ def rendered_clouds(
     workers: int = 1,
     limit: int | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
-    column: Column | None = None,
+    true_masks: bool = False,
+    whole_tools: bool = False,
     minutes: float | None = None,
 ) -> RenderedClouds:
     """Make the clouds of a data set, or of one split.
@@ -62,7 +62,8 @@ def rendered_clouds(
         workers: Number of processes.
         limit: Largest number of images per split.
         progress: Called with the number of finished scenes and their total.
-        column: Column of the paper's Table I whose estimator is trained: true masks only, no detector.
+        true_masks: Whether to take true masks only, without a detector.
+        whole_tools: Whether to take true masks of whole tools instead.
         minutes: Wall-clock after which no further clouds are awaited; None: no limit.
 
     Returns:
@@ -76,8 +77,8 @@ def rendered_clouds(
     todo = parts(data, limit)
     found = []
     end = math.inf if minutes is None else time.monotonic() + 60 * minutes
-    begin = partial(_detector, weights, device) if column is None else _no_detector
-    read = clouds_of_part if column is None or not column.of_tool else tool_clouds_of_part
+    begin = _no_detector if true_masks or whole_tools else partial(_detector, weights, device)
+    read = tool_clouds_of_part if whole_tools else clouds_of_part
     with ProcessMap(begin, workers) as processes:
         for done, part in enumerate(processes.map(read, todo)):
             found.append(part)
@@ -135,9 +136,7 @@ def tool_clouds_of_part(_detector: EeDetector | None, part: Part) -> RenderedClo
         # Only the first of alike ends: the tool's pose does not show which of them is meant.
         if instance.first_end and len(case.tool_points) >= MIN_POINTS:
             row = _cloud(replace(case, cloud=EeCloud(case.tool_points, nothing, nothing)), instance, rng)
-            ee = instance.catalogue.tool(instance.tool).ees[instance.ee]
-            X_camera_tool = (instance.X_camera_ee @ inverse(ee.X_tool_ee)).astype(np.float32)
-            rows.append(replace(row, X_camera_target=X_camera_tool[None], of_tool=np.array([True])))
+            rows.append(replace(row, of_tool=np.array([True])))
     return RenderedClouds.cat(rows)
 
 
@@ -160,12 +159,17 @@ def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator, tell
     kinds = (cloud.points, MAX_POINTS), (cloud.completed, MAX_COMPLETED), (cloud.rest, MAX_REST)
     points, completed, rest = (_thinned(x, most, rng).astype(np.float32) for x, most in kinds)
     hand = None if instance is None else instance.X_camera_hand
+    X_camera_ee = X_camera_tool = np.eye(4)
+    if instance is not None:
+        X_camera_ee = instance.X_camera_ee
+        X_camera_tool = X_camera_ee @ inverse(instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee)
     return RenderedClouds(
         points,
         completed,
         rest,
         counts=np.array([[len(points), len(completed), len(rest)]]),
-        X_camera_target=np.array([np.eye(4) if instance is None else instance.X_camera_ee], np.float32),
+        X_camera_ee=np.array([X_camera_ee], np.float32),
+        X_camera_tool=np.array([X_camera_tool], np.float32),
         of_tool=np.array([False]),
         p_camera_hand=np.array([np.full(3, np.nan) if hand is None else hand[:3, 3]], np.float32),
         category=np.array([CATEGORIES.index(case.category)]),

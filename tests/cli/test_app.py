@@ -72,7 +72,7 @@ def _frame_args(
         (["sim", "hammer", "--config", "none.yaml"], "none.yaml"),
         (["sim", "hammer", "--config", "lab.yaml"], "work.nail_diametre"),
         (["sim", "hammer", "--out", "rgb.png"], "--out"),
-        (["sim", "hammer", "--variant", "paper"], "toolee train pose --estimator paper"),
+        (["sim", "hammer", "--variant", "paper"], "toolee train paper"),
         (["sim", "hammer", "--paper-weights", "scene"], "go together"),
         (["sim", "hammer", "--nail", "left"], "the station's nails are nail"),
         (["rehearse", "hammer"], "STATION"),

@@ -122,11 +122,6 @@ def test_data_that_are_not_there_are_asked_for(
     assert not (tmp_path / "out").exists()
 
 
-def test_pose_needs_a_column_of_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["train", "pose", "--out", str(tmp_path / "out"), "--column", "ee"]) == 2
-    assert "--estimator paper" in capsys.readouterr().err
-
-
 def test_what_is_trusted_is_fitted_on_a_data_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The shipped networks on a few rendered frames: too few to fit on, which is said, and what is there stays."""
     (tmp_path / "data" / "test").mkdir(parents=True)

@@ -418,7 +418,7 @@ def test_weights_that_no_job_could_take_are_refused_before_the_first_one(paper: 
     asked = PaperJobs()
     with raises(AssetError, code="asset.missing") as missing:
         run_trials(replace(paper, paper_weights=str(tmp_path / "none")), tmp_path / "a", 1, quietly, asked)
-    assert "toolee train pose --estimator paper" in str(missing.value)
+    assert "toolee train paper" in str(missing.value)
     of_tools = untrained_paper_weights(tmp_path / "tools", "object-prior")
     with raises(UserError, code="user.paper_column"):
         run_trials(replace(paper, paper_weights=str(of_tools)), tmp_path / "b", 1, quietly, asked)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -135,10 +135,6 @@ class Refinement(_Training, _Data):
         return self._end(resumed)
 
 
-Estimator = Literal["ours", "paper"]
-ColumnName = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
-
-
 @dataclass(frozen=True)
 class Clouds:
     """Keep a data set's clouds for the pose network.
@@ -147,18 +143,17 @@ class Clouds:
 
     Example: toolee train clouds data/hard/train --out runs/clouds.npz --workers 2
 
-    Take images that the detector was not trained on. The paper's estimator learns from true masks alone: say
-    --estimator paper, and the --column of its training.
+    Take images that the detector was not trained on. The paper's estimator learns from true masks alone.
     """
 
     data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
     """A data set, or one split of it."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """Where the clouds go, for `toolee train pose --rendered FILE`."""
-    estimator: Estimator = "ours"
-    """Estimator that they train; paper: ToolEENet."""
-    column: ColumnName = None
-    """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
+    """Where the clouds go, for `toolee train pose --rendered FILE` or `toolee train paper FILE`."""
+    true_masks: Flag = False
+    """Under true masks alone, without a detector."""
+    whole_tools: Flag = False
+    """Of whole tools, under true masks: for the column object-prior of `toolee train paper`."""
     weights: Folder = None
     """The detector's weights (default: those that ship)."""
     limit: Count = None
@@ -175,14 +170,11 @@ class Clouds:
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
         from toolee_robot.perception.offline.rendered_clouds import rendered_clouds
-        from toolee_robot.perception.offline.research.tooleenet import column_of
         from toolee_robot.perception.offline.training.options import make_folder
 
-        column = column_of(self.estimator, self.column)
-        if column is not None and self.weights is not None:
-            raise UserError(
-                "--weights: for --estimator paper the true masks are taken, no detector's", code="user.option"
-            )
+        of_detector = not (self.true_masks or self.whole_tools)
+        if self.weights is not None and not of_detector:
+            raise UserError("--weights: true masks are asked for, no detector's", code="user.option")
         # Before the work: it may take hours.
         make_folder(self.out.parent)
         with progress_bars(console) as report:
@@ -193,13 +185,14 @@ class Clouds:
                 self.workers,
                 self.limit,
                 partial(report, "scene folders"),
-                column,
+                self.true_masks,
+                self.whole_tools,
                 self.minutes,
             )
         clouds.save(self.out)
         shown = int(clouds.positive.sum())
         kind = "whole tools" if clouds.of_tool.any() else "end effectors"
-        negatives = f" and {len(clouds) - shown} of other things" if column is None else ""
+        negatives = f" and {len(clouds) - shown} of other things" if of_detector else ""
         console.print(f"{shown} clouds of {kind}{negatives} in {self.out}")
         if self.json:
             print(json_line({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown}), flush=True)
@@ -222,12 +215,6 @@ class Pose(_Training):
     """Wall-clock of the optimisation (default: 9)."""
     batch: Count = None
     """Clouds a step, of each GPU (default: 512)."""
-    estimator: Estimator = "ours"
-    """paper: ToolEENet's own."""
-    column: ColumnName = None
-    """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
-    protocol: Literal["hard", "paper"] = "hard"
-    """Which data set's views the clouds are like."""
     rendered: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = ()
     """Clouds of rendered images to mix in, made by `toolee train clouds`."""
     rendered_share: Number = None
@@ -240,30 +227,61 @@ class Pose(_Training):
     """Held-out tools of each kind (default: 30)."""
     validation: Count = None
     """Held-out clouds (default: 4096)."""
-    freeze_batchnorm: Number = None
-    """Share of the budget after which batch normalisation keeps its statistics (default: 0.25)."""
     calibrate_only: Flag = False
     """Validate and calibrate the weights that lie in --out, without training."""
 
     def run(self) -> int:
         from toolee_robot.perception.offline.pose.config import TrainConfig
-        from toolee_robot.perception.offline.pose.recipe import DefaultRecipe
         from toolee_robot.perception.offline.pose.trainer import train
-        from toolee_robot.perception.offline.research.tooleenet import PaperRecipe, column_of
-        from toolee_robot.perception.offline.synthetic_clouds.batch import PROTOCOLS
         from toolee_robot.perception.offline.training.options import CHECKPOINT, options_of, remember
 
-        column = column_of(self.estimator, self.column)
         config = TrainConfig(**options_of(self._given(), self.config, {f.name for f in fields(TrainConfig)}))
         resumed = (self.out / CHECKPOINT).is_file()
         about = {f.name: getattr(config, f.name) for f in fields(TrainConfig)}
-        about |= {"estimator": self.estimator, "column": column.name if column else None, "protocol": self.protocol}
         if not self.calibrate_only:
             remember(self.out, resumed, {**about, "rendered": [str(path) for path in self.rendered]})
-        clouds = PROTOCOLS[self.protocol]()
-        method: Any = DefaultRecipe(clouds_config=clouds) if column is None else PaperRecipe(column, clouds)
-        report = train(self.out, config, method, self.calibrate_only, self.init, self.rendered)
+        report = train(self.out, config, None, self.calibrate_only, self.init, self.rendered)
         return self._end(resumed, report=report)
+
+
+@dataclass(frozen=True)
+class Paper:
+    """Train a column of the paper's Table I as its published code does: 2,000 epochs, batches of 600.
+
+    Example: toolee train paper runs/ends.npz --out runs/aware --minutes 9
+
+    The same command again continues from the last checkpoint in DIR; an interrupted training gives the same weights as
+    one without a break.
+    """
+
+    clouds: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
+    """Clouds under true masks: `toolee train clouds --true-masks`, for object-prior `--whole-tools`."""
+    out: OutDir
+    """Checkpoint, weights with their configuration, log, TensorBoard curves (extra `train`)."""
+    column: Annotated[str, tyro.conf.arg(metavar="NAME")] = "symmetry-aware"
+    """object-prior, ee or symmetry-aware. ee-symmetry-prior is ee, judged with the symmetry."""
+    config: File = None
+    """YAML or JSON of further options: epochs, batch, lr, freeze_epochs, judged, seed."""
+    minutes: Number = None
+    """Stop after this time; the same command goes on."""
+    device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
+    json: Flag = False
+    """Print one line of JSON last on standard output."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.offline.research.tooleenet.training import PaperOptions, train_column
+        from toolee_robot.perception.offline.training.options import CHECKPOINT, options_of, remember
+
+        given = {"session_minutes": self.minutes, "device": self.device}
+        options = PaperOptions(**options_of(given, self.config, {f.name for f in fields(PaperOptions)}))
+        resumed = (self.out / CHECKPOINT).is_file()
+        about = {f.name: getattr(options, f.name) for f in fields(PaperOptions)}
+        remember(self.out, resumed, {**about, "column": self.column, "clouds": [str(path) for path in self.clouds]})
+        done = train_column(self.out, options, self.column, self.clouds)
+        if self.json:
+            print(json_line({"out": str(self.out), "resumed": resumed, **done}), flush=True)
+        return 0
 
 
 @dataclass(frozen=True)
@@ -319,5 +337,6 @@ COMMANDS = {
     "refinement": Refinement,
     "clouds": Clouds,
     "pose": Pose,
+    "paper": Paper,
     "trust": Trust,
 }

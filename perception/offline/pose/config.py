@@ -24,8 +24,6 @@ class TrainConfig(TrainingOptions):
         train_seeds: Training tools of each kind.
         test_seeds: Held-out tools of each kind.
         validation: Held-out clouds.
-        freeze_batchnorm: Share of the budget after which batch normalisation keeps its statistics (`freeze_batchnorm`);
-            irrelevant for networks without it.
         rendered_share: Share of rendered clouds, where some are given.
         init_share: Share of the initial weights in the final ones, where the training starts from weights (Wortsman et
             al., "Robust fine-tuning of zero-shot models", CVPR 2022).
@@ -46,6 +44,5 @@ class TrainConfig(TrainingOptions):
     train_seeds: int = 480
     test_seeds: int = 30
     validation: int = 4096
-    freeze_batchnorm: float = 0.25
     rendered_share: float = 0.5
     init_share: float = 0.0

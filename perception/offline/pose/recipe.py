@@ -1,13 +1,10 @@
-"""Training recipes: a network, its clouds, its loss, and the estimator that results.
-
-The trainer knows only `TrainingRecipe`; `DefaultRecipe` is the project's, `research.tooleenet.PaperRecipe` the paper's.
-"""
+"""How the pose network is trained: its clouds, its loss, the estimator that results and its calibration."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,128 +17,11 @@ from toolee_robot.perception.offline.synthetic_clouds.generator import CloudGene
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import Float32, SurfaceSamples
 from toolee_robot.perception.pose import weights
-from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.network import SAMPLER, NetworkConfig, PoseNet
 from toolee_robot.perception.pose.processes.flow import Sampler
 from toolee_robot.perception.pose.processes.registry import PROCESSES
 from toolee_robot.perception.pose.weights import Calibration
-
-Net = TypeVar("Net", bound=nn.Module)
-
-
-class TrainingRecipe(Protocol, Generic[Net]):
-    """Everything needed to train a network, to evaluate it and to store it."""
-
-    @property
-    def name(self) -> str:
-        """Name of the weight files."""
-
-    @property
-    def of_tool(self) -> bool:
-        """Whether it learns from clouds of whole tools instead of end effectors."""
-
-    def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
-        """A generator of training or held-out clouds.
-
-        Args:
-            samples: Surface samples of the tools.
-            hands: Surface samples of hands, (H, 6144, 3) [m].
-            device: torch device.
-            seed: Seed of the clouds.
-
-        Returns:
-            The generator.
-        """
-
-    def rendered(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
-        """A source of clouds of rendered images, of the kind that the recipe learns from.
-
-        Args:
-            clouds: The stored clouds.
-            device: torch device.
-            seed: Seed of the draws.
-
-        Returns:
-            The source.
-        """
-
-    def network(self, samples: SurfaceSamples) -> Net:
-        """A new network; `samples`: surface samples of the training tools."""
-
-    def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
-        """A batch as it is shown in training, augmented where the recipe does so.
-
-        Args:
-            batch: The clouds.
-            generator: Random numbers, on the clouds' device.
-
-        Returns:
-            The clouds.
-        """
-
-    def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of a batch.
-
-        Args:
-            net: The network, possibly compiled.
-            batch: The clouds.
-            generator: Random numbers, on the clouds' device.
-
-        Returns:
-            The loss, and its parts by name.
-        """
-
-    def estimator(self, net: Net, calibration: Calibration, device: str) -> CloudEstimator:
-        """The estimator with the trained network.
-
-        Args:
-            net: The network.
-            calibration: Its calibration.
-            device: torch device.
-
-        Returns:
-            The estimator.
-        """
-
-    def with_ee_truth(self, batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:
-        """Held-out clouds with the EE's pose as truth, whatever the network estimates.
-
-        Args:
-            batch: The clouds.
-            samples: Surface samples of their tools.
-
-        Returns:
-            The clouds.
-        """
-
-    def report(
-        self, net: Net, held_out: CloudBatch, samples: SurfaceSamples, device: str
-    ) -> tuple[dict[str, Any], Calibration]:
-        """Evaluate and calibrate the network on held-out clouds.
-
-        Args:
-            net: The trained network.
-            held_out: The clouds.
-            samples: Surface samples of their tools.
-            device: torch device.
-
-        Returns:
-            Metrics, and the calibration.
-        """
-
-    def save(self, folder: Path, net: Net, calibration: Calibration, report: dict[str, Any]) -> None:
-        """Write the weights with their description.
-
-        Args:
-            folder: Output folder.
-            net: The trained network.
-            calibration: Its calibration.
-            report: Record of the training.
-        """
-
-    def load(self, folder: Path) -> Net:
-        """The network that `save` wrote. Raises AssetError when it is missing or unreadable."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +33,7 @@ class DefaultRecipe:
         clouds_config: Distributions of the synthetic clouds.
         draws: Noise draws per cloud.
         rest_dropout: Share of the clouds whose rest of the tool is withheld.
-        direction_dropout: Share of those whose direction to it is withheld, too; 1: also in the evaluation.
+        direction_dropout: Share of those whose direction to it is withheld, too.
         augmentation: Whether clouds are rolled and mirrored at random.
         sampler: Solver used in the evaluation.
         name: Name of the weight files.
@@ -168,46 +48,35 @@ class DefaultRecipe:
     sampler: Sampler = SAMPLER
     name: str = weights.NAME
 
-    @property
-    def of_tool(self) -> bool:
-        """See `TrainingRecipe`."""
-        return False
-
     def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
-        """See `TrainingRecipe`."""
+        """A generator of training or held-out clouds."""
         return CloudGenerator(samples, hands, device, seed, self.clouds_config)
 
     def rendered(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
-        """See `TrainingRecipe`."""
+        """A source of stored clouds of rendered images."""
         return RenderedSource(clouds, device, seed, self.clouds_config)
 
-    def network(self, samples: SurfaceSamples) -> PoseNet:  # noqa: ARG002 - others need it
-        """See `TrainingRecipe`."""
+    def network(self) -> PoseNet:
+        """A new network."""
         return PoseNet(self.config)
 
     def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
-        """See `TrainingRecipe`."""
+        """A batch as it is shown in training, augmented."""
         batch = without_rest(batch, self.rest_dropout, self.direction_dropout, generator)
         return augment(batch, generator) if self.augmentation else batch
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """See `TrainingRecipe`."""
+        """The loss of a batch, and its parts by name."""
         return pose_loss(net, batch, self.draws, generator, PROCESSES[self.config.process])
 
     def estimator(self, net: PoseNet, calibration: Calibration, device: str) -> PoseEstimator:
-        """See `TrainingRecipe`."""
+        """The estimator with the trained network."""
         return PoseEstimator(net, calibration, device, self.sampler)
-
-    def with_ee_truth(self, batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:  # noqa: ARG002 - others need it
-        """See `TrainingRecipe`."""
-        if self.rest_dropout == 1:
-            batch = validation.without_rest(batch)
-        return batch if self.direction_dropout < 1 else validation.without_direction(batch)
 
     def report(
         self, net: PoseNet, held_out: CloudBatch, samples: SurfaceSamples, device: str
     ) -> tuple[dict[str, Any], Calibration]:
-        """See `TrainingRecipe`; the calibration is fitted on one half of the tools and reported on the other."""
+        """Metrics on held-out clouds, and the calibration: fitted on half of the tools, reported on the others."""
         estimator = self.estimator(net, Calibration(), device)
         K = estimator.candidates
         result = validation.evaluate(estimator, held_out, K)
@@ -227,11 +96,11 @@ class DefaultRecipe:
         return report, calibration
 
     def save(self, folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any]) -> None:
-        """See `TrainingRecipe`."""
+        """Write the weights with their description."""
         weights.save(folder, net, calibration, report, self.name)
 
     def load(self, folder: Path) -> PoseNet:
-        """See `TrainingRecipe`."""
+        """The network that `save` wrote. Raises AssetError when it is missing or unreadable."""
         return weights.load(folder, self.name)[0]
 
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, Generic
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.offline.pose import validation
 from toolee_robot.perception.offline.pose.config import TrainConfig
-from toolee_robot.perception.offline.pose.recipe import DefaultRecipe, Net, TrainingRecipe
+from toolee_robot.perception.offline.pose.recipe import DefaultRecipe
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudSource, Mixture
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
@@ -28,10 +28,11 @@ from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
 )
 from toolee_robot.perception.offline.training.distributed import Distributed, init_distributed
 from toolee_robot.perception.offline.training.loop import TrainingRun
+from toolee_robot.perception.pose.network import PoseNet
 from toolee_robot.perception.pose.weights import Calibration
 
 
-class Trainer(TrainingRun, Generic[Net]):
+class Trainer(TrainingRun):
     """The training of one network within one budget, on one device or, as one of several processes, on several.
 
     `run` may be called again in a new process: it resumes. The first rank validates, logs and writes.
@@ -55,13 +56,13 @@ class Trainer(TrainingRun, Generic[Net]):
         config: TrainConfig,
         samples: tuple[SurfaceSamples, SurfaceSamples],
         hands: Float32,
-        recipe: TrainingRecipe[Net],
+        recipe: DefaultRecipe,
         distributed: Distributed,
         rendered: RenderedClouds | None = None,
     ) -> None:
         torch.manual_seed(config.seed)
         self.config, self.recipe, self.name = config, recipe, recipe.name
-        self.net = recipe.network(samples[0]).to(distributed.device)
+        self.net = recipe.network().to(distributed.device)
         super().__init__(config, out, distributed, self.net, self.net)
         self._init: dict[str, Tensor] = {}
         self._generator: CloudSource = recipe.clouds(samples[0], hands, distributed.device, self._seed(1))
@@ -108,7 +109,6 @@ class Trainer(TrainingRun, Generic[Net]):
         shown = (self.step - self._first_step) * c.batch
         while self._reservoir.made - self._first_clouds < shown / c.reuse:
             self._reservoir.add(self._generator.generate(c.chunk))
-        freeze_batchnorm(self.net, self.progress >= c.freeze_batchnorm)
         batch = self.recipe.prepare(self._reservoir.draw(c.batch, self._g), self._g)
         loss, parts = self.recipe.loss(self.module, batch, self._g)
         return {"loss": loss}, parts
@@ -173,11 +173,10 @@ class Trainer(TrainingRun, Generic[Net]):
         return report
 
     def judged(self) -> CloudBatch:
-        """The next held-out clouds, with the EE's pose as truth."""
-        clouds = self._clouds_held_out.collect(self.config.validation, self.config.chunk)
-        return self.recipe.with_ee_truth(clouds, self._test_samples)
+        """The next held-out clouds."""
+        return self._clouds_held_out.collect(self.config.validation, self.config.chunk)
 
-    def export(self) -> Net:
+    def export(self) -> PoseNet:
         """The averaged network, mixed with its share of the initial weights.
 
         It is rounded to half precision, as it will be stored.
@@ -212,9 +211,7 @@ class Trainer(TrainingRun, Generic[Net]):
         compiled: nn.Module = torch.compile(self.net)  # type: ignore[assignment]
         batch = self._generator.collect(self.config.batch, self.config.chunk)
         try:
-            for frozen in (True, False):  # each is compiled separately
-                freeze_batchnorm(self.net, frozen)
-                self.recipe.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
+            self.recipe.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
         except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
             self.record({"event": "not compiled", "error": f"{type(error).__name__}: {error}"[:300]})
             torch._dynamo.reset()
@@ -230,7 +227,7 @@ class Trainer(TrainingRun, Generic[Net]):
 def train(
     out: Path,
     config: TrainConfig,
-    recipe: TrainingRecipe[Any] | None = None,
+    recipe: DefaultRecipe | None = None,
     calibrate_only: bool = False,
     init: Path | None = None,
     rendered: Sequence[Path] = (),
@@ -259,7 +256,7 @@ def train(
     kept = None
     if rendered:
         kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered])
-        kept.check_kind(recipe.of_tool)  # before the long sampling
+        kept.check_kind(of_tool=False)  # before the long sampling
     begun = time.monotonic()
     samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
     hands = sample_hands()
@@ -319,17 +316,3 @@ class ReplayBuffer:
         """
         index = torch.randint(self._filled, (n,), device=generator.device, generator=generator)
         return CloudBatch(**{name: rows[index] for name, rows in self._rows.items()})
-
-
-def freeze_batchnorm(net: nn.Module, frozen: bool) -> None:
-    """Switch layers of batch normalisation between running statistics, kept, and their batch's.
-
-    Their weights learn either way.
-
-    Args:
-        net: The network.
-        frozen: Whether the running statistics are used and kept.
-    """
-    for module in net.modules():
-        if isinstance(module, nn.BatchNorm1d):
-            module.train(not frozen)

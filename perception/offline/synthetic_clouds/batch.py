@@ -21,8 +21,6 @@ class CloudConfig:
         near_share: Share of the clouds whose distance is at most `near`.
         near: That distance [m].
         field: Half of the field of view to the right and down, as tangents.
-        upright: Whether tools stand upright, held in the nominal grasp up to 5 cm along the handle, in front of a
-            camera that is pitched from -45 to 30 deg and not rolled.
         focal: Range of the focal length [px].
         kinect_share: Share with the focal length of a Kinect v2.
         hand_share: Share with a hand on the handle.
@@ -37,7 +35,6 @@ class CloudConfig:
         other_cut_share: Share whose mask is cut at another radius, as a detector's or another method's may be.
         other_cut: Range of the factor on the radius of such a cut.
         circle_share: Share of these that are circles in the image, as the paper's.
-        circle: Radius [px] of a circle in the image that every mask is; None: not.
         border_share: Share in which the image ends near the EE.
         rest: Whether the rest of the tool is seen.
         rest_error_share: Share with an imperfect mask of the rest.
@@ -54,7 +51,6 @@ class CloudConfig:
     near_share: float = 0.25
     near: float = 0.75
     field: tuple[float, float] = (0.5, 0.42)
-    upright: bool = False
     focal: tuple[float, float] = (350.0, 700.0)
     kinect_share: float = 0.5
     hand_share: float = 0.85
@@ -69,7 +65,6 @@ class CloudConfig:
     other_cut_share: float = 0.5
     other_cut: tuple[float, float] = (0.5, 1.65)
     circle_share: float = 0.35
-    circle: float | None = None
     border_share: float = 0.08
     rest: bool = True
     rest_error_share: float = 0.7
@@ -80,38 +75,6 @@ class CloudConfig:
     guessed: bool = True
     points: int = POINTS
     ordered: int = PATCHES
-
-    @classmethod
-    def paper(cls) -> CloudConfig:
-        """The paper's protocol, as `dataset.paper` renders it.
-
-        Exact depth and masks, an upright tool in one grasp, the EE a circle in the image; without negatives, which the
-        paper's estimator does not use.
-        """
-        return cls(
-            distance=(0.42, 0.98),
-            near_share=0.0,
-            focal=(480.0, 480.0),
-            kinect_share=0.0,
-            field=(0.875, 0.4375),
-            upright=True,
-            hand_share=1.0,
-            occluder_share=0.0,
-            mask_error_share=0.0,
-            chunk_share=0.0,
-            negative_share=0.0,
-            sensor_level=0.0,
-            circle=30.0,
-            border_share=0.0,
-            rest_error_share=0.0,
-            rest_chunk_share=0.0,
-            rest_gap_share=0.0,
-            wrong_rest_share=0.0,
-        )
-
-
-PROTOCOLS = {"hard": CloudConfig, "paper": CloudConfig.paper}
-"""Cloud configurations by the name of the data sets' configurations."""
 
 
 @dataclass(frozen=True)

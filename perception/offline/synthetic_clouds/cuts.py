@@ -33,19 +33,6 @@ class Cut:
     circle: Tensor
 
     @classmethod
-    def sphere(cls, focus: Tensor, radius: Tensor) -> Cut:
-        """Cut tools with one end by a sphere each.
-
-        Args:
-            focus: Centres, (B, 3) [m].
-            radius: Radii, (B,) [m].
-
-        Returns:
-            The cuts.
-        """
-        return cls(focus, radius, torch.full_like(focus, NOWHERE), radius, torch.zeros_like(radius, dtype=torch.bool))
-
-    @classmethod
     def drawn(
         cls,
         focus: Tensor,
@@ -53,7 +40,6 @@ class Cut:
         other: Tensor,
         other_radius: Tensor,
         config: CloudConfig,
-        f: Tensor,
         torch_rng: TorchRng,
     ) -> Cut:
         """Random cuts.
@@ -64,16 +50,12 @@ class Cut:
             other: The tool's other end, (B, 3) [m], camera frame.
             other_radius: Radius of that end's category, (B,) [m].
             config: The distributions.
-            f: Focal lengths, (B,) [px].
             torch_rng: Random numbers.
 
         Returns:
             The cuts.
         """
         B = len(focus)
-        if config.circle is not None:
-            radius = config.circle / f * focus[:, 2]
-            return cls(focus, radius, other, radius, torch.ones_like(radius, dtype=torch.bool))
         differs = torch_rng.uniform(B) < config.other_cut_share
         factor = torch.where(differs, torch_rng.uniform(B, *config.other_cut), 1.0)
         circle = differs & (torch_rng.uniform(B) < config.circle_share)

@@ -22,7 +22,6 @@ from toolee_robot.perception.offline.synthetic_clouds.scene import (
     draw_backgrounds,
     draw_occluders,
     rigid_inverse,
-    upright_rotations,
 )
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
     NOWHERE,
@@ -34,8 +33,8 @@ from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, Canonic
 from toolee_robot.perception.pose.depth_completion import complete_depth
 
 _MAX_COMPLETED = 512
-WHOLE_TOOL = 1
-"""Reach of splats [px] in a window that holds a whole tool: wider ones would thicken thin parts at this scale."""
+_EE_REACH, _TOOL_REACH = 2, 1
+"""Reach of splats [px] in a window that holds an EE, and a whole tool: there wider ones would thicken thin parts."""
 
 
 class CloudGenerator(CloudSource):
@@ -47,12 +46,7 @@ class CloudGenerator(CloudSource):
         device: torch device.
         seed: Seed of all random numbers.
         config: Distributions of the clouds; None: the default.
-
-    Attributes:
-        reach: Reach of splats without normals [px], in windows that hold what the mask is claimed to show.
     """
-
-    reach = 2
 
     def __init__(
         self,
@@ -110,7 +104,7 @@ class CloudGenerator(CloudSource):
             (f * focus[:, 0] / depth_focus).round() - GRID // 2,
             (f * focus[:, 1] / depth_focus).round() - GRID // 2,
         )
-        alone, buffer = self._draw(placed, target, window, self.reach)
+        alone, buffer = self._draw(placed, target, window, _EE_REACH)
         rays = window.rays()
         draw_occluders(buffer, focus, radius, rays, c.occluder_share, torch_rng)
         draw_backgrounds(buffer, focus, rays, torch_rng)
@@ -145,7 +139,8 @@ class CloudGenerator(CloudSource):
         shows &= ~target.positive | ((mask & seen).sum((1, 2)) > 0.3 * mask.sum((1, 2)))
         result = CloudBatch.of(
             cloud,
-            *self._truth(placed),
+            placed.R,
+            placed.p,
             direction=direction,
             spin_pixels=tells_spin,
             category=target.claimed,
@@ -169,7 +164,7 @@ class CloudGenerator(CloudSource):
             (f * middle[:, 0] / depth_middle).round() - GRID // 2,
             (f * middle[:, 1] / depth_middle).round() - GRID // 2,
         )
-        buffer = self._draw(placed, target, window, WHOLE_TOOL)[1]
+        buffer = self._draw(placed, target, window, _TOOL_REACH)[1]
         rays = window.rays()
         draw_backgrounds(buffer, middle, rays, torch_rng)
         truth, labels, cosine = buffer.images()
@@ -193,17 +188,17 @@ class CloudGenerator(CloudSource):
         return with_rest(cloud, points, valid, torch_rng.generator)
 
     def _place(self, B: int) -> Placement:
-        """Tools at random poses in the camera frame, uniform on SO(3) unless upright, most of them in a hand."""
+        """Tools at random poses in the camera frame, uniform on SO(3), most of them in a hand."""
         c, torch_rng = self.config, self._torch_rng
         item_np = self._rng.choice(len(self._weights), B, p=self._weights)
         item = torch.as_tensor(item_np, device=self._device)
         X_ee_tool = self._X_ee_tool[item]
-        grasps = random_grasps(self._samples.handle[item_np], self._rng, nominal=c.upright)
+        grasps = random_grasps(self._samples.handle[item_np], self._rng)
         X_tool_hand = torch.as_tensor(grasps, device=self._device)
         f_native = torch.where(torch_rng.uniform(B) < c.kinect_share, 365.5, torch_rng.uniform(B, *c.focal))
         near = torch_rng.uniform(B) < c.near_share
         distance = torch.where(near, torch_rng.uniform(B, c.distance[0], c.near), torch_rng.uniform(B, *c.distance))
-        R = upright_rotations(X_ee_tool, torch_rng) if c.upright else torch_rng.rotations(B)
+        R = torch_rng.rotations(B)
         right, down = c.field
         ray = torch.stack(
             [torch_rng.uniform(B, -right, right), torch_rng.uniform(B, -down, down), torch.ones_like(distance)], -1
@@ -259,19 +254,13 @@ class CloudGenerator(CloudSource):
         return Target(
             focus=focus,
             radius=radius,
-            cut=Cut.drawn(
-                focus, radius, other, self._radius[self._other_category[item]], c, placed.f_native, torch_rng
-            ),
+            cut=Cut.drawn(focus, radius, other, self._radius[self._other_category[item]], c, torch_rng),
             border=Border.drawn(focus, radius, c.border_share, torch_rng),
             claimed=claimed,
             positive=on_ee & ~swapped,
             admissible=swapped | (on_hand & far_enough) | (on_rest & on_handle),
             on_hand=on_hand,
         )
-
-    def _truth(self, placed: Placement) -> tuple[Tensor, Tensor]:
-        """The wanted pose: R (B, 3, 3), p (B, 3) [m], camera frame."""
-        return placed.R, placed.p
 
     def _draw(self, placed: Placement, target: Target, window: Window, reach: int) -> tuple[ZBuffer, ZBuffer]:
         """Z-buffers of the tool alone, and with its hand. reach: of splats without normals [px]."""

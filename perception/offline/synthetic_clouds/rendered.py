@@ -45,7 +45,8 @@ class RenderedClouds:
         guessed: Points of completed depth, likewise, (G, 3) float32 [m].
         rest: Points of the rest of the tool, likewise, (Q, 3) float32 [m].
         counts: How many of each belong to a cloud, (N, 3) int64.
-        X_camera_target: Pose of the EE, or of the tool where `of_tool`, (N, 4, 4) float32.
+        X_camera_ee: Pose of the EE, (N, 4, 4) float32.
+        X_camera_tool: Pose of its tool, likewise.
         of_tool: Whether the cloud shows the whole tool, (N,) bool.
         p_camera_hand: Position of the hand, (N, 3) float32 [m]; NaN where unknown.
         category: Index of the category, (N,) int64.
@@ -59,7 +60,8 @@ class RenderedClouds:
     guessed: NDArray[np.float32]
     rest: NDArray[np.float32]
     counts: NDArray[np.int64]
-    X_camera_target: NDArray[np.float32]
+    X_camera_ee: NDArray[np.float32]
+    X_camera_tool: NDArray[np.float32]
     of_tool: NDArray[np.bool_]
     p_camera_hand: NDArray[np.float32]
     category: NDArray[np.int64]
@@ -90,7 +92,7 @@ class RenderedClouds:
             wanted, given = ("whole tools", "end effectors") if of_tool else ("end effectors", "whole tools")
             raise UserError(
                 f"--rendered: this training takes clouds of {wanted}, some of these are of {given}: make them with "
-                "`toolee train clouds` and the --estimator and --column of the training",
+                "`toolee train clouds`, with --whole-tools or without",
                 code="user.rendered_kind",
             )
 
@@ -122,13 +124,14 @@ class RenderedClouds:
 
 def _none() -> RenderedClouds:
     """A record without clouds."""
-    points, numbers = np.empty((0, 3), np.float32), np.empty(0, np.int64)
+    points, numbers, poses = np.empty((0, 3), np.float32), np.empty(0, np.int64), np.empty((0, 4, 4), np.float32)
     return RenderedClouds(
         points,
         guessed=points,
         rest=points,
         counts=np.empty((0, 3), np.int64),
-        X_camera_target=np.empty((0, 4, 4), np.float32),
+        X_camera_ee=poses,
+        X_camera_tool=poses,
         of_tool=np.empty(0, np.bool_),
         p_camera_hand=points,
         category=numbers,
@@ -162,7 +165,7 @@ class RenderedSource(CloudSource):
         self._flat = put(clouds.points), put(clouds.guessed), put(clouds.rest)
         self._counts = put(clouds.counts)
         self._starts = self._counts.cumsum(0) - self._counts
-        self._X, self._p_hand = put(clouds.X_camera_target), put(clouds.p_camera_hand)
+        self._X, self._p_hand = put(clouds.X_camera_ee), put(clouds.p_camera_hand)
         self._category, self._positive = put(clouds.category), put(clouds.positive)
         self._visible, self._tells, self._occlusion = put(clouds.visible), put(clouds.tells_spin), put(clouds.occlusion)
         self._radius = put(np.array([config.radius or c.spec.radius for c in Category], np.float32))
@@ -174,12 +177,12 @@ class RenderedSource(CloudSource):
 
     def generate(self, n: int) -> CloudBatch:
         """See `CloudSource`."""
-        with torch.no_grad():
-            return self._generate(n)
+        return self.rows(torch.multinomial(self._weights, n, replacement=True, generator=self._torch_rng.generator))
 
-    def _generate(self, n: int) -> CloudBatch:
+    @torch.no_grad()
+    def rows(self, which: Tensor) -> CloudBatch:
+        """The stored clouds of these numbers (B,), without those that show too little; `item` is the number."""
         c, torch_rng = self._config, self._torch_rng
-        which = torch.multinomial(self._weights, n, replacement=True, generator=torch_rng.generator)
         points, valid = self._take(0, which, MAX_POINTS)
         rest, rest_valid = self._take(2, which, MAX_REST)
         category = self._category[which]
@@ -197,7 +200,7 @@ class RenderedSource(CloudSource):
             direction=self._direction(cloud, rest, rest_valid, self._p_hand[which]),
             spin_pixels=self._tells[which],
             category=category,
-            item=torch.full_like(which, -1),
+            item=which,
             positive=self._positive[which],
             visible=visible,
             occlusion=self._occlusion[which],

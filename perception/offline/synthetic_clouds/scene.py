@@ -157,26 +157,6 @@ def direction_token(
     return torch.cat([d, torch.ones_like(d[:, :1]), by_hand.float()[:, None]], dim=-1)
 
 
-def upright_rotations(X_ee_tool: Tensor, torch_rng: TorchRng) -> Tensor:
-    """Orientations of EEs whose tools stand upright, at any yaw, in front of a camera pitched by -45 to 30 deg.
-
-    Args:
-        X_ee_tool: (B, 4, 4).
-        torch_rng: Random numbers.
-
-    Returns:
-        (B, 3, 3), camera frame.
-    """
-    B = len(X_ee_tool)
-    yaw, pitch = torch_rng.uniform(B, -torch.pi, torch.pi), torch.deg2rad(torch_rng.uniform(B, -45.0, 30.0))
-    zero, one = torch.zeros_like(yaw), torch.ones_like(yaw)
-    turn = torch.stack([yaw.cos(), -yaw.sin(), zero, yaw.sin(), yaw.cos(), zero, zero, zero, one], -1)
-    # Rows: right, down and forward in a world whose z is up.
-    c, s = pitch.cos(), pitch.sin()
-    camera = torch.stack([zero, -one, zero, s, zero, -c, c, zero, s], -1)
-    return camera.view(B, 3, 3) @ turn.view(B, 3, 3) @ X_ee_tool[:, :3, :3].mT
-
-
 def rigid_inverse(X: Tensor) -> Tensor:
     """Inverse of rigid transforms (B, 4, 4)."""
     Y = X.clone()

@@ -178,15 +178,13 @@ def sample_hands(count: int = 64, seed: int = 0) -> Float32:
     return hands
 
 
-def random_grasps(handle: Float32, rng: np.random.Generator, shift: float = 0.05, nominal: bool = False) -> Float32:
-    """Random grasps of handles.
+def random_grasps(handle: Float32, rng: np.random.Generator, shift: float = 0.05) -> Float32:
+    """Random grasps of handles: displaced, rotated about the handle, tilted, and sometimes reversed.
 
     Args:
         handle: z_min, z_max and radius of each handle, (B, 3) [m].
         rng: Random numbers.
         shift: Largest displacement along the handle [m].
-        nominal: Whether the hand is only displaced; otherwise it is also rotated about the handle, tilted, and
-            sometimes reversed.
 
     Returns:
         X_tool_hand, (B, 4, 4).
@@ -200,8 +198,7 @@ def random_grasps(handle: Float32, rng: np.random.Generator, shift: float = 0.05
     tilt = Rotation.from_rotvec(np.column_stack([rng.normal(0, np.deg2rad(8), (B, 2)), np.zeros(B)]))
     flip = Rotation.from_rotvec(np.where(rng.random(B) < 0.12, np.pi, 0.0)[:, None] * [1.0, 0.0, 0.0])
     X: Array = np.tile(np.eye(4), (B, 1, 1))
-    if not nominal:
-        X[:, :3, :3] = (turn * tilt * flip).as_matrix()
+    X[:, :3, :3] = (turn * tilt * flip).as_matrix()
     X[:, 2, 3] = np.clip(rng.uniform(-shift, shift, B), handle[:, 0] + 0.03, np.maximum(handle[:, 1], 0.0))
     return (X @ X_tool_hand).astype(np.float32)
 

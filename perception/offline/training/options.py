@@ -14,7 +14,8 @@ from toolee_robot.runtime.yaml_files import read_yaml
 
 CONFIG, CHECKPOINT = "config.json", "checkpoint.pt"
 """Files in the folder of a training: its configuration and its state."""
-_MAY_CHANGE = {"minutes", "max_steps", "session_minutes", "device", "checkpoint_minutes", "log_every", "patience"}
+_DURATION = {"minutes", "max_steps", "session_minutes", "epochs", "patience"}
+_MAY_CHANGE = _DURATION | {"device", "checkpoint_minutes", "log_every", "compile"}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -62,11 +62,11 @@ def test_both_kinds_of_masks_give_clouds_about_their_ends(clouds: RenderedClouds
     found = 0
     for i in np.flatnonzero(clouds.positive):
         points = clouds.points[starts[i, 0] : starts[i, 0] + clouds.counts[i, 0]]
-        local = (points - clouds.X_camera_target[i, :3, 3]) @ clouds.X_camera_target[i, :3, :3]
+        local = (points - clouds.X_camera_ee[i, :3, 3]) @ clouds.X_camera_ee[i, :3, :3]
         radius = list(Category)[clouds.category[i]].spec.radius
         assert np.median(np.linalg.norm(local, axis=1)) < radius + 0.01
         found += 1
-    poses = clouds.X_camera_target[clouds.positive]
+    poses = clouds.X_camera_ee[clouds.positive]
     # The true mask's and the detector's clouds of one EE have one pose.
     assert found > len(np.unique(poses, axis=0)) > 0
 
@@ -120,7 +120,7 @@ def test_a_batch_s_truth_is_the_kept_one_in_the_canonical_frame(clouds: Rendered
     R = batch.R_canonical.mT @ batch.R
     p = torch.einsum("bji,bj->bi", batch.R_canonical, batch.p) + batch.centre
     for i in torch.nonzero(batch.positive)[:, 0]:
-        X = torch.as_tensor(clouds.X_camera_target)
+        X = torch.as_tensor(clouds.X_camera_ee)
         apart = (X[:, :3, :3] - R[i]).abs().amax((1, 2)) + (X[:, :3, 3] - p[i]).abs().amax(1)
         assert apart.min() < 1e-5
         # In the EE's own frame the points are about its origin.
@@ -233,7 +233,7 @@ def test_what_is_there_after_a_time_is_kept(folder: Path, tmp_path: Path) -> Non
 
     def made(*options: str) -> int:
         out = tmp_path / "clouds.npz"
-        arguments = ["train", "clouds", str(twice), "--out", str(out), "--estimator", "paper", *options]
+        arguments = ["train", "clouds", str(twice), "--out", str(out), "--true-masks", *options]
         assert run(arguments) == 0
         return len(RenderedClouds.load(out))
 
@@ -268,7 +268,7 @@ def test_whole_tools_come_with_the_pose_of_their_tool(folder: Path) -> None:
     assert len(whole) == len(shown) > 0
     ends = np.cumsum(whole.counts[:, 0])
     for i, instance in enumerate(shown):
-        X = whole.X_camera_target[i].astype(np.float64)
+        X = whole.X_camera_tool[i].astype(np.float64)
         points = whole.points[ends[i] - whole.counts[i, 0] : ends[i]]
         surface = part.catalogue.tool(instance.tool).mesh.sample(20_000, seed=0)
         apart = cKDTree(transform_points(X, surface)).query(points)[0]
@@ -280,10 +280,8 @@ def paper_files(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[
     """Of a column each what the command keeps for it."""
     out = tmp_path_factory.mktemp("paper")
     files = {column: out / f"{column}.npz" for column in ("ee", "object-prior")}
-    for column, file in files.items():
-        assert (
-            run(["train", "clouds", str(folder), "--out", str(file), "--estimator", "paper", "--column", column]) == 0
-        )
+    for file, kind in zip(files.values(), ("--true-masks", "--whole-tools"), strict=True):
+        assert run(["train", "clouds", str(folder), "--out", str(file), kind]) == 0
     return files
 
 
@@ -292,8 +290,8 @@ def test_for_the_paper_s_estimator_true_masks_alone_are_kept(
 ) -> None:
     kept = RenderedClouds.load(paper_files["ee"])
     assert kept.positive.all()
-    assert len(np.unique(kept.X_camera_target, axis=0)) == len(kept), "each end effector once"
-    arguments = ["train", "clouds", str(folder), "--out", "x.npz", "--estimator", "paper", "--weights", str(folder)]
+    assert len(np.unique(kept.X_camera_ee, axis=0)) == len(kept), "each end effector once"
+    arguments = ["train", "clouds", str(folder), "--out", "x.npz", "--true-masks", "--weights", str(folder)]
     assert run(arguments) == 2
     assert "no detector's" in capsys.readouterr().err
 
@@ -302,22 +300,24 @@ def test_for_the_paper_s_estimator_true_masks_alone_are_kept(
 def test_the_paper_s_estimator_learns_from_rendered_images(
     paper_files: dict[str, Path], tmp_path: Path, column: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its own way: of its column's clouds, and of no others."""
-    options = {"max_steps": 1, "batch": 4, "chunk": 16, "first_fill": 16, "capacity": 64, "rendered_share": 1.0}
-    options |= {"train_seeds": 1, "test_seeds": 1, "validation": 4, "compile": False}
-    (tmp_path / "few.yaml").write_text(json.dumps(options))
+    """Of its column's clouds, and of no others; the command continues, and keeps its configuration."""
+    (tmp_path / "few.yaml").write_text("{epochs: 1, batch: 2, judged: 1, draws: 2}")
 
-    def train(name: str, rendered: Path) -> int:
-        arguments = ["train", "pose", "--out", str(tmp_path / name), "--estimator", "paper", "--column", column]
-        return run([*arguments, "--rendered", str(rendered), "--config", str(tmp_path / "few.yaml"), "--json"])
+    def train(name: str, clouds: Path, column: str = column) -> int:
+        arguments = ["train", "paper", str(clouds), "--out", str(tmp_path / name), "--column", column]
+        return run([*arguments, "--config", str(tmp_path / "few.yaml"), "--device", "cpu", "--json"])
 
     assert train("right", paper_files[column]) == 0
     said = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
-    assert said["report"]["train"]["rendered_clouds"] == len(RenderedClouds.load(paper_files[column]))
+    assert said["epochs"] == 1
     assert PaperEstimator.load(tmp_path / "right").column.name == column
     (other,) = paper_files.keys() - {column}
     assert train("wrong", paper_files[other]) == 2
-    assert "--column of the training" in capsys.readouterr().err
+    assert "--whole-tools or without" in capsys.readouterr().err
+    assert train("right", paper_files[column], other) == 2
+    assert "another column" in capsys.readouterr().err
+    assert train("none", paper_files[column], "eye") == 2
+    assert "choose one of" in capsys.readouterr().err
 
 
 def test_a_folder_that_cannot_be_is_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

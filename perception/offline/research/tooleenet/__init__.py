@@ -6,7 +6,6 @@ is per cloud (theirs is shared by the whole batch), and no metric ignores axes b
 (`toolee_robot.perception.offline.evaluation` has that rule as an extra column).
 """
 
-from toolee_robot.perception.offline.research.tooleenet.estimator import COLUMNS, Column, PaperEstimator, column_of
-from toolee_robot.perception.offline.research.tooleenet.recipe import PaperRecipe
+from toolee_robot.perception.offline.research.tooleenet.estimator import COLUMNS, Column, PaperEstimator
 
-__all__ = ["COLUMNS", "Column", "PaperEstimator", "PaperRecipe", "column_of"]
+__all__ = ["COLUMNS", "Column", "PaperEstimator"]

@@ -73,24 +73,6 @@ COLUMNS = {
 """The columns by name."""
 
 
-def column_of(estimator: str, name: str | None) -> Column | None:
-    """The column that a command's options select.
-
-    Args:
-        estimator: Value of --estimator.
-        name: Value of --column, or None.
-
-    Returns:
-        The column; None for an estimator that is not the paper's.
-
-    Raises:
-        UserError: There is no such column.
-    """
-    if name is not None and (estimator != "paper" or name not in COLUMNS):
-        raise UserError(f"--column {name}: with --estimator paper one of {', '.join(COLUMNS)}", code="user.column")
-    return COLUMNS[name or "symmetry-aware"] if estimator == "paper" else None
-
-
 class PaperEstimator(CloudEstimator):
     """The paper's estimator on one device. It has no confidence: every pose is usable.
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from toolee_robot.end_effectors import Category
@@ -58,18 +62,31 @@ class PaperNet(nn.Module):
         """
         phase = 2 * torch.pi * t[..., None] * self.frequencies
         time = self.time(torch.cat([phase.sin(), phase.cos()], dim=-1).to(u.dtype))
-        common = torch.cat([feature[:, None].expand(-1, u.shape[1], -1), time, self.pose(u)], dim=-1)
-        return torch.cat([head(common) for head in self.heads], dim=-1)
+        of_sample = torch.cat([time, self.pose(u)], dim=-1)
+        size = self.encoder.size
+        scores = []
+        head: Any
+        for head in self.heads:
+            first, _, last = head
+            # The cloud's part of the first layer is the same for all of its samples.
+            of_cloud = F.linear(feature, first.weight[:, :size], first.bias)
+            scores.append(last(F.relu(of_cloud[:, None] + F.linear(of_sample, first.weight[:, size:]))))
+        return torch.cat(scores, dim=-1)
 
-    def forward(self, points: Tensor, u: Tensor, t: Tensor) -> Tensor:
-        """Encoding and score in one call, for training.
+    def forward(self, points: Tensor, neighbours: Sequence[Tensor], u: Tensor, t: Tensor) -> Tensor:
+        """Encoding and score in one call, for training; on a GPU the encoder runs in bfloat16.
+
+        The score does not: at the lowest noise, 0.01, a rounding of 4 mm in a pose vector is noise of its own.
 
         Args:
             points: Clouds (B, N, 3) [m], camera frame.
+            neighbours: `PointNet2.neighbours` of them.
             u: Noised pose vectors, (B, K, dim).
             t: Times, (B, K).
 
         Returns:
             The score times sigma(t), (B, K, dim).
         """
-        return self.score(self.encode(points), u, t)
+        with torch.autocast(points.device.type, torch.bfloat16, enabled=points.is_cuda):
+            feature = self.encoder(points, neighbours)
+        return self.score(feature.float(), u, t)

@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from toolee_robot.frames import transform
-from toolee_robot.perception.offline.dataset import records
-from toolee_robot.perception.offline.synthesis import paper
 from toolee_robot.perception.offline.synthesis.labels import _Reach
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig, TorchRng
 from toolee_robot.perception.offline.synthetic_clouds.cuts import Border, Cut
@@ -57,22 +55,13 @@ def test_a_tool_with_one_end_loses_nothing_to_another(seed: int) -> None:
         assert bool(cut.holds(points).all())
 
 
-def test_the_papers_protocol_is_the_data_sets() -> None:
-    config = CloudConfig.paper()
-    assert config.distance == paper.DEPTHS
-    assert config.focal == (records.FOCAL, records.FOCAL)
-    assert config.circle == records.CIRCLE
-    half = np.array([records.FULL_WIDTH, records.FULL_HEIGHT]) / 2 - 60
-    np.testing.assert_allclose(config.field, half / records.FOCAL)
-
-
 def test_shares_of_cuts() -> None:
     B = 4000
     focus = torch.tensor([[0.0, 0.0, 0.6]]).expand(B, 3)
     radius = torch.full((B,), 0.05)
     other = focus + torch.tensor([0.0, 0.1, 0.0])
     config = CloudConfig(other_cut_share=0.5, other_cut=(0.5, 1.6), circle_share=0.4)
-    cut = Cut.drawn(focus, radius, other, 2 * radius, config, torch.full((B,), 480.0), TorchRng(torch.device("cpu"), 0))
+    cut = Cut.drawn(focus, radius, other, 2 * radius, config, TorchRng(torch.device("cpu"), 0))
     own = cut.radius == radius
     assert float(own.float().mean()) == pytest.approx(0.5, abs=0.03)
     assert float(cut.circle.float().mean()) == pytest.approx(0.2, abs=0.03)

@@ -18,27 +18,25 @@ from tests.paper_weights import untrained_paper_weights
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import transform
-from toolee_robot.perception.offline.pose.config import TrainConfig
-from toolee_robot.perception.offline.pose.trainer import Trainer
-from toolee_robot.perception.offline.research.tooleenet import COLUMNS, PaperEstimator, PaperRecipe
+from toolee_robot.perception.offline.research.tooleenet import COLUMNS, PaperEstimator
 from toolee_robot.perception.offline.research.tooleenet.estimator import scatter
-from toolee_robot.perception.offline.research.tooleenet.object_clouds import category_priors, first_ends, with_ee_truth
+from toolee_robot.perception.offline.research.tooleenet.network import PaperNet
 from toolee_robot.perception.offline.research.tooleenet.pointnet2 import Level, PointNet2, SharedMlp
 from toolee_robot.perception.offline.research.tooleenet.pooling import mean_pose
 from toolee_robot.perception.offline.research.tooleenet.representation import class_ambiguity, decode, encode
 from toolee_robot.perception.offline.research.tooleenet.rk45 import Rk45, solve
-from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
-    Float32,
-    SurfaceSamples,
-    sample_hands,
-    sample_tools,
+from toolee_robot.perception.offline.research.tooleenet.training import (
+    ColumnTraining,
+    PaperOptions,
+    category_priors,
+    freeze_batchnorm,
 )
+from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds
 from toolee_robot.perception.offline.training.distributed import Distributed
 from toolee_robot.perception.pose.canonical import farthest_points_first
 from toolee_robot.perception.pose.cloud_estimator import PoseResult, with_hand
 from toolee_robot.perception.pose.processes.flow import Euler
 from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
-from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.types import HoldingHand, PoseHypotheses
 
 pytestmark = pytest.mark.sim
@@ -51,16 +49,6 @@ SMALL = (
     Level(16, (0.04, 0.08), (8, 16), ((16, 32), (16, 32))),
     Level(0, (), (), ((32, 64), (32, 64))),
 )
-
-
-@pytest.fixture(scope="module")
-def samples() -> SurfaceSamples:
-    return sample_tools(held_out=False, seeds_per_kind=1, workers=1)
-
-
-@pytest.fixture(scope="module")
-def hands() -> Float32:
-    return sample_hands(2)
 
 
 @pytest.mark.parametrize("sampler", [Rk45(), Euler(200)])
@@ -133,19 +121,24 @@ def plainly(net: PointNet2, points: Tensor) -> Tensor:
     return feature[:, 0]
 
 
-def test_pointnet_and_its_gradients_are_those_of_the_plain_definition() -> None:
+@pytest.mark.parametrize("frozen", [False, True])
+def test_pointnet_and_its_gradients_are_those_of_the_plain_definition(frozen: bool) -> None:
+    """With the balls' points found at once or before, and with normalisation by the batch or by kept statistics."""
     torch.manual_seed(0)
     net = PointNet2(SMALL)
     points = farthest_points_first(0.02 * torch.randn(3, 150, 3), 64) + torch.tensor([0.1, 0.0, 0.05])
-    weight = torch.randn(3, net.size)
+    net(points)
+    freeze_batchnorm(net, frozen)
+    weight, neighbours = torch.randn(3, net.size), net.neighbours(points)
     results = []
-    for encode_ in (net, lambda points: plainly(net, points)):
+    for encode_ in (net, lambda points: net(points, neighbours), lambda points: plainly(net, points)):
         net.zero_grad()
         feature = encode_(points)
         (feature * weight).sum().backward()
         results.append([feature, *(p.grad.clone() for p in net.parameters() if p.grad is not None)])
     assert len(results[0]) == 1 + len(list(net.parameters()))
-    for ours, plain in zip(*results, strict=True):
+    for ours, stored, plain in zip(*results, strict=True):
+        torch.testing.assert_close(ours, stored, atol=0, rtol=0)
         torch.testing.assert_close(ours, plain, atol=1e-4, rtol=1e-3)
 
 
@@ -153,7 +146,7 @@ def test_the_published_sizes() -> None:
     encoder = PointNet2()
     assert encoder.size == 1024
     assert sum(p.numel() for p in encoder.parameters()) == pytest.approx(1.0e6, rel=0.1)
-    net = PaperRecipe().network(sample_tools(False, 1, 1))
+    net = PaperNet()
     assert sum(p.numel() for p in net.parameters()) == pytest.approx(2.5e6, rel=0.05)
 
 
@@ -216,73 +209,97 @@ def test_a_job_takes_no_estimator_of_whole_tools(tmp_path: Path) -> None:
         PaperEstimator.load_for_job(untrained_paper_weights(tmp_path / "tools", "object-prior"))
     with raises(AssetError, code="asset.missing") as missing:
         PaperEstimator.load_for_job(tmp_path)
-    assert all(command in str(missing.value) for command in ("dataset generate", "train clouds", "train pose"))
+    assert all(command in str(missing.value) for command in ("dataset generate", "train clouds", "train paper"))
 
 
-def test_whole_tool_clouds_and_the_prior(samples: SurfaceSamples, hands: Float32) -> None:
-    recipe = PaperRecipe(COLUMNS["object-prior"])
-    clouds = recipe.clouds(samples, hands, torch.device("cpu"), 0).collect(12, 16)
-    assert clouds.points.shape[1:] == (1024, 3)
-    assert bool(torch.as_tensor(first_ends(samples) > 0)[clouds.item].all())
-    extent = (clouds.points.amax(1) - clouds.points.amin(1)).norm(dim=-1)
-    assert float(extent.median()) > 0.12
-    as_ee = with_ee_truth(clouds, samples)
-    X = torch.as_tensor(samples.X_ee_tool)[clouds.item]
-    torch.testing.assert_close(as_ee.R @ X[:, :3, :3], clouds.R, atol=1e-5, rtol=0)
-    torch.testing.assert_close(as_ee.p + (as_ee.R @ X[:, :3, 3:])[..., 0], clouds.p, atol=1e-5, rtol=0)
-    priors = category_priors(samples)
-    assert 0.1 < priors[0][2, 3] < 0.4  # a hammer's head is up the handle
+def stored_clouds(count: int, of_tool: bool = False) -> RenderedClouds:
+    """Clouds of flat rings, each with 60 to 120 points, half a metre from the camera."""
+    rng = np.random.default_rng(0)
+    R = Rotation.random(count, random_state=0).as_matrix()
+    p = rng.uniform([-0.2, -0.1, 0.45], [0.2, 0.1, 0.55], (count, 3))
+    X_camera_ee = np.stack([transform(*pose) for pose in zip(R, p, strict=True)])
+    X_tool_ee = transform(np.eye(3), [0.0, 0.0, 0.1])
+    counts = rng.integers(60, 120, count)
+    angle = rng.uniform(0, 2 * np.pi, counts.sum())
+    ring = 0.015 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    of = np.repeat(np.arange(count), counts)
+    nothing, zeros = np.empty((0, 3), np.float32), np.zeros(count, np.int64)
+    return RenderedClouds(
+        points=(np.einsum("nij,nj->ni", R[of], ring) + p[of]).astype(np.float32),
+        guessed=nothing,
+        rest=nothing,
+        counts=np.stack([counts, zeros, zeros], 1),
+        X_camera_ee=X_camera_ee.astype(np.float32),
+        X_camera_tool=(X_camera_ee @ np.linalg.inv(X_tool_ee)).astype(np.float32),
+        of_tool=np.full(count, of_tool),
+        p_camera_hand=p.astype(np.float32),
+        category=np.arange(count) % len(Category),
+        positive=zeros == 0,
+        visible=counts,
+        tells_spin=zeros,
+        occlusion=zeros.astype(np.float32),
+    )
 
 
-@pytest.mark.parametrize("column", ["object-prior", "ee-symmetry-prior", "symmetry-aware"])
-def test_every_column_trains_and_its_weights_load(
-    column: str, tmp_path: Path, samples: SurfaceSamples, hands: Float32, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("toolee_robot.perception.offline.research.tooleenet.pointnet2.LEVELS", SMALL)
+FEW = PaperOptions(batch=16, judged=4, draws=4, epochs=8, freeze_epochs=4, ema=0.5, log_every=1, device="cpu")
+"""Two steps an epoch of 40 clouds."""
+
+
+def trained(out: Path, column: str = "symmetry-aware", **options: object) -> ColumnTraining:
+    column_, few = COLUMNS[column], replace(FEW, **options)  # type: ignore[arg-type]
+    clouds = stored_clouds(44, column_.of_tool)
+    training = ColumnTraining(out, few, column_, clouds, CPU)
+    training.loop()
+    return training
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
-    config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100, ema=0.5)
-    recipe = replace(PaperRecipe(COLUMNS[column]), draws=2)
-    trainer = Trainer(tmp_path, config, (samples, samples), hands, recipe, CPU)
-    report = trainer.run()
-    assert report["steps"] == 3
-    assert "10deg_2cm" in report["K20"]["average"]
-    assert (tmp_path / "checkpoint.pt").is_file()
+    monkeypatch.setattr(ColumnTraining, "log_seconds", 0.0)
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize("column", ["object-prior", "ee-symmetry-prior", "symmetry-aware"])
+def test_every_column_learns_and_its_weights_load(column: str, tmp_path: Path) -> None:
+    training = trained(tmp_path, column, epochs=30, freeze_epochs=10)
+    losses = [entry["loss"] for entry in training.log]
+    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
     loaded = PaperEstimator.load(tmp_path).estimate(points, Category.WRENCH_HEAD, seed=1)
-    before = recipe.estimator(trainer.export(), Calibration(), "cpu").estimate(points, Category.WRENCH_HEAD, seed=1)
+    before = PaperEstimator(training.export(), COLUMNS[column]).estimate(points, Category.WRENCH_HEAD, seed=1)
     np.testing.assert_allclose(loaded.X_camera_ee, before.X_camera_ee, atol=1e-4)
     assert loaded.hypotheses.Xs_camera_ee.shape == (20, 4, 4)
     if column != "symmetry-aware":
         np.testing.assert_array_equal(loaded.ambiguous, [1, 0, 0])
+    priors = category_priors(stored_clouds(44))
+    np.testing.assert_allclose(priors[:, :3, 3], np.tile([0.0, 0.0, 0.1], (4, 1)), atol=1e-6)
 
 
-def test_the_norms_keep_their_statistics_for_the_last_part_of_a_training(
-    tmp_path: Path, samples: SurfaceSamples, hands: Float32, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Resumed, too."""
-    monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
-    config = TrainConfig(max_steps=4, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100)
-    recipe = replace(PaperRecipe(COLUMNS["ee"]), draws=2)
+@pytest.mark.usefixtures("small")
+def test_an_interrupted_training_gives_the_weights_of_one_without_a_break(tmp_path: Path) -> None:
+    """Broken off within an epoch, and after the epoch from which on the norms keep their statistics."""
+    whole = trained(tmp_path / "whole")
+    assert whole.steps_per_epoch == 2
+    assert whole.step == 16
+    for steps in (3, 11, None):
+        parted = trained(tmp_path / "parted", max_steps=steps)
+    assert parted.step == 16
+    for name, value in whole.net.state_dict().items():
+        assert torch.equal(value, parted.net.state_dict()[name]), name
+    for name, value in whole.averaged().items():
+        assert torch.equal(value, parted.averaged()[name]), name
+    seen = {int(x) for name, x in whole.net.named_buffers() if name.endswith("num_batches_tracked")}
+    assert seen == {4 * 2}, "batch statistics for four epochs of two steps"
+    rates = [entry["lr"] for entry in whole.log]
+    assert rates[0] == pytest.approx(1e-3 / FEW.warmup_steps)
+    assert whole.schedule(0.0) == pytest.approx(0.98**8)
 
-    def statistics(max_steps: int, settle: float) -> dict[str, Tensor]:
-        trainer = Trainer(
-            tmp_path,
-            replace(config, max_steps=max_steps, freeze_batchnorm=settle),
-            (samples, samples),
-            hands,
-            recipe,
-            CPU,
-        )
-        trainer.run()
-        assert trainer.step == max_steps
-        return {name: x.clone() for name, x in trainer.net.named_buffers() if "norms" in name}
 
-    half = statistics(4, settle=0.5)
-    assert {int(x) for name, x in half.items() if name.endswith("num_batches_tracked")} == {2}
-    gone_on = statistics(6, settle=0.5)
-    assert all(torch.equal(gone_on[name], x) for name, x in half.items())
-    unsettled = statistics(8, settle=1.0)
-    assert {int(x) for name, x in unsettled.items() if name.endswith("num_batches_tracked")} == {4}
+@pytest.mark.usefixtures("small")
+def test_a_training_stops_on_a_loss_that_is_not_finite(tmp_path: Path) -> None:
+    with raises(TooleeError, code="toolee.training_diverged"):
+        trained(tmp_path, lr=1e30)
 
 
 def test_a_trainings_configuration_says_when_sampling_starts(tmp_path: Path) -> None:
