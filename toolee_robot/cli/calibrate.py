@@ -154,12 +154,13 @@ class Camera(JsonOption):
 
         job = CameraJob(config, self.sheet, folder, listener)
         views = PlateViews(self.poses, self.plate_distance or _PLATE[0], self.plate_mass or _PLATE[1], self.seed)
-        bars = _metres(self.bars_mm)
         if self.images is not None:
-            return job.from_images(self.images, bars, measured_camera=self.config is not None)
+            return job.from_images(self.images, _metres(self.bars_mm), measured_camera=self.config is not None)
         if self.station is None:
             return job.simulate(views)
-        return job.rehearse(views, self.real_time_factor) if self.rehearse else job.live(views, bars)
+        if self.rehearse:
+            return job.rehearse(views, self.real_time_factor)
+        return job.live(views, _metres(self.bars_mm))
 
     def _show(self, f: dict[str, Any], folder: Path) -> None:
         from toolee_robot.app.calibrate_camera import RECORD, REPORT
@@ -361,17 +362,17 @@ class Intrinsics(JsonOption):
             assert self.station is not None
             check_entry(self.station, rehearsed=self.rehearse)
         console, true_error = self.console, None
-        job, bars = IntrinsicsJob(self.sheet, ConsoleListener(console), console.bell), _metres(self.bars_mm)
+        job = IntrinsicsJob(self.sheet, ConsoleListener(console), console.bell)
         if self.images is not None:
             serial = self.camera_serial if camera is None or camera.device is None else camera.device.serial
             assert serial is not None
-            record = job.from_images(self.images, bars, serial)
+            record = job.from_images(self.images, _metres(self.bars_mm), serial)
         else:
             assert camera is not None
             if self.rehearse:
                 record, true_error = job.rehearse(camera, self.views, self.seed, self.real_time_factor)
             else:
-                record = job.live(camera, self.views, bars)
+                record = job.live(camera, self.views, _metres(self.bars_mm))
         self.out.parent.mkdir(parents=True, exist_ok=True)
         write_intrinsics(self.out, record)
         if self.write:
