@@ -137,7 +137,9 @@ def _with_nails(typed: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]
 
 
 def _check_moved(typed: dict[str, Any], measured: dict[str, Any], station: Path) -> None:
-    pairs = [(name, typed.get(name), measured.get(name)) for name in ("nail_xy", "stand_height")]
+    pairs: list[tuple[str, Any, Any]] = [
+        (name, typed.get(name), measured.get(name)) for name in ("nail_xy", "stand_height")
+    ]
     located = {nail["name"]: nail.get("xy") for nail in measured.get("nails", ())}
     nails = typed.get("nails")
     for nail in nails if isinstance(nails, list) else ():
