@@ -47,9 +47,9 @@ def _is_record(node: ast.ClassDef) -> bool:
 
 
 def undocumented(source: str) -> Iterator[str]:
-    """The public fields of the records in a module's source that nothing documents, as Class.field."""
+    """The public fields of the public records in a module's source that nothing documents, as Class.field."""
     for node in ast.walk(ast.parse(source)):
-        if not isinstance(node, ast.ClassDef) or not _is_record(node):
+        if not isinstance(node, ast.ClassDef) or node.name.startswith("_") or not _is_record(node):
             continue
         _, _, attributes = (ast.get_docstring(node) or "").partition("Attributes:\n")
         named = set(re.findall(r"^    (\w+):", attributes, re.M))

@@ -129,6 +129,7 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
         "Arm": {"rate", "state", "execute", "set_payload", "zero_wrench", "stop", "reset"},
         "HandGuidedArm": {"freedrive"},
         "Hand": {"joint_names", "state", "open", "close", "stop"},
+        "KeepsCourse": {"course"},
         "ClearsFaults": {"clear_faults"},
         "RgbdCamera": {"intrinsics", "read"},
         "Person": {

@@ -241,7 +241,7 @@ def test_a_package_that_is_not_installed_is_named_and_a_missing_module_of_our_ow
     assert "python -m pip install -e ." in captured.err
 
 
-@pytest.mark.parametrize("delay", [0.15, 0.4, 1.0])
+@pytest.mark.parametrize("delay", [0.15, 0.4, 0.7])
 def test_ctrl_c_during_the_imports_is_no_traceback(delay: float, tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from toolee_robot.cli import main; main()", "doctor"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:

@@ -29,7 +29,7 @@ def station(path: Path, folder: Path, **device: object) -> Path:
     k = INTRINSICS
     given = {"driver": "recorded", "serial": SERIAL, "least_range": 0.2, "folder": str(folder), **device}
     size = {"fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height}
-    path.write_text(yaml.safe_dump({"version": 2, "camera": {**size, "device": given}}))
+    path.write_text(yaml.safe_dump({"version": 3, "camera": {**size, "device": given}}))
     return path
 
 

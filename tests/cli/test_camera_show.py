@@ -46,7 +46,7 @@ def station(path: Path, lens: Mapping[str, object], serial: str = SERIAL) -> Pat
     own = {"fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height}
     stated = {} if "intrinsics" in lens else own
     device = {"driver": "realsense", "serial": serial, "least_range": 0.2, "exposure": 0.008}
-    path.write_text(yaml.safe_dump({"version": 2, "camera": {**stated, **lens, "device": device}}))
+    path.write_text(yaml.safe_dump({"version": 3, "camera": {**stated, **lens, "device": device}}))
     return path
 
 

@@ -51,7 +51,7 @@ def _hand(
 ) -> tuple[int, dict[str, Any]]:
     code = run(["hand", *words, "--station", str(station), "--port", emulator.port, "--json"])
     out = capsys.readouterr()
-    return code, json.loads(out.out.splitlines()[-1]) if out.out else {"said": out.err}
+    return code, {**(json.loads(out.out.splitlines()[-1]) if out.out else {}), "said": out.err}
 
 
 @pytest.mark.realtime(light=True)

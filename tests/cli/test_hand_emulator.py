@@ -9,6 +9,7 @@ import socket
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.errors import raises
@@ -71,7 +72,7 @@ def test_the_ability_hand_answers_at_its_address_as_delivered(
     assert "Ability Hand" in said.err
     assert "'heat' cannot happen" in said.err
     assert "heat DEGREES" in said.err
-    assert positions == [(0.0,) * 6]
+    np.testing.assert_array_equal(positions, [(0.0,) * 6])
 
 
 def test_the_inspire_hand_on_tcp_answers_where_it_is_told_to_listen(

@@ -67,7 +67,7 @@ def test_only_what_failed_while_the_machine_stalled_or_missed_its_moment_is_meas
 
 def test_every_row_is_listed_once_and_its_number_is_on_the_safety_page() -> None:
     rows = list(matrix.matrix(list(matrix.PARTS), list(ArmModel), get_args(ProfileName)))
-    names = [(row.number, row.fault, row.phase, row.on) for row in rows]
+    names = [(row.number, row.fault, row.phase, row.on, row.expected) for row in rows]
     assert len(set(names)) == len(names)
     numbers = re.findall(r"^\| (\d+) \|", matrix.PAGE.read_text(), flags=re.MULTILINE)
     assert [int(number) for number in numbers] == sorted({row.number for row in rows})

@@ -130,6 +130,5 @@ def test_a_shadow_hand_needs_what_only_a_lab_can_measure() -> None:
     numbered = HandConfig("shadow_right", port="ws://127.0.0.1:9090", hand_id=3, efforts=efforts)
     with raises(ConfigError, "config.hand_id"):
         open_hand(numbered, HostClock())
-    for wrong in ((0.0, 300.0, 0.03), (60.0, 50.0, 0.03), (60.0, 300.0, -1.0)):
-        with pytest.raises(ValueError, match="must be more than"):
-            HandEfforts(*wrong)
+    with pytest.raises(ValueError, match="must be more than"):
+        HandEfforts(60.0, 50.0, 0.03)

@@ -192,7 +192,7 @@ def _told_by_the_camera(data: dict[str, Any], console: Console) -> bool:
     from toolee_robot.stations.template import INTRINSICS, SIZE
 
     camera = data.get("camera") or {}
-    device, size = camera.get("device") or {}, {name: camera[name] for name in SIZE if name in camera}
+    device, size = camera.get("device") or {}, {name: camera[name] for name in SIZE if camera.get(name)}
     if not device.keys() >= {"driver", "serial", "least_range"}:
         return False
     if device["driver"] in WITH_MODE and len(size) < len(SIZE):

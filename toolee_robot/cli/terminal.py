@@ -120,6 +120,7 @@ class ConsoleListener:
     """An `app.listener.Listener` at the terminal. Of what it shows, only `say` and `waiting` take markup."""
 
     console: Console
+    """Where it prints."""
 
     def say(self, text: str) -> None:
         """See `Listener`."""

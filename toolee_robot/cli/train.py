@@ -246,7 +246,9 @@ class Pose(_Training):
 
 @dataclass(frozen=True)
 class Paper:
-    """Train a column of the paper's Table I as its published code does: 2,000 epochs, batches of 600.
+    """Train a column of the paper's Table I.
+
+    It trains as the published code does: 2,000 epochs, batches of 600.
 
     Example: toolee train paper runs/ends.npz --out runs/aware --minutes 9
 

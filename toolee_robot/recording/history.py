@@ -108,7 +108,11 @@ class RunHistory:
         return to_record(recorded, Path("station.json"), StationConfig, "station")
 
     def rgb(self, index: int) -> NDArray[np.uint8]:
-        """A colour image, (H, W, 3), by its index."""
+        """A colour image, (H, W, 3), by its index.
+
+        Raises:
+            UserError: It cannot be decoded (`user.recording_unreadable`).
+        """
         png = self.images.values[index]
         width, height = struct.unpack(">II", png[16:24]) if len(png) >= 24 else (0, 0)
         bgr = None

@@ -331,7 +331,15 @@ class Session:
 
 
 def end_record(name: str, end: AnnotatedEnd | UserError) -> dict[str, Any]:
-    """What `toolee annotate` prints of an end effector of a frame; "cells" are those of its table."""
+    """What `toolee annotate` prints of an end effector of a frame.
+
+    Args:
+        name: Name of the frame.
+        end: The end effector, or why it has no pose.
+
+    Returns:
+        The values for `--json`; "cells" are those of the printed table.
+    """
     if not isinstance(end, AnnotatedEnd):
         cells = [name, "no pose", "-", "-", "-", "-"]
         return {"frame": name, "problem": str(end), "code": end.code, "known": False, "cells": cells}

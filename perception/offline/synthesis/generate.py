@@ -188,7 +188,15 @@ class Cost:
 
     @staticmethod
     def of_workers(examples: int, seconds: float) -> Cost | None:
-        """Measure the cost from the ended child processes; None where nothing was generated."""
+        """Measure the cost from the ended child processes.
+
+        Args:
+            examples: Number of examples that they made.
+            seconds: Time on the wall [s].
+
+        Returns:
+            The cost; None if nothing was generated.
+        """
         if examples == 0:
             return None
         used = resource.getrusage(resource.RUSAGE_CHILDREN)

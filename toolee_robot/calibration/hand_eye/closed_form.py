@@ -35,7 +35,7 @@ def closed_form(Xs_base_flange: Sequence[Array], Xs_camera_board: Sequence[Array
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         R, p = cv2.calibrateHandEye(
-            rotations[0], positions[0], rotations[1], positions[1], method=cv2.CALIB_HAND_EYE_PARK
+            rotations[0], positions[0], rotations[1], positions[1], method=cv2.CALIB_HAND_EYE_HORAUD
         )
     except cv2.error:
         return None

@@ -69,6 +69,7 @@ class PaperOptions(TrainingOptions):
     """
 
     USUAL_MINUTES: ClassVar[float] = float("inf")
+    """Minutes of a training that are usual: the epochs end it."""
 
     batch: int = 600
     warmup_steps: int = 100

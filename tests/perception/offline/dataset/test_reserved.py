@@ -51,7 +51,7 @@ def test_other_data_and_folders_without_a_description_pass(tmp_path: Path) -> No
     [
         ["trust", "--data", "{data}"],
         ["clouds", "{data}", "--out", "{out}/clouds.npz"],
-        ["clouds", "{data}", "--out", "{out}/clouds.npz", "--estimator", "paper"],
+        ["clouds", "{data}", "--out", "{out}/clouds.npz", "--true-masks"],
         ["segmentation", "--data", "{data}", "--out", "{out}"],
         ["refinement", "--data", "{data}", "--out", "{out}"],
     ],
