@@ -175,7 +175,7 @@ def test_what_is_no_refused_lens_is_an_error(tmp_path: Path, capsys: pytest.Capt
     other = station(tmp_path / "lab.yaml", {"distortion": OTHER}, serial="1")
     assert run(["camera", "show", "--config", str(other), "--json"]) == EXIT_FAILED
     out, err = capsys.readouterr()
-    assert out == ""
+    assert json.loads(out)["error"]["code"] == "no_answer.camera_missing"
     assert "no RealSense with serial number 1" in " ".join(err.split())
     mistyped = station(tmp_path / "lab.yaml", {"distortion": [0.1]})
     assert run(["camera", "show", "--config", str(mistyped), "--json"]) == EXIT_USER
