@@ -460,7 +460,8 @@ class TcpServer:
 
     def receive(self, ready: list[int]) -> bytes | None:
         """See `Wire`."""
-        if self._listener.fileno() in ready:
+        ended = self._driver is not None and self._driver.fileno() in ready  # its end is seen before who comes next
+        if self._listener.fileno() in ready and not ended:
             connection, _ = self._listener.accept()
             if self._driver is not None or time.monotonic() < self._free_from:
                 connection.close()
