@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 from types import FrameType
 
@@ -32,7 +33,8 @@ def main(args: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = EXIT_FAILED
     finally:
-        _may_move()
+        if signal.getsignal(signal.SIGINT) in (_leave, _interrupt):
+            signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(code)
 
 
@@ -44,7 +46,19 @@ def _leave(_signum: int, _frame: FrameType | None) -> None:
 def _may_move() -> None:
     """From here on Ctrl-C is an exception, at which the arm is stopped."""
     if signal.getsignal(signal.SIGINT) is _leave:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def _interrupt(signum: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, but after an import that is going on: libraries swallow it there, or break."""
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            again = threading.Timer(0.05, os.kill, (os.getpid(), signum))
+            again.daemon = True
+            again.start()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
 def _let_threads_sleep() -> None:
