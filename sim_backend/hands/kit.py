@@ -13,6 +13,7 @@ import socket
 import threading
 import time
 import tty
+import weakref
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -297,11 +298,11 @@ class HandEmulator(ABC, Generic[HandT]):
         self.faults, self.time = faults, clock
         self._hand = hand
         self._lock = threading.Lock()
-        self._wake, self._woken = os.pipe()[::-1]
         self._over = False
         self._thread = threading.Thread(target=self._run, name="hand emulator", daemon=True)
 
     def __enter__(self) -> Self:
+        self._woken, self._wake = os.pipe()
         self._thread.start()
         return self
 
@@ -414,9 +415,10 @@ class PseudoTerminal:
     """A serial line."""
 
     def __init__(self) -> None:
-        self._ours, self._theirs = os.openpty()
-        tty.setraw(self._theirs)
-        self.port = os.ttyname(self._theirs)
+        self._ours, theirs = os.openpty()
+        tty.setraw(theirs)
+        self.port = os.ttyname(theirs)
+        self._ends = weakref.finalize(self, _close, self._ours, theirs)  # one that nobody enters is closed, too
 
     def sources(self) -> list[int]:
         """See `Wire`."""
@@ -432,8 +434,12 @@ class PseudoTerminal:
 
     def close(self) -> None:
         """See `Wire`."""
-        os.close(self._ours)
-        os.close(self._theirs)
+        self._ends()
+
+
+def _close(*descriptors: int) -> None:
+    for descriptor in descriptors:
+        os.close(descriptor)
 
 
 class TcpServer:

@@ -241,10 +241,13 @@ def test_a_package_that_is_not_installed_is_named_and_a_missing_module_of_our_ow
     assert "python -m pip install -e ." in captured.err
 
 
-@pytest.mark.parametrize("delay", [0.15, 0.4, 0.7])
+@pytest.mark.parametrize("delay", [0.02, 0.2, 0.5])
 def test_ctrl_c_during_the_imports_is_no_traceback(delay: float, tmp_path: Path) -> None:
-    command = [sys.executable, "-c", "from toolee_robot.cli import main; main()", "doctor"]
+    program = "from toolee_robot.cli import main; print('begins', flush=True); main()"  # before it Python itself starts
+    command = [sys.executable, "-c", program, "doctor"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begins\n"
         time.sleep(delay)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
