@@ -26,9 +26,9 @@ from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.cloud import ee_cloud
 from toolee_robot.perception.precision import prefers_bfloat16
 from toolee_robot.sim_backend.devices.operator import handed_over
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import StationConfig, sim_station
 from toolee_robot.tasks.common.held_region import held_region
 from toolee_robot.tasks.common.look import largest_displacement

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.devices.cameras.lens import Lens, LensModel
-from toolee_robot.devices.cameras.registration import DepthRegistration
+from toolee_robot.devices.cameras.lens import DepthRegistration, Lens, LensModel
 from toolee_robot.frames import Array, transform
 from toolee_robot.types import CameraIntrinsics
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
+from toolee_robot.control.arm_dynamics import ArmDynamics
 from toolee_robot.control.planning.swing import Face, SwingLimits, plan_swing
 from toolee_robot.control.planning.timing import ramp_length
 from toolee_robot.errors import PlanningError

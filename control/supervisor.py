@@ -15,13 +15,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Self
 
+from toolee_robot.control.arm_dynamics import bound_stop
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT, CollisionWorld
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, judge_contact
-from toolee_robot.control.dynamics.arm_dynamics import bound_stop
 from toolee_robot.control.limits import Mode
 from toolee_robot.control.motion.trajectory_checks import check_start
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor_checks import (
+    Watcher,
     check_clear,
     check_limits,
     check_place,
@@ -30,7 +31,6 @@ from toolee_robot.control.supervisor_checks import (
     is_finite,
     why_person_forbids,
 )
-from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import DeviceError, LatchedError, LimitError, MotionFaultError, PersonNearError
 from toolee_robot.hal import Arm, ArmState, ContactGuard, HandGuidedArm, MotionReport, MotionWatch, Person
 from toolee_robot.station import StationConfig

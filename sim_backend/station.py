@@ -13,14 +13,13 @@ from toolee_robot.frames import transform
 from toolee_robot.hal import Station
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
-from toolee_robot.sim_backend.devices.clock import SimClock
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.devices.mount import SimMount
 from toolee_robot.sim_backend.devices.operator import SimPerson
-from toolee_robot.sim_backend.ground_truth.judge import Judge
+from toolee_robot.sim_backend.judge import Judge
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
-from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
-from toolee_robot.sim_backend.world import Sample, SimWorld
+from toolee_robot.sim_backend.visuals import SceneVisuals, scene_state
+from toolee_robot.sim_backend.world import Sample, SimClock, SimWorld
 from toolee_robot.station import SIMULATED, StationConfig, check_upright
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_tool, split
 

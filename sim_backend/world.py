@@ -18,9 +18,8 @@ from toolee_robot.frames import Array, cross
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.physics.bodies import Furniture, ToolBody
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bullet import IMPACT, StepSettings, pb
 from toolee_robot.sim_backend.physics.grip import AssistedGrip
-from toolee_robot.sim_backend.physics.impact_steps import IMPACT, StepSettings
 from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.sim_backend.physics.robot_body import RobotBody
 from toolee_robot.sim_backend.physics.wood import NailSpec
@@ -221,3 +220,23 @@ def _connect(gui: bool) -> int:
         message = "pybullet cannot open its window: is there a screen (DISPLAY)? Leave --gui out to run headless"
         raise UserError(message, code="user.no_display")
     return client
+
+
+class SimClock:
+    """A `hal.Clock` whose time advances only while something moves or sleeps.
+
+    Args:
+        world: The simulated world.
+    """
+
+    def __init__(self, world: SimWorld) -> None:
+        self._world = world
+
+    def now(self) -> float:
+        """Simulated time [s]."""
+        return self._world.time
+
+    def sleep(self, duration: float) -> None:
+        """Advance the simulation by `duration` [s]; does nothing for a duration of 0 or less."""
+        if duration > 0:
+            self._world.advance(duration)

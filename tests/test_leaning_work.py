@@ -17,8 +17,8 @@ from toolee_robot.control.collision_shapes import station_bodies
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import angle_between, inverse, is_rigid, transform_points
 from toolee_robot.sim_backend import SimStation
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import NailConfig, load_station, sim_station
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.grasp import nominal_grasp

@@ -1,8 +1,9 @@
-"""Contact detection by force: of guarded motions and of strikes."""
+"""The force of a touch: whether it is a contact, and the height at which the face met the thing."""
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -93,3 +94,156 @@ def strike_guard(
             code="device.force_noise",
         )
     return ContactGuard(max(strike.contact_force, needed), ARMED_FROM * contact_time, STEP_WINDOW, STEP_BASELINE)
+
+
+SLOPE_RANGE = 0.008
+"""Height above the end of a touch over which the rise of the force is examined [m]."""
+RESOLUTION = 0.1
+"""Standard deviation of a reading of the force at least [N]."""
+STIFFNESSES = np.geomspace(1e3, 1e5, 230)
+"""Stiffnesses that are compared, 2 % from one to the next [N/m]."""
+SPREAD = 0.05
+"""Standard deviation of the stiffness among the touches of one nail, as a share of it. The hand yields, whatever the
+face presses on: of 60 simulated releases in eight jobs the true ones deviate by 4 % from their job's median."""
+ALONE = 0.15
+"""Standard deviation of the stiffness that one release with a CB3's noise tells by itself, as a share of it, of the
+same releases."""
+
+
+@dataclass(frozen=True)
+class Rise:
+    """Course of a force that is constant above a height and linear below it.
+
+    Attributes:
+        height: Height at which the line begins [m].
+        stiffness: Slope of the line [N/m].
+        deviation: Standard deviation of the height [m].
+    """
+
+    height: float
+    stiffness: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class Course:
+    """Forces over the height of the face in a touch or a release.
+
+    Attributes:
+        heights: Heights, falling or rising, (N,) [m]; the lowest one is the end of a touch or the start of a release.
+        forces: Upward forces, (N,) [N].
+        variance: Variance of the forces, as of independent readings [N^2].
+        zeros: Number of readings whose mean was made zero where nothing touched the face, and which count as well.
+    """
+
+    heights: Array
+    forces: Array
+    variance: float
+    zeros: int = 0
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is known of the stiffness of tool and hand beside one touch.
+
+    Attributes:
+        stiffness: The stiffness [N/m].
+        deviation: Standard deviation of its logarithm.
+    """
+
+    stiffness: float
+    deviation: float
+
+
+UNKNOWN = Belief(8e3, 0.7)
+"""Before anything was touched: a factor of two up or down is usual. Assumed; a hand in the simulation has 6.5 kN/m."""
+
+
+def onset(course: Course, belief: Belief = UNKNOWN) -> Rise | None:
+    """Find where a force began to rise: the mean over all lines that may be, each as likely as the forces make it.
+
+    The offset of the force is not known. Of the line that fits best alone, a force that is noisy and short leaves
+    errors of over a millimetre now and then, and does not tell which they are.
+
+    Args:
+        course: The forces.
+        belief: What is known of the slope.
+
+    Returns:
+        The line; None if the force does not rise downwards.
+    """
+    lowest = float(np.min(course.heights))
+    near = course.heights < lowest + SLOPE_RANGE
+    x, f = course.heights[near], course.forces[near]
+    begins = np.arange(lowest + 0.0001, lowest + 0.75 * SLOPE_RANGE, 0.00005)
+    pressed = np.maximum(begins[:, None] - x, 0.0)
+    n = len(x) + course.zeros
+    # Covariances of depth and force about their means, which stand for the unknown offset; the zeros count as zero.
+    depths = np.sum(pressed**2, axis=1) - np.sum(pressed, axis=1) ** 2 / n
+    both = pressed @ f - np.sum(pressed, axis=1) * np.sum(f) / n
+    if not np.any(both > 0.0):
+        return None
+    gain = 2.0 * np.outer(both, STIFFNESSES) - np.outer(depths, STIFFNESSES**2)  # squares that the line explains [N^2]
+    doubt = (np.log(STIFFNESSES / belief.stiffness) / belief.deviation) ** 2
+    likelihood = 0.5 * (gain / max(course.variance, RESOLUTION**2) - doubt)
+    weights = np.exp(likelihood - np.max(likelihood))
+    weights /= np.sum(weights)
+    of_height = np.sum(weights, axis=1)
+    height = float(of_height @ begins)
+    stiffness = float(np.exp(np.sum(weights, axis=0) @ np.log(STIFFNESSES)))
+    return Rise(height, stiffness, float(np.sqrt(of_height @ (begins - height) ** 2)))
+
+
+class Releases:
+    """The releases at one nail, each of which tells the others how stiff tool and hand are.
+
+    How stiff they are is what the noise of the force hides most: a line that is fitted too steep begins too low.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[Course, float]] = {}  # forces, and the stiffness of each by itself [N/m]
+        self._count = 0
+
+    @property
+    def stiffness(self) -> float | None:
+        """Stiffness that the releases have told [N/m]; None without any."""
+        return float(np.median([stiffness for _, stiffness in self._known.values()])) if self._known else None
+
+    def add(self, course: Course, stiffness: float) -> int:
+        """Add a release.
+
+        Args:
+            course: Its forces.
+            stiffness: What it tells by itself [N/m].
+
+        Returns:
+            Its number.
+        """
+        self._count += 1
+        self._known[self._count] = course, stiffness
+        return self._count
+
+    def drop(self, number: int) -> None:
+        """Forget a release that was none.
+
+        Args:
+            number: Which release.
+        """
+        self._known.pop(number, None)
+
+    def height(self, number: int) -> float:
+        """Height at which the face met the thing, by what all releases have told so far.
+
+        Args:
+            number: Which release; one that was not dropped.
+
+        Returns:
+            The height [m].
+        """
+        others = [stiffness for other, (_, stiffness) in self._known.items() if other != number]
+        belief = UNKNOWN
+        if others:
+            belief = Belief(float(np.median(others)), float(np.hypot(SPREAD, ALONE / np.sqrt(len(others)))))
+        rise = onset(self._known[number][0], belief)
+        assert rise is not None, "it rose when it was added"
+        return rise.height

@@ -1,14 +1,21 @@
-"""Planning of straight motions: to the start of a guarded touch, and along any direction."""
+"""Planning of straight motions: to the start of a guarded touch, and along any direction.
+
+A motion that is straight in joint space does not keep the tool on a line. Here the inverse kinematics is solved for the
+pose of every sample, and velocity and acceleration follow from the path's first and second derivatives.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from toolee_robot.control.collision import BRAKE_EXEMPT, CollisionWorld
+from toolee_robot.control.inverse_kinematics import InverseKinematics
+from toolee_robot.control.kinematics import ArmKinematics, solve
 from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.planning.line import Line
-from toolee_robot.control.planning.timing import concatenate, travel_profile
+from toolee_robot.control.planning.timing import PathProfile, concatenate, travel_profile
 from toolee_robot.control.planning.transfer import NEED, plan_transfer
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
@@ -16,6 +23,188 @@ from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array
 from toolee_robot.station import StationConfig
 from toolee_robot.types import Trajectory
+
+_STEP = 1e-4  # [m], for the second derivative
+
+
+@dataclass(frozen=True)
+class PathLimits:
+    """Limits of the motion along a line that keep every joint within its own limits.
+
+    Attributes:
+        speed: Largest speed [m/s].
+        acceleration: Largest acceleration [m/s^2].
+        brake: Largest deceleration [m/s^2].
+        jerk: Largest jerk [m/s^3].
+    """
+
+    speed: float
+    acceleration: float
+    brake: float
+    jerk: float
+
+
+@dataclass(frozen=True)
+class Line:
+    """The flange poses X_base_flange shifted by s [m] along a direction.
+
+    Attributes:
+        ik: Inverse kinematics of the arm.
+        X_base_flange: Pose of the flange at s = 0, (4, 4).
+        direction: Direction of the line, a unit vector in `base`, (3,).
+        branch: Branch of the inverse kinematics.
+        q_zero: Joint positions at s = 0, (6,) [rad].
+    """
+
+    ik: InverseKinematics
+    X_base_flange: Array
+    direction: Array
+    branch: int
+    q_zero: Array
+
+    @classmethod
+    def through(cls, ik: InverseKinematics, q: Array, direction: Array) -> Line:
+        """Build the line through a configuration, on its branch.
+
+        Args:
+            ik: Inverse kinematics of the arm.
+            q: Joint positions at s = 0, (6,) [rad].
+            direction: Direction in `base`, (3,), any length.
+
+        Returns:
+            The line; s = 0 is the configuration's flange pose, whose orientation it keeps.
+
+        Raises:
+            UnreachableError: The configuration is singular.
+        """
+        return cls(ik, ik.arm.fk(q), direction / np.linalg.norm(direction), ik.branch_of(q), q)
+
+    def q(self, s: Array) -> Array:
+        """Compute configurations on the line.
+
+        Args:
+            s: Positions along the line in any order, (M,) [m].
+
+        Returns:
+            Joint positions, (M, 6) [rad].
+
+        Raises:
+            UnreachableError: The line leaves the branch, passes a singularity, or exceeds a joint's position limit.
+        """
+        # The chain of whole turns starts at s = 0, where the configuration is known.
+        order = np.argsort(s)
+        s_sorted = np.concatenate([[0.0], s[order]])
+        Xs = np.repeat(self.X_base_flange[None], len(s_sorted), axis=0)
+        Xs[:, :3, 3] += s_sorted[:, None] * self.direction
+        q = self.ik.branches_along(Xs[None], np.array([self.branch]), self.q_zero[None])[0]
+        arm = self.ik.arm
+        reached = np.isfinite(q).all(axis=1)
+        if not reached.all():
+            raise UnreachableError(
+                f"the straight line is out of reach from s = {s_sorted[~reached][0]:.3f} m on", code="unreachable.line"
+            )
+        if np.any((q < arm.lower) | (q > arm.upper)):
+            raise UnreachableError("the straight line leaves a joint's position limits", code="unreachable.joint_limit")
+        out = np.empty((len(s), 6))
+        out[order] = q[1:]
+        return out
+
+    def derivatives(self, q: Array) -> tuple[Array, Array]:
+        """Compute dq/ds [rad/m] and d2q/ds2 [rad/m^2], (M, 6) each, at joint positions q, (M, 6) [rad]."""
+        return line_derivatives(self.ik.arm, q, self.direction)
+
+    def timed(self, profile: PathProfile) -> Trajectory:
+        """Build the trajectory along the line with the timing of a profile."""
+        q = self.q(profile.s)
+        first, second = self.derivatives(q)
+        qdd = first * profile.a[:, None] + second * (profile.v**2)[:, None]
+        return Trajectory(profile.times, q, first * profile.v[:, None], qdd)
+
+    def travel_limits(self, q: Array, velocity: Array, acceleration: float, jerk: float, wanted: float) -> PathLimits:
+        """Compute the limits of a slow motion along the line, where |q' a + q'' v^2| counts as acceleration.
+
+        Args:
+            q: Configurations on the line, (M, 6) [rad].
+            velocity: Velocity limits of the joints, (6,) [rad/s].
+            acceleration: Acceleration limit of every joint [rad/s^2].
+            jerk: Jerk limit of every joint [rad/s^3].
+            wanted: Largest speed [m/s].
+
+        Returns:
+            Largest speed [m/s], acceleration and deceleration [m/s^2] and jerk [m/s^3] along the line.
+        """
+        first, second = (np.maximum(np.abs(d), 1e-9) for d in self.derivatives(q))
+        speed = min(wanted, float(np.min(velocity / first)), float(np.sqrt(np.min(0.5 * acceleration / second))))
+        top = float(np.min((acceleration - second * speed**2) / first))
+        return PathLimits(speed, top, top, 0.5 * jerk / float(np.max(first)))
+
+
+def line_derivatives(arm: ArmKinematics, q: Array, direction: Array) -> tuple[Array, Array]:
+    """Compute the derivatives of the joint positions with respect to the length of a straight motion.
+
+    Args:
+        arm: Kinematics of the arm.
+        q: Joint positions, (M, 6) [rad].
+        direction: Direction of the motion, a unit vector in `base`, (3,).
+
+    Returns:
+        dq/ds [rad/m] and d2q/ds2 [rad/m^2], (M, 6) each.
+    """
+    unit = np.concatenate([direction, np.zeros(3)])
+
+    def slope(q: Array) -> Array:
+        return solve(arm.fk_jacobian(q)[1], np.broadcast_to(unit, (len(q), 6)))
+
+    first = slope(q)
+    second = (slope(q + _STEP * first) - slope(q - _STEP * first)) / (2 * _STEP)
+    return first, second
+
+
+def strike_limits(
+    s: Array, first: Array, second: Array, velocity: Array, acceleration: float, jerk: float, wanted: float
+) -> PathLimits:
+    """Find the highest speed at s = 0 that the joints allow for a strike along a line.
+
+    The ramp fills the whole run-up, so v^2 grows about linearly along it, and falls linearly while braking. The joint
+    acceleration is the signed sum q' a + q'' v^2. 40 % of the jerk are reserved for the terms in q'' and q'''.
+
+    Args:
+        s: Positions from the start of the run-up (negative) to the deepest point of braking, (M,) [m].
+        first: dq/ds at s, (M, 6) [rad/m].
+        second: d2q/ds2 at s, (M, 6) [rad/m^2].
+        velocity: Velocity limits of the joints, (6,) [rad/s].
+        acceleration: Acceleration limit of every joint [rad/s^2].
+        jerk: Jerk limit of every joint [rad/s^3].
+        wanted: Largest speed [m/s].
+
+    Returns:
+        Limits of the motion; speed 0 where no strike is possible.
+    """
+    run_up, deepest = -float(s[0]), float(s[-1])
+    up = s <= 0
+    acceleration = 0.97 * acceleration
+    slope = np.maximum(np.abs(first), 1e-9)
+    j = 0.6 * jerk / float(np.max(slope))
+    fastest = min(wanted, float(np.min(velocity / slope)))
+    v = fastest * np.linspace(1.0, 0.1, 46)
+    # The acceleration whose ramp is as long as the run-up: v / a + a / j = 2 L / v.
+    duration = 2 * run_up / v
+    inside = (j * duration) ** 2 - 4 * j * v
+    a = 1.01 * 0.5 * (j * duration - np.sqrt(np.maximum(inside, 0.0)))
+    share = np.where(up, (s + run_up) / run_up, 1 - s / max(deepest, 1e-9))
+    centripetal = second * (v**2)[:, None, None] * np.clip(1.05 * share, 0, 1)[:, None]
+    driven = first * a[:, None, None]
+    worst = np.maximum(np.abs(driven + centripetal), np.maximum(np.abs(driven), np.abs(centripetal)))
+    possible = (inside > 0) & np.all(worst[:, up] <= acceleration, axis=(1, 2))
+    # Braking: q'' v^2 adds to -q' a where they have opposite signs.
+    against = np.where(first * centripetal < 0, np.abs(centripetal), 0.0)
+    brake = np.min((acceleration - against[:, ~up]) / slope[~up], axis=(1, 2))
+    possible &= brake > 0.5
+    if not np.any(possible):
+        return PathLimits(0.0, 0.5, 0.5, j)
+    best = int(np.argmax(possible))
+    return PathLimits(float(v[best]), float(a[best]), float(brake[best]), j)
+
 
 LOWERING_SPEED = 0.5
 """Largest speed of the way down to where a guarded touch begins [m/s]."""

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
+from toolee_robot.control.arm_dynamics import TORQUE_SHARE, ArmDynamics, torque_use
 from toolee_robot.control.collision import BESIDE_NAILS, BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.contact import yield_length
 from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
-from toolee_robot.control.dynamics.arm_dynamics import TORQUE_SHARE, ArmDynamics, torque_use
 from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.planning.line import Line, PathLimits, line_derivatives, strike_limits
+from toolee_robot.control.planning.straight import Line, PathLimits, line_derivatives, strike_limits
 from toolee_robot.control.planning.timing import brake_profile, ramp_length, run_up_profile
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.records import StrikePlan

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 
 from toolee_robot.control.collision import CollisionWorld
-from toolee_robot.control.dynamics.tool_weight import WeighingPrior, expected_covariance
 from toolee_robot.control.planning.transfer import NEED, STEP, plan_transfer
 from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.control.tool_weight import WeighingPrior, expected_covariance
 from toolee_robot.errors import CollisionError, LimitError
 from toolee_robot.frames import Array
 from toolee_robot.station import StationConfig

@@ -14,9 +14,8 @@ from toolee_robot.control.motion.trajectory_checks import check_payload, check_t
 from toolee_robot.errors import DeviceError, LatchedError, NotReadyError, StaleDataError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
-from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor, ReadingErrors
+from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor, OwnStops, ReadingErrors
 from toolee_robot.sim_backend.devices.motion_log import Fault, MotionLog, motion_fault
-from toolee_robot.sim_backend.devices.own_stops import OwnStops
 from toolee_robot.sim_backend.ur_controller.robot.error_codes import ErrorCode
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory

@@ -20,7 +20,7 @@ from toolee_robot.render.sensors.color_camera import Photo, photograph
 from toolee_robot.render.sensors.depth_camera import measure_depth
 from toolee_robot.render.sensors.depth_sensors import random_reading
 from toolee_robot.sensor_kinds import SensorKind
-from toolee_robot.sim_backend.visuals.visual_body import VisualBody, VisualWorld
+from toolee_robot.sim_backend.visuals import VisualBody, VisualWorld
 from toolee_robot.station import CameraConfig
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 

@@ -11,7 +11,7 @@ The engine moves bodies by the velocity at the end of a step, so that a nail whi
 on would go v dt / 2 too short, whatever the nail. At rest it resists with half of the force: velocities are then those
 in the middle of steps.
 
-`before_step` must be called before every step, and steps must be those of `impact_steps.IMPACT` while a fast body is
+`before_step` must be called before every step, and steps must be those of `bullet.IMPACT` while a fast body is
 near (`impact_near`). Nothing but strikes moves the nail.
 """
 
@@ -198,7 +198,7 @@ class Nail:
         )
 
     def impact_near(self, body: int, link: int = -1) -> bool:
-        """Whether a body is so close to the nail's head that steps must be those of `impact_steps.IMPACT`.
+        """Whether a body is so close to the nail's head that steps must be those of `bullet.IMPACT`.
 
         Args:
             body: pybullet's id of the body.

@@ -9,9 +9,9 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, Clock, HandState, Station
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.devices.camera import SimCamera
-from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
 from toolee_robot.sim_backend.physics.nail import Nail
-from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
+from toolee_robot.sim_backend.truth import StrikeTruth, Verdict
+from toolee_robot.sim_backend.visuals import SceneState, SceneVisuals
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.station import SIMULATED, StationConfig
 from toolee_robot.tools import Tool

@@ -1,25 +1,223 @@
-"""The simulated world as the plant of a controller stand-in's process, and that process's setup."""
+"""The simulated world as the plant of a controller stand-in's process, and that process's setup.
+
+A service in the tick loop offers the world's devices and its judge to another process.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
+from typing import Any
 
 import numpy as np
+from greenlet import getcurrent, greenlet
 
+from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.frames import Array, inverse
+from toolee_robot.hal import Clock, HandState
 from toolee_robot.robots import load_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.flange_sensor import TURN, FlangeSensor
+from toolee_robot.sim_backend.devices.hand import CoupledFingers
+from toolee_robot.sim_backend.devices.operator import SimPerson
+from toolee_robot.sim_backend.judge import Judge
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.remote.world_service import WorldService
+from toolee_robot.sim_backend.remote.station import HostTimedTruth
+from toolee_robot.sim_backend.station import build_world, draw_handover, simulated_hand
 from toolee_robot.sim_backend.ur_controller.controller import Controller
 from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel
+from toolee_robot.sim_backend.visuals import scene_state
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.station import StationConfig
 from toolee_robot.types import Payload
+
+
+class Commands:
+    """The running commands of a world, at most one per device. All calls must come from the world's thread.
+
+    Args:
+        world: The simulated world.
+    """
+
+    def __init__(self, world: SimWorld) -> None:
+        self._world = world
+        self._hub = getcurrent()
+        self._running: dict[str, greenlet] = {}
+        self._due: dict[greenlet, float] = {}
+        world.wait = self._wait
+        world.after_step.append(self._wake)
+
+    def start(self, device: str, call: Callable[[], None]) -> None:
+        """Start a command; returns when it has finished or first waits.
+
+        Args:
+            device: Name of the device.
+            call: The command, which must not raise.
+
+        Raises:
+            DeviceError: The device still executes another command.
+        """
+        if device in self._running:
+            message = f"the {device} still executes another command: wait for it, or stop the {device}"
+            raise DeviceError(message, code="device.busy")
+
+        def run() -> None:
+            try:
+                call()
+            finally:
+                self._running.pop(device, None)
+
+        command = self._running[device] = greenlet(run, self._hub)
+        command.switch()
+
+    def cancel(self, device: str, reason: str) -> None:
+        """Cancel a device's command: its wait raises DeviceError with this reason.
+
+        Args:
+            device: Name of the device.
+            reason: Message of the error.
+        """
+        command = self._running.get(device)
+        if command is not None:
+            self._due.pop(command, None)
+            command.throw(DeviceError(reason, code="device.cancelled"))
+
+    def _wait(self, duration: float) -> None:
+        command = getcurrent()
+        if command not in self._running.values():
+            raise RuntimeError("the controller's loop advances the time: nothing else may wait in it")
+        self._due[command] = self._world.time + duration
+        self._hub.switch()
+
+    def _wake(self) -> None:
+        if not self._due:
+            return
+        now = self._world.time + 1e-9
+        for command in [c for c, due in self._due.items() if due <= now]:
+            del self._due[command]
+            command.switch()
+
+
+Handler = Callable[..., Any]
+
+
+class WorldService:
+    """A `Service` with hand, person, judge and scene of a world that a `WorldPlant` moves.
+
+    Args:
+        connection: This process's end of the pipe.
+        config: The station.
+        seed: Seed of the run.
+        options: Options of the run.
+        clock: The controller's clock, on which all stamps are.
+
+    Attributes:
+        world: The simulated world.
+        ended: Callback for the end of the other process, after which the controller is not needed.
+    """
+
+    def __init__(
+        self, connection: Connection, config: StationConfig, seed: int, options: SimOptions, clock: Clock
+    ) -> None:
+        tool, offset = draw_handover(seed, options)
+        self.world = world = build_world(config, tool, options)
+        self.ended: Callable[[], None] = lambda: None
+        self._connection, self._clock = connection, clock
+        self._commands = Commands(world)
+        self._hand = hand = simulated_hand(world, options)
+        fingers = CoupledFingers(world, options.friction)
+        person = SimPerson(world, offset, options.hands_over)
+        judge = Judge(HostTimedTruth(world, clock))
+        world.after_step.append(judge.after_step)
+        # Commands that take time, with their device: each device executes one at a time.
+        self._lasting: dict[str, tuple[str, Handler]] = {
+            "hand.open": ("hand", hand.open),
+            "hand.close": ("hand", hand.close),
+            "fingers.grip": ("hand", fingers.grip),
+            "person.request_handover": ("person", person.request_handover),
+            "person.release": ("person", person.release),
+            "person.take_tool": ("person", person.take_tool),
+            "person.confirm_swing": ("person", person.confirm_swing),
+            "person.confirm_inspection": ("person", person.confirm_inspection),
+            "person.hold_switch": ("person", person.hold_switch),
+        }
+        self._immediate: dict[str, Handler] = {
+            "hand.state": self._hand_state,
+            "hand.stop": self._stop_hand,
+            "fingers.follow": fingers.follow,
+            "fingers.let_go": fingers.let_go,
+            "person.zone_occupied": person.zone_occupied,
+            "person.hold_to_run_held": person.hold_to_run_held,
+            "scene": lambda: scene_state(world, person),
+            "judge.strikes": lambda: judge.strikes,
+            "judge.X_hand_ee": judge.X_hand_ee,
+            "judge.verdict": judge.verdict,
+        }
+
+    def filenos(self) -> Sequence[int]:
+        """The pipe's descriptor."""
+        return () if self._connection.closed else (self._connection.fileno(),)
+
+    def on_readable(self, fd: int) -> None:  # noqa: ARG002  (there is one)
+        """Handle a request."""
+        request = None
+        with suppress(EOFError, OSError):
+            request = self._connection.recv()
+        if request is None:
+            self._connection.close()
+            self.ended()
+            return
+        number, name, arguments = request
+        if name in self._lasting:
+            device, handler = self._lasting[name]
+            try:
+                self._commands.start(device, lambda: self._answer(number, handler, arguments))
+            except DeviceError as error:
+                self._send(number, False, error)
+        elif name in self._immediate:
+            self._answer(number, self._immediate[name], arguments)
+        else:
+            message = f"the simulated world knows no {name!r}"
+            self._send(number, False, DeviceError(message, code="device.unknown_request"))
+
+    def on_tick(self, dt: float) -> None:
+        """Nothing: the world's steps resume the commands."""
+
+    def close(self) -> None:
+        """Close the pipe and the world."""
+        self._connection.close()
+        self.world.close()
+
+    def _answer(self, number: int, handler: Handler, arguments: tuple[Any, ...]) -> None:
+        try:
+            value = handler(*arguments)
+        except TooleeError as error:
+            self._send(number, False, error)
+        except Exception as error:  # noqa: BLE001  (passed to the caller; the arm's controller must continue)
+            traceback.print_exc(file=sys.stderr)
+            message = f"the simulated world failed: {type(error).__name__}: {error}"
+            self._send(number, False, DeviceError(message, code="device.world_failed"))
+        else:
+            self._send(number, True, value)
+
+    def _send(self, number: int, done: bool, value: Any) -> None:
+        with suppress(OSError):  # closed: the next read notices
+            self._connection.send((number, done, value))
+
+    def _hand_state(self, max_age: float) -> HandState:
+        state = self._hand.state(max_age)
+        age = self.world.time - state.joints.stamp
+        return replace(state, joints=replace(state.joints, stamp=self._clock.now() - age))
+
+    def _stop_hand(self) -> None:
+        self._commands.cancel("hand", "the hand was stopped; it keeps its position and its grip")
+        self._hand.stop()
 
 
 class WorldPlant:

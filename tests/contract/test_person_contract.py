@@ -12,7 +12,7 @@ import pytest
 
 from tests.contract.lab import station_of, teller
 from tests.rigs.panel import ONE_CONTACT, SWITCH_HELD, TWO_CONTACTS, Operator, Panel
-from toolee_robot.devices.person.digital_inputs import DigitalInputPerson, open_person
+from toolee_robot.devices.person import DigitalInputPerson, open_person
 from toolee_robot.hal import CLEAR_TIME, Arm, Clock, Person
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation

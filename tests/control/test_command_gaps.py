@@ -11,7 +11,7 @@ from tests.control.desk import TOOL
 from tests.control.test_stop_torque import GRASP, HELD, OVER_THE_NAIL
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
+from toolee_robot.control.arm_dynamics import ArmDynamics
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import profile
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS

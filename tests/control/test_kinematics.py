@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.control import RobotModel
-from toolee_robot.control.planning.line import Line
+from toolee_robot.control.planning.straight import Line
 from toolee_robot.errors import UnreachableError, UserError
 from toolee_robot.frames import Array, inverse, transform
 

@@ -15,7 +15,7 @@ from tests.control.test_path_stop import ACCELERATION, JERK, PERIODS, check, dri
 from tests.examples import examples
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.dynamics.arm_dynamics import TORQUE_SHARE, ArmDynamics, permitted_braking
+from toolee_robot.control.arm_dynamics import TORQUE_SHARE, ArmDynamics, permitted_braking
 from toolee_robot.control.motion.path_stop import MIN_SHARE, stop_on_path
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.frames import Array, transform

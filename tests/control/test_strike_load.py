@@ -9,7 +9,7 @@ import pytest
 
 from tests.control.test_swing import RATED, torques
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad, strike_load
+from toolee_robot.control.arm_dynamics import StrikeLoad, strike_load
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
 from toolee_robot.robots import SHADOW_HAND

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.control.dynamics.tool_weight import (
+from toolee_robot.control.tool_weight import (
     RestReading,
     ToolWeight,
     WeighingPrior,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from toolee_robot.control.watcher import Watcher
+from toolee_robot.control.supervisor_checks import Watcher
 
 
 def test_a_stop_that_comes_too_soon_is_repeated() -> None:

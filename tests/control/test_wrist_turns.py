@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from toolee_robot.control import CollisionWorld, RobotModel
-from toolee_robot.control.dynamics.tool_weight import LEAST_TURN, WeighingPrior
 from toolee_robot.control.planning.views import plan_handover
 from toolee_robot.control.planning.wrist_turns import plan_wrist_turns
+from toolee_robot.control.tool_weight import LEAST_TURN, WeighingPrior
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.station import StationConfig, load_station, sim_station
 from toolee_robot.types import Trajectory

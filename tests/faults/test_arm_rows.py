@@ -28,7 +28,7 @@ from tests.faults.rows.released_stops import RELEASED_STOPS, ReleasedStop, relea
 from tests.faults.rows.switch import ONE_CONTACT, STUCK, SWITCH_FAULTS, at_rest, in_slow_motion, switch_rows
 from tests.rigs.driver_rig import Rig, rig
 from tests.rigs.setting import Setting
-from toolee_robot.devices.person.digital_inputs import Contact
+from toolee_robot.devices.person import Contact
 from toolee_robot.devices.ur import driver
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess

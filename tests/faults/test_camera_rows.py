@@ -23,8 +23,7 @@ from tests.faults.rows.cameras import (
 from tests.rigs.camera_devices import CameraEvent
 from tests.rigs.camera_rig import CAMERAS, CameraKind, DriverCamera
 from tests.rigs.job_rig import Bench
-from toolee_robot.devices.cameras.frame_gate import FrameGate, Refusal
-from toolee_robot.devices.cameras.stream import RawImages
+from toolee_robot.devices.cameras.stream import FrameGate, RawImages, Refusal
 from toolee_robot.errors import UserError
 from toolee_robot.hal import Station
 from toolee_robot.tasks.hammering.task import HammeringTask

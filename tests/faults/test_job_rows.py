@@ -13,7 +13,7 @@ from tests.faults.rows.job_fault import JobFault
 from tests.faults.rows.job_faults import JOB_FAULTS
 from tests.faults.rows.start import CALIBRATIONS, calibration_row
 from tests.rigs.job_rig import Bench
-from toolee_robot.control.watcher import Watcher
+from toolee_robot.control.supervisor_checks import Watcher
 from toolee_robot.errors import MotionFaultError
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.tasks.common.motions import Motions

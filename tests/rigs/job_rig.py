@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.rigs.people import People
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
-from toolee_robot.control.dynamics.arm_dynamics import bound_stop
+from toolee_robot.control.arm_dynamics import bound_stop
 from toolee_robot.frames import inverse
 from toolee_robot.hal import Hand, HandState, MotionReport, Person, RgbdCamera, Station
 from toolee_robot.robots import SHADOW_HAND
@@ -24,8 +24,8 @@ from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.hand import SimHand
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import StationConfig, TaskConfig, sim_station
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import HandCourse, TaskObserver

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from toolee_robot.devices.person.digital_inputs import CONFIRM
+from toolee_robot.devices.person import CONFIRM
 from toolee_robot.errors import StaleDataError
 from toolee_robot.station import PersonConfig
 from toolee_robot.tasks.common.motions import HOLD_SWITCH

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
-from toolee_robot.sim_backend.ground_truth.verdict import Truth
+from toolee_robot.sim_backend.truth import PerfectPerception, Truth
 from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 Change = Callable[[InHandEstimate], InHandEstimate]

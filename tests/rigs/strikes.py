@@ -7,8 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from toolee_robot.control.arm_dynamics import bound_stop
 from toolee_robot.control.collision import CollisionWorld
-from toolee_robot.control.dynamics.arm_dynamics import bound_stop
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription, load_robot, write_urdf
-from toolee_robot.robots.fused import combined, fuse_links
-from toolee_robot.robots.tree import Inertial, Tree
+from toolee_robot.robots.tree import Inertial, Tree, combined, fuse_links
 from toolee_robot.station import load_station, sim_station
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
+from toolee_robot.control.arm_dynamics import ArmDynamics
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.robots.description import arm_tree
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT

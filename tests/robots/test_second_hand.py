@@ -15,7 +15,7 @@ from toolee_robot.errors import AssetError, ConfigError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.robots import HANDS, SHADOW_HAND, load_robot, wrap_fingers
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import HandConfig, sim_station
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.grasp import nominal_grasp

@@ -16,7 +16,7 @@ from tests.examples import examples
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.control.kinematics import smallest_singular_value
 from toolee_robot.control.motion.trajectory_checks import START_TOLERANCE
-from toolee_robot.control.planning.line import Line
+from toolee_robot.control.planning.straight import Line
 from toolee_robot.errors import AssetError, ConfigError, UnreachableError
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform
 from toolee_robot.robots import FLANGE_FRAME, SHADOW_HAND, load_robot

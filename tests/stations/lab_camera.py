@@ -19,10 +19,10 @@ from toolee_robot.hal import Clock
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, SoftwareRealSense
-from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
+from toolee_robot.sim_backend.visuals import SceneVisuals, scene_state
 from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
 from toolee_robot.stations import camera
-from toolee_robot.stations.rehearsal.color_and_depth import ColorAndDepth
+from toolee_robot.stations.rehearsal.camera import ColorAndDepth
 
 ROOT = Path(__file__).parents[2]
 LAB = ROOT / "examples" / "lab.yaml"

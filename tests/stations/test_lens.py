@@ -26,13 +26,11 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.options import PlacedBoard
-from toolee_robot.sim_backend.visuals.board import BoardVisuals
-from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+from toolee_robot.sim_backend.visuals import BoardVisuals, VisualBody
 from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station, sim_station
 from toolee_robot.stations.camera import REALSENSE, open_camera
-from toolee_robot.stations.rehearsal.camera import emulated_stream
+from toolee_robot.stations.rehearsal.camera import EmulatedLens, emulated_stream, lens_of
 from toolee_robot.stations.rehearsal.held_board import held_pose
-from toolee_robot.stations.rehearsal.lens import EmulatedLens, lens_of
 
 BOARD = SHEETS["a3"].board
 WEAK = (-0.0125, 1e-3, 3e-4, -2e-4)

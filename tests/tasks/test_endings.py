@@ -19,8 +19,8 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError, StaleDataError, UserError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.nail import HINGE_X, SLIDE
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import CameraDevice, StationConfig
 from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.look import Views

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from toolee_robot.sim_backend import SimStation
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import StationConfig, load_station
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 from toolee_robot.tasks.hammering.grasp import nominal_grasp

@@ -13,7 +13,7 @@ from toolee_robot.control import RobotModel, plan_transfer
 from toolee_robot.control.collision_shapes import nail_bodies
 from toolee_robot.errors import CollisionError
 from toolee_robot.frames import transform
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import NailConfig, StationConfig
 from toolee_robot.tasks.common.motions import UP
 from toolee_robot.tasks.common.outcome import Outcome

@@ -16,7 +16,7 @@ from toolee_robot.control.contact import Meeting
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.hal import MotionReport
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.nail_gauge import NailGauge

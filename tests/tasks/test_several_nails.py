@@ -8,7 +8,7 @@ import pytest
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.sim_backend import SimStation
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import NailConfig, StationConfig, sim_station
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import NailResult, Outcome, Strike

@@ -21,8 +21,8 @@ from toolee_robot.frames import inverse
 from toolee_robot.hal import HandState, MotionReport
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.station import draw_hammer
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.sim_backend.ur_controller.robot.collision_detection import CollisionDetection
 from toolee_robot.sim_backend.world import Sample
 from toolee_robot.station import StationConfig, ToolData, sim_station

@@ -13,7 +13,7 @@ from toolee_robot.recording.observer import RecordingObserver
 from toolee_robot.recording.reading import read_history
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.viewer.run_state import RunStates

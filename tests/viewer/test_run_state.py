@@ -10,7 +10,7 @@ import pytest
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.series import Series
 from toolee_robot.sim_backend.physics.wood import NailSpec
-from toolee_robot.sim_backend.visuals.scene import NailVisuals
+from toolee_robot.sim_backend.visuals import NailVisuals
 from toolee_robot.station import NailConfig, sim_station
 from toolee_robot.viewer.run_state import RunStates
 

@@ -26,9 +26,8 @@ from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.station import SIMULATED, CameraConfig, read_station, write_measured
 from toolee_robot.station.intrinsics_record import FIELD, PINHOLE, SECTION
 from toolee_robot.stations.camera import WITH_MODE, open_camera
-from toolee_robot.stations.rehearsal.camera import emulated_stream
+from toolee_robot.stations.rehearsal.camera import emulated_stream, lens_of
 from toolee_robot.stations.rehearsal.held_board import HeldBoard, drawn_camera
-from toolee_robot.stations.rehearsal.lens import lens_of
 from toolee_robot.tasks.calibration.hand_held import HandHeldViews, Offered
 
 PATIENCE = 120.0

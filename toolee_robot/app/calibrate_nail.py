@@ -33,7 +33,7 @@ from toolee_robot.station import StationConfig, WorkConfig, load_lab_station, re
 from toolee_robot.station.work import LARGEST_TILT
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
-from toolee_robot.stations.rehearsal.job import camera_covariance
+from toolee_robot.stations.rehearsal.emulated_lab import camera_covariance
 from toolee_robot.stations.simulated_nail import print_on_wood, simulated_nail_board
 from toolee_robot.tasks.calibration.collect import mean_frame
 

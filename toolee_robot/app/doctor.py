@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.devices.hands import open_hand
-from toolee_robot.devices.person.check_inputs import check_inputs
-from toolee_robot.devices.person.digital_inputs import open_person
+from toolee_robot.devices.person import check_inputs, open_person
 from toolee_robot.doctor.camera import check_lens, check_range
 from toolee_robot.doctor.configuration import (
     check_calibration,

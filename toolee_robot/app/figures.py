@@ -7,14 +7,14 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from toolee_robot.app.sources import Opened
-from toolee_robot.control.dynamics.tool_weight import ToolWeight
+from toolee_robot.control.tool_weight import ToolWeight
 from toolee_robot.robots import hand_model
 from toolee_robot.runtime.code_version import code_version
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome
 from toolee_robot.tools import Tool
 
 if TYPE_CHECKING:
-    from toolee_robot.sim_backend.ground_truth.verdict import NailTruth, StrikeTruth, Verdict
+    from toolee_robot.sim_backend.truth import NailTruth, StrikeTruth, Verdict
 
 TRUE_FIGURES = (
     "pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg", "contact_speed", "off_face_strikes",
@@ -130,7 +130,7 @@ def _judged(ran: Ran, truth: NailTruth | None) -> tuple[bool, str, str]:
     result = ran.result
     success, outcome, reason = result.success, str(result.outcome), result.reason
     if success and truth is not None and truth.outcome != "flush":
-        from toolee_robot.sim_backend.ground_truth.verdict import NOT_BY_FACE
+        from toolee_robot.sim_backend.truth import NOT_BY_FACE
 
         success = False
         which = f"the nail {truth.name}" if len(result.nails) > 1 else "the nail"

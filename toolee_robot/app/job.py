@@ -33,7 +33,7 @@ from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.task import HammeringTask
 
 if TYPE_CHECKING:
-    from toolee_robot.sim_backend.ground_truth.verdict import Verdict  # a real station loads no simulation
+    from toolee_robot.sim_backend.truth import Verdict  # a real station loads no simulation
 
 STALLED = 0.8
 """Share of what the driver bears at most that a stall of the machine must have taken to excuse a job."""

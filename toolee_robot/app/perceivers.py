@@ -179,7 +179,7 @@ def _true_poses(opened: Opened) -> Perceiver:
             f"--variant {Variant.PERFECT_PERCEPTION} needs the tool's true pose, which only a simulation knows",
             code="user.no_truth",
         )
-    from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception  # a real station loads none
+    from toolee_robot.sim_backend.truth import PerfectPerception  # a real station loads none
 
     return PerfectPerception(opened.truth)
 

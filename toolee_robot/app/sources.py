@@ -16,7 +16,7 @@ from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp
 from toolee_robot.tools import ToolShape
 
 if TYPE_CHECKING:
-    from toolee_robot.sim_backend.ground_truth.verdict import Truth  # a real station loads no simulation
+    from toolee_robot.sim_backend.truth import Truth  # a real station loads no simulation
 
 Tell = Callable[[str], object]
 """Shows a prompt to the person at the station."""

@@ -135,7 +135,7 @@ class Show(CameraOptions):
     """Also write what it sees, colour and depth side by side."""
 
     def run(self) -> int:
-        from toolee_robot.devices.cameras.picture import write_picture
+        from toolee_robot.devices.cameras.recording import write_picture
         from toolee_robot.runtime.clock import HostClock
 
         console = self.console

@@ -81,7 +81,7 @@ class Doctor(JsonOption):
         if host is not None and self.world is None:
             config = self._of_robot()
         if self.inputs:
-            from toolee_robot.devices.person.digital_inputs import check_wired
+            from toolee_robot.devices.person import check_wired
 
             check_wired(config)
         console = self.console

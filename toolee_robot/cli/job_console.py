@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from toolee_robot.app.observer import JobObserver
-from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad
+from toolee_robot.control.arm_dynamics import StrikeLoad
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array

@@ -30,9 +30,9 @@ from toolee_robot.robots.hands import (
     find_hand,
     hand_model,
 )
+from toolee_robot.robots.hands.model import wrap_fingers
 from toolee_robot.robots.tree import FLANGE_FRAME
 from toolee_robot.robots.urdf import write_urdf
-from toolee_robot.robots.wrap import wrap_fingers
 
 __all__ = [
     "ARM_JOINTS",

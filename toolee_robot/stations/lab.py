@@ -16,7 +16,7 @@ from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.devices.cameras import CameraStream
 from toolee_robot.devices.cameras.lens_choice import UNKNOWN_LENS
 from toolee_robot.devices.hands import open_hand, wired_hand
-from toolee_robot.devices.person.digital_inputs import open_person
+from toolee_robot.devices.person import open_person
 from toolee_robot.errors import ConfigError, NotReadyError
 from toolee_robot.hal import Station
 from toolee_robot.robots import MOUNT, hand_model

@@ -21,7 +21,7 @@ from toolee_robot.render.mesh import Mesh, box
 from toolee_robot.render.palette import finish, linear
 from toolee_robot.render.renderer import render
 from toolee_robot.render.scene import Body, Environment, Light, Scene
-from toolee_robot.sim_backend.visuals.scene import BodyId
+from toolee_robot.sim_backend.visuals import BodyId
 from toolee_robot.station import StationConfig
 from toolee_robot.types import CameraIntrinsics
 from toolee_robot.viewer.run_state import RunState, RunStates

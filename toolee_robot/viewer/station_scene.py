@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.physics.bodies import OBSTACLE_COLOR
-from toolee_robot.sim_backend.visuals.scene import BodyId, SceneState, SceneVisuals
-from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+from toolee_robot.sim_backend.visuals import BodyId, SceneState, SceneVisuals, VisualBody
 from toolee_robot.station import StationConfig
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.types import CameraIntrinsics

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
+from toolee_robot.control.arm_dynamics import ArmDynamics
 from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.collision_shapes import TOOL_JOINT
 from toolee_robot.control.correction import Candidates, candidates, rank
-from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.planning.line import Line
+from toolee_robot.control.planning.straight import Line
 from toolee_robot.control.planning.strike import MIN_SPEED
-from toolee_robot.control.planning.swing.contact import Face, SwingLimits, decelerations, fastest
-from toolee_robot.control.planning.swing.problem import SwingProblem
+from toolee_robot.control.planning.swing.problem import Face, SwingLimits, SwingProblem, decelerations, fastest
 from toolee_robot.control.planning.swing.spline import sampled_within, spline_for
 from toolee_robot.control.planning.transfer import NEED, STEP, plan_transfer
 from toolee_robot.control.records import StrikePlan

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolee_robot.control.arm_dynamics import ArmDynamics, torque_use
 from toolee_robot.control.collision import CollisionWorld
-from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics, torque_use
 from toolee_robot.control.limits import carried_speed
 from toolee_robot.control.planning.timing import SAMPLE_PERIOD
 from toolee_robot.frames import Array

@@ -7,7 +7,7 @@ import pytest
 
 from tests.control.motion.cb3_noise import NOISE, RATE, noise
 from tests.rigs.job_rig import CONFIG
-from toolee_robot.control.motion.onset import Course, Releases, onset
+from toolee_robot.control.motion.contact_force import Course, Releases, onset
 from toolee_robot.control.motion.touch_force import TouchSettings, touch_settings
 from toolee_robot.hal import ZERO_TIME
 from toolee_robot.sim_backend.ur_controller.profile import CB3

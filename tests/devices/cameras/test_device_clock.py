@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.examples import examples
-from toolee_robot.devices.cameras.frame_gate import MAX_DRIFT, DeviceClock
+from toolee_robot.devices.cameras.stream import MAX_DRIFT, DeviceClock
 
 PERIOD = 1 / 30
 

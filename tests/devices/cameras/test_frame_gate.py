@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.devices.cameras import CameraProfile, Lens, RawImages
-from toolee_robot.devices.cameras.frame_gate import FrameGate, Refusal
+from toolee_robot.devices.cameras.stream import FrameGate, Refusal
 from toolee_robot.errors import DeviceError
 from toolee_robot.types import CameraIntrinsics
 

@@ -14,8 +14,8 @@ import pytest
 from tests.errors import raises
 from tests.rigs.orbbec_recording import COLOR, DEPTH, SERIAL, TRANSLATION_MM, write_recording
 from toolee_robot.devices.cameras import LensModel, StreamedCamera
+from toolee_robot.devices.cameras.lens import DepthRegistration
 from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream, sdk
-from toolee_robot.devices.cameras.registration import DepthRegistration
 from toolee_robot.errors import NoAnswerError, NotReadyError
 from toolee_robot.runtime.clock import HostClock
 

@@ -13,8 +13,8 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.devices.cameras import CameraProfile, Lens, LensModel, StreamedCamera
+from toolee_robot.devices.cameras.lens import DepthRegistration
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
-from toolee_robot.devices.cameras.registration import DepthRegistration
 from toolee_robot.errors import NoAnswerError, NotReadyError
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, COLOR, DEPTH, SERIAL, SoftwareRealSense

@@ -19,8 +19,8 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, SERIAL, SoftwareRealSense
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
-from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
+from toolee_robot.sim_backend.truth import PerfectPerception
+from toolee_robot.sim_backend.visuals import SceneVisuals, scene_state
 from toolee_robot.station import sim_station
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import HoldingHand, RgbdFrame, ToolEstimate

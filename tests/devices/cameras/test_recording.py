@@ -12,8 +12,8 @@ import pytest
 from tests.devices.cameras.toy_recording import INTRINSICS, SERIAL, toy_frames, toy_recording
 from tests.errors import raises
 from toolee_robot.devices.cameras import StreamedCamera
-from toolee_robot.devices.cameras.frame_gate import FrameGate
 from toolee_robot.devices.cameras.recording import DEPTH_UNIT, RecordedStream, RecordingWriter, open_recording
+from toolee_robot.devices.cameras.stream import FrameGate
 from toolee_robot.errors import StaleDataError, UserError
 from toolee_robot.perception.io import bop_images
 from toolee_robot.runtime.clock import HostClock

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from benchmarks.registration import COLORS, measure_registration
 from tests.examples import examples
-from toolee_robot.devices.cameras.lens import Lens
-from toolee_robot.devices.cameras.registration import DepthRegistration
+from toolee_robot.devices.cameras.lens import DepthRegistration, Lens
 from toolee_robot.frames import transform
 from toolee_robot.types import CameraIntrinsics
 

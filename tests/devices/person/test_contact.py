@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolee_robot.devices.person.digital_inputs import DEBOUNCE, DISCREPANCY, Contact
+from toolee_robot.devices.person import DEBOUNCE, DISCREPANCY, Contact
 
 TICK, GAP = 0.01, 0.1
 MADE, BROKEN, UNPLUGGED, STUCK = 0b01, 0b10, 0b00, 0b11

@@ -13,8 +13,7 @@ import pytest
 
 from tests.errors import raises
 from tests.rigs.panel import ALL, DOOR_CLOSED, ONE_CONTACT, SWITCH_HELD, TWO_CONTACTS, Panel, later
-from toolee_robot.devices.person.check_inputs import check_inputs
-from toolee_robot.devices.person.digital_inputs import DigitalInputPerson, open_person
+from toolee_robot.devices.person import DigitalInputPerson, check_inputs, open_person
 from toolee_robot.errors import ConfigError, PersonNearError
 from toolee_robot.findings import Level
 from toolee_robot.runtime.clock import HostClock

@@ -15,7 +15,7 @@ from tests.control.test_stop_torque import GRASP, HELD, OVER_THE_NAIL
 from tests.errors import raises
 from tests.stand_in import PATIENT, SERVO
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.dynamics.arm_dynamics import bound_stop
+from toolee_robot.control.arm_dynamics import bound_stop
 from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import ProtectiveStopError

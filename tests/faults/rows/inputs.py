@@ -15,7 +15,7 @@ from tests.rigs.panel import TWO_CONTACTS, later
 from tests.rigs.time_bounds import PATIENT
 from toolee_robot.control.limits import Mode
 from toolee_robot.control.supervisor import Supervisor
-from toolee_robot.devices.person.digital_inputs import PERIOD, DigitalInputPerson
+from toolee_robot.devices.person import PERIOD, DigitalInputPerson
 from toolee_robot.errors import DeviceError, PersonNearError
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.runtime.clock import HostClock

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from tests.faults.record import Phase
 from tests.faults.rows.job_fault import IN_STRIKE, Braking, JobFault, Scene
 from tests.rigs.panel import ALL, DOOR_CLOSED, ONE_CONTACT, SWITCH_HELD, TWO_CONTACTS, Operator, Panel
-from toolee_robot.devices.person.digital_inputs import DigitalInputPerson
+from toolee_robot.devices.person import DigitalInputPerson
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import PersonConfig
 from toolee_robot.tasks.common.outcome import Outcome

@@ -22,9 +22,9 @@ from tests.faults.rows.released_stops import travel
 from tests.rigs.driver_rig import Rig
 from tests.rigs.panel import TWO_CONTACTS
 from tests.rigs.time_bounds import PATIENT
-from toolee_robot.control.dynamics.arm_dynamics import bound_stop
+from toolee_robot.control.arm_dynamics import bound_stop
 from toolee_robot.control.limits import Mode, slowed_to
-from toolee_robot.devices.person.digital_inputs import PERIOD
+from toolee_robot.devices.person import PERIOD
 from toolee_robot.errors import PersonNearError, TooleeError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, HandState, MotionReport, MotionWatch, Person, Station

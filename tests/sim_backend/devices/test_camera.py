@@ -14,7 +14,7 @@ from toolee_robot.hal import RgbdCamera
 from toolee_robot.render.mesh import box
 from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.sim_backend.devices.camera import SimCamera
-from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+from toolee_robot.sim_backend.visuals import VisualBody
 from toolee_robot.station import sim_station
 
 pytestmark = pytest.mark.sim

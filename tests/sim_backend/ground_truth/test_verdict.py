@@ -15,11 +15,11 @@ from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.sim_backend.ground_truth.judge import Judge
-from toolee_robot.sim_backend.ground_truth.verdict import StruckBy, pose_error, strike_offset, strike_tilt
-from toolee_robot.sim_backend.physics.impact_steps import IMPACT
+from toolee_robot.sim_backend.judge import Judge
+from toolee_robot.sim_backend.physics.bullet import IMPACT
 from toolee_robot.sim_backend.physics.nail import Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import NailSpec, driving_work
+from toolee_robot.sim_backend.truth import StruckBy, pose_error, strike_offset, strike_tilt
 from toolee_robot.types import InHandEstimate
 
 pytestmark = pytest.mark.sim

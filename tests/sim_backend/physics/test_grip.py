@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.physics import grip_gains
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bullet import IMPACT, StepSettings, pb
 from toolee_robot.sim_backend.physics.grip import TENDON_LOSS, AssistedGrip, GripLimits
 from toolee_robot.sim_backend.physics.grip_gains import (
     ANGULAR_DAMPING,
@@ -23,7 +23,6 @@ from toolee_robot.sim_backend.physics.grip_gains import (
     STIFFNESS,
     GripGains,
 )
-from toolee_robot.sim_backend.physics.impact_steps import IMPACT, StepSettings
 from toolee_robot.sim_backend.station import draw_hammer
 from toolee_robot.sim_backend.world import NORMAL
 

@@ -16,7 +16,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, inverse, is_rigid, transform
 from toolee_robot.sim_backend.physics.bodies import ToolBody
-from toolee_robot.sim_backend.physics.impact_steps import IMPACT, StepSettings
+from toolee_robot.sim_backend.physics.bullet import IMPACT, StepSettings
 from toolee_robot.sim_backend.physics.nail import HINGE_X, LUMPED_MASS, Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import (
     NailSpec,

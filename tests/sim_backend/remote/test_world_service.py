@@ -20,10 +20,9 @@ from toolee_robot.hal import Hand, Person, RgbdCamera
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.remote.channel import Channel
 from toolee_robot.sim_backend.remote.station import RemoteHand, RemoteJudge, RemotePerson, remote_station
-from toolee_robot.sim_backend.remote.world_plant import WorldPlant
-from toolee_robot.sim_backend.remote.world_service import WorldService
+from toolee_robot.sim_backend.remote.world import Channel
+from toolee_robot.sim_backend.remote.world_plant import WorldPlant, WorldService
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.server.port import Service

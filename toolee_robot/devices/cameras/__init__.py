@@ -4,9 +4,8 @@
         frame = camera.read()
 
 A driver is a `CameraStream` (`stream`): it connects, and fetches pairs of raw images with the device's stamps. What
-must hold for every camera is done once, by `StreamedCamera` (`camera`): the frame gate (`frame_gate`), the device's
-clock on the station's (`device_clock`), which lens holds (`lens_choice`), undistortion (`lens`) and the registration of
-depth to colour (`registration`).
+must hold for every camera is done once, by `StreamedCamera` (`camera`): the frame gate and the clock (`stream`), which
+lens holds (`lens_choice`), undistortion and the registration of depth to colour (`lens`).
 `recorded` plays what `recording` wrote; `realsense`, `orbbec` and `airo` are the drivers.
 """
 

@@ -10,10 +10,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.devices.cameras.frame_gate import FrameGate, Refusal, stale
+from toolee_robot.devices.cameras.lens import DepthRegistration
 from toolee_robot.devices.cameras.lens_choice import ChosenLens, StatedLens, choose_lens
-from toolee_robot.devices.cameras.registration import DepthRegistration
-from toolee_robot.devices.cameras.stream import CameraProfile, CameraStream, RawImages
+from toolee_robot.devices.cameras.stream import CameraProfile, CameraStream, FrameGate, RawImages, Refusal, stale
 from toolee_robot.errors import DeviceError, NoAnswerError, TooleeError, words_of
 from toolee_robot.hal import Clock
 from toolee_robot.types import CameraIntrinsics, RgbdFrame

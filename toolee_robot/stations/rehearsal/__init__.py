@@ -10,7 +10,6 @@ other addresses. What the station file says of the cell is what a person measure
 it: see `job`.
 """
 
-from toolee_robot.stations.rehearsal.emulated_lab import Cell, EmulatedLab
-from toolee_robot.stations.rehearsal.job import job_cell, job_errors
+from toolee_robot.stations.rehearsal.emulated_lab import Cell, EmulatedLab, job_cell, job_errors
 
 __all__ = ["Cell", "EmulatedLab", "job_cell", "job_errors"]

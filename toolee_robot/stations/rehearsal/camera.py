@@ -8,22 +8,169 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from toolee_robot.devices.cameras import CameraProfile, CameraStream, Lens, LensModel, RawImages
+from toolee_robot.calibration.record import rows
+from toolee_robot.depth_noise import DepthNoise
+from toolee_robot.devices.cameras import CameraProfile, CameraStream, Lens, LensModel, RawImages, StatedLens
 from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream, sdk
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Clock
+from toolee_robot.render.scene import Rendering
+from toolee_robot.render.sensors.color_camera import Photo, photograph
+from toolee_robot.render.sensors.depth_camera import measure_depth
+from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, Pictures, SoftwareRealSense
 from toolee_robot.sim_backend.options import PlacedBoard
-from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
+from toolee_robot.sim_backend.visuals import SceneState, SceneVisuals, VisualWorld
 from toolee_robot.station import CameraConfig, CameraDevice, StationConfig
 from toolee_robot.stations.camera import REALSENSE
-from toolee_robot.stations.rehearsal.color_and_depth import MILLIMETRE, ColorAndDepth
-from toolee_robot.stations.rehearsal.lens import EmulatedLens, lens_of
 from toolee_robot.tools import Tool
+
+MARGIN = 2
+"""Pixels that are rendered beyond what the lens sees."""
+
+
+class EmulatedLens:
+    """A lens with distortion, in front of the renderer, whose camera is a pinhole.
+
+    Args:
+        camera: The camera; it states a distortion.
+        finer: Rendered pixels for each pixel along each edge, for smooth edges.
+
+    Attributes:
+        lens: The lens.
+        rendered: The camera to render with: the same, with as much more to each side as the lens sees there.
+    """
+
+    def __init__(self, camera: CameraConfig, finer: int = 1) -> None:
+        lens = self.lens = lens_of(camera)
+        k = lens.intrinsics
+        x, y = lens.rays()
+        u, v = x * k.fx + k.cx, y * k.fy + k.cy
+        left, top = (max(0, int(np.ceil(-low.min()))) + MARGIN for low in (u, v))
+        right, bottom = (
+            max(0, int(np.ceil(high.max())) - size + 1) + MARGIN for high, size in ((u, k.width), (v, k.height))
+        )
+        self._size, self._finer = (left + k.width + right, top + k.height + bottom), finer
+        # Pixel centres are at integer coordinates, so that an image begins at -0.5.
+        self.rendered = replace(
+            camera,
+            fx=finer * k.fx,
+            fy=finer * k.fy,
+            cx=finer * (k.cx + left + 0.5) - 0.5,
+            cy=finer * (k.cy + top + 0.5) - 0.5,
+            width=finer * self._size[0],
+            height=finer * self._size[1],
+        )
+        self._u, self._v = (u + left).astype(np.float32), (v + top).astype(np.float32)
+
+    def __call__(self, rendering: Rendering) -> Rendering:
+        """Distort a rendering.
+
+        Args:
+            rendering: What `rendered` sees.
+
+        Returns:
+            What the lens shows: colour is interpolated, of all else each pixel has that of the nearest one.
+        """
+        smooth = np.asarray(cv2.resize(rendering.rgb, self._size, interpolation=cv2.INTER_AREA))
+        middle = slice(self._finer // 2, None, self._finer)
+        return Rendering(
+            self._remapped(smooth, cv2.INTER_LINEAR),
+            *(
+                self._remapped(np.ascontiguousarray(image[middle, middle]), cv2.INTER_NEAREST)
+                for image in (rendering.depth, rendering.body_ids, rendering.cos_incidence, rendering.shininess)
+            ),
+        )
+
+    def _remapped(self, image: NDArray[Any], how: int) -> NDArray[Any]:
+        return np.asarray(cv2.remap(image, self._u, self._v, how), image.dtype)
+
+
+def lens_of(camera: CameraConfig) -> Lens:
+    """The lens that a station file states.
+
+    Args:
+        camera: The camera.
+
+    Returns:
+        The lens; one without distortion where the file states none.
+    """
+    if camera.distortion is None:
+        return Lens(camera.intrinsics)
+    return StatedLens(camera.intrinsics, camera.distortion).lens
+
+
+MILLIMETRE = 1e-3
+"""Unit of the depth pictures [m]."""
+
+
+class ColorAndDepth:
+    """Colour and depth camera of one device.
+
+    Colour is seen through the lens; so is depth where it is from the same place. A stereo module's depth has no
+    distortion.
+
+    Args:
+        visuals: What is there.
+        camera: The colour camera.
+        lens: Its lens; None for one without distortion.
+        X_color_depth: Pose of the depth camera in the colour camera, (4, 4) [m].
+        clock: The station's clock.
+        seed: Seed of the room.
+        rng: Source of the noise.
+    """
+
+    def __init__(
+        self,
+        visuals: VisualWorld,
+        camera: CameraConfig,
+        lens: EmulatedLens | None,
+        X_color_depth: Array,
+        clock: Clock,
+        seed: int,
+        rng: np.random.Generator,
+    ) -> None:
+        color = camera if lens is None else lens.rendered
+        aside = replace(camera, pose=rows(camera.X_base_camera @ X_color_depth))
+        views = [color] if np.array_equal(X_color_depth, np.eye(4)) else [color, aside]
+        self._cameras = [SimCamera(visuals, clock, view, seed) for view in views]
+        self._intrinsics, self._lens, self._rng = camera.intrinsics, lens, rng
+        self._renderings: list[Rendering] = []
+
+    @property
+    def has_looked(self) -> bool:
+        """Whether there is anything to take pictures of."""
+        return bool(self._renderings)
+
+    def look(self) -> None:
+        """Render what is there now."""
+        color, *depth = (camera.render() for camera in self._cameras)
+        self._renderings = [color if self._lens is None else self._lens(color), *depth]
+
+    def take(self, least_range: float = 0.0) -> Pictures:
+        """Take pictures of what was there at the last look.
+
+        Args:
+            least_range: Distance under which nothing has a depth [m].
+
+        Returns:
+            Colour, (H, W, 3), and depth, (H, W) [mm].
+        """
+        color, deep = self._renderings[0], self._renderings[-1]
+        metres = measure_depth(
+            deep.depth, deep.cos_incidence, deep.shininess, self._intrinsics, DepthNoise(), self._rng
+        )
+        metres[metres < least_range] = 0.0
+        millimetres = np.rint(np.nan_to_num(metres) / MILLIMETRE).clip(0, 2**16 - 1).astype(np.uint16)
+        return photograph(color.rgb, Photo(), self._rng), millimetres
+
 
 STANDS = 3e-4
 """Way of every body between two frames up to which the scene stands still [m]."""

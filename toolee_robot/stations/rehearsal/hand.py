@@ -12,7 +12,7 @@ import numpy as np
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.robots import PALM
-from toolee_robot.sim_backend.devices.coupled_fingers import Touched
+from toolee_robot.sim_backend.devices.hand import Touched
 from toolee_robot.sim_backend.hands.kit import HandEmulator
 from toolee_robot.sim_backend.remote.station import Caller
 

@@ -13,11 +13,9 @@ from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.options import PlacedBoard
-from toolee_robot.sim_backend.visuals.board import BoardVisuals
-from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+from toolee_robot.sim_backend.visuals import BoardVisuals, VisualBody
 from toolee_robot.station import CameraConfig
-from toolee_robot.stations.rehearsal.color_and_depth import ColorAndDepth
-from toolee_robot.stations.rehearsal.lens import EmulatedLens
+from toolee_robot.stations.rehearsal.camera import ColorAndDepth, EmulatedLens
 from toolee_robot.stations.simulated_board import PRINT_SCALE, RULE
 
 FOCAL, CENTER = 0.004, 3.0

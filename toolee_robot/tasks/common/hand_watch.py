@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Self
 
-from toolee_robot.control.watcher import Watcher
+from toolee_robot.control.supervisor_checks import Watcher
 from toolee_robot.errors import DeviceError, GripError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand, HandState

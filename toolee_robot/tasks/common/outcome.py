@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from toolee_robot.control.arm_dynamics import StrikeLoad
 from toolee_robot.control.contact import Meeting
-from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad
-from toolee_robot.control.dynamics.tool_weight import ToolWeight
+from toolee_robot.control.tool_weight import ToolWeight
 from toolee_robot.errors import DeviceError
 from toolee_robot.types import InHandEstimate
 

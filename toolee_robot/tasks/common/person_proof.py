@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from toolee_robot.control.watcher import Watcher
+from toolee_robot.control.supervisor_checks import Watcher
 from toolee_robot.errors import DeviceError, PersonNearError
 from toolee_robot.hal import Person
 

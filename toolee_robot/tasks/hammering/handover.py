@@ -7,10 +7,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from toolee_robot.control.collision import CollisionWorld
-from toolee_robot.control.dynamics.tool_weight import ToolWeight
 from toolee_robot.control.limits import Mode
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.views import plan_handover
+from toolee_robot.control.tool_weight import ToolWeight
 from toolee_robot.errors import (
     DeviceError,
     LatchedError,

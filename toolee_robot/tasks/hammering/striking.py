@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from toolee_robot.control.arm_dynamics import StrikeLoad, strike_load
 from toolee_robot.control.contact import ContactVerdict
-from toolee_robot.control.dynamics.arm_dynamics import StrikeLoad, strike_load
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.swing import SwingLimits, plan_swing
 from toolee_robot.control.records import StrikePlan

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.control.contact import protrusion
-from toolee_robot.control.motion.onset import SLOPE_RANGE, UNKNOWN, Course, Releases, Rise, onset
+from toolee_robot.control.motion.contact_force import SLOPE_RANGE, UNKNOWN, Course, Releases, Rise, onset
 from toolee_robot.control.motion.touch_force import (
     CONFIRM_SHARE,
     MAX_PHANTOMS,

@@ -10,9 +10,9 @@ import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control.collision import CollisionWorld
-from toolee_robot.control.dynamics.tool_weight import RestReading, ToolWeight, WeighingPrior, rest_reading, weigh
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.planning.wrist_turns import plan_wrist_turns
+from toolee_robot.control.tool_weight import RestReading, ToolWeight, WeighingPrior, rest_reading, weigh
 from toolee_robot.errors import GripDoubtError, PlanningError, WeighingError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS

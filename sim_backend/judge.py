@@ -17,7 +17,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, cross, inverse, transform
-from toolee_robot.sim_backend.ground_truth.verdict import (
+from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.nail import SLIDE, Nail, NailOutcome
+from toolee_robot.sim_backend.physics.wood import driving_work
+from toolee_robot.sim_backend.truth import (
     NOT_BY_FACE,
     OFF_FACE,
     NailTruth,
@@ -30,9 +33,6 @@ from toolee_robot.sim_backend.ground_truth.verdict import (
     strike_offset,
     strike_tilt,
 )
-from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.physics.nail import SLIDE, Nail, NailOutcome
-from toolee_robot.sim_backend.physics.wood import driving_work
 from toolee_robot.types import InHandEstimate
 
 HISTORY_PERIOD = 1 / 240  # [s] between recorded poses

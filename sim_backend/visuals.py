@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
@@ -17,11 +17,103 @@ from toolee_robot.robots.tree import FLANGE_FRAME
 from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.physics.bodies import OBSTACLE_COLOR
 from toolee_robot.sim_backend.physics.wood import NailSpec
-from toolee_robot.sim_backend.visuals.board import BoardVisuals
-from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.station import StationConfig
 from toolee_robot.tools import Tool
+
+
+@dataclass(frozen=True, eq=False)
+class VisualBody:
+    """One visible rigid body.
+
+    Attributes:
+        name: Unique and stable name, which also seeds the surface pattern.
+        mesh: Mesh in the body's frame; built once and kept.
+        X_base_body: Current pose, 4x4.
+        finish: Material for the texture ("wood", "steel_bright", "rubber", "plastic", "skin", ...), see
+            `toolee_robot.render.palette.finish`.
+        color: Color, sRGB in [0, 1].
+        roughness: Roughness of the surface in [0, 1].
+        metallic: Metalness of the surface in [0, 1].
+        grain_axis: Body axis of a wood's grain: 0, 1 or 2.
+        body_id: Id in ground-truth renderings, at least 1; parts of one object share it.
+    """
+
+    name: str
+    mesh: Mesh
+    X_base_body: Array
+    finish: str
+    color: tuple[float, float, float]
+    roughness: float = 0.5
+    metallic: float = 0.0
+    grain_axis: int = 2
+    body_id: int = 1
+
+
+class VisualWorld(Protocol):
+    """A world that can be rendered.
+
+    Attributes:
+        table_height: Height of the table's top over the base plane [m].
+    """
+
+    table_height: float
+
+    def visual_bodies(self) -> Sequence[VisualBody]:
+        """The visual bodies at the current simulated time, without the room."""
+
+
+MARGIN = 0.015
+"""White margin around the squares [m]."""
+_THICKNESS = 0.001
+"""Thickness of the sheet, behind the printed plane [m]."""
+_INK = 5e-5
+"""Distance of the black faces before the sheet [m]."""
+BOARD_ID = 7
+"""Id of the board in ground-truth renderings."""
+
+
+class BoardVisuals:
+    """The visual bodies of a board; meshes are built once.
+
+    Args:
+        placed: The board.
+    """
+
+    def __init__(self, placed: PlacedBoard) -> None:
+        self.placed = placed
+        width, height = placed.board.size
+        self._sheet = box((width + 2 * MARGIN, height + 2 * MARGIN, _THICKNESS))
+        self._X_board_sheet = transform(p=placed.board.center + np.array([0.0, 0.0, _THICKNESS / 2]))
+        self._ink = _faces(placed.board.rectangles)
+
+    def bodies(self, X_base_flange: Array) -> Iterator[VisualBody]:
+        """The visual bodies.
+
+        Args:
+            X_base_flange: Present pose of the flange, (4, 4).
+
+        Yields:
+            The sheet, and its black faces.
+        """
+        X = self.placed.X_frame_board
+        if self.placed.on_flange:
+            X = X_base_flange @ X
+        white, black = (0.93, 0.93, 0.92), (0.05, 0.05, 0.05)
+        yield VisualBody("board_sheet", self._sheet, X @ self._X_board_sheet, "paper", white, 0.9, body_id=BOARD_ID)
+        yield VisualBody("board_ink", self._ink, X, "paper", black, 0.9, body_id=BOARD_ID)
+
+
+def _faces(rectangles: Array) -> Mesh:
+    """Rectangles (R, 4) as faces that look along -z."""
+    x, y, w, h = rectangles.T
+    z = np.full(len(x), -_INK)
+    corners = np.stack([[x, y, z], [x + w, y, z], [x + w, y + h, z], [x, y + h, z]])  # (4, 3, R)
+    vertices = corners.transpose(2, 0, 1).reshape(-1, 3)
+    first = 4 * np.arange(len(x))[:, None]
+    faces = np.concatenate([first + np.array(corner) for corner in ((0, 2, 1), (0, 3, 2))])
+    return Mesh.build(vertices, faces)
+
 
 Color = tuple[float, float, float]
 SHIRT_COLORS: tuple[Color, ...] = ((0.2, 0.3, 0.5), (0.5, 0.2, 0.2), (0.25, 0.4, 0.3), (0.35, 0.35, 0.38))

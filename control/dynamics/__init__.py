@@ -1,1 +1,0 @@
-"""Rigid-body dynamics of the arm, and what a strike asked of it."""

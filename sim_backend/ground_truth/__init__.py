@@ -1,1 +1,0 @@
-"""Ground truth of the simulation, for reports and tests, never for the task."""

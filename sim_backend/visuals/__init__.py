@@ -1,1 +1,0 @@
-"""Visual models of the simulated world, for the simulated camera."""

@@ -1,1 +1,0 @@
-"""The person at a real station, known by digital inputs."""
