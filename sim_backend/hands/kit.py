@@ -8,7 +8,6 @@ from __future__ import annotations
 import heapq
 import os
 import random
-import select
 import socket
 import threading
 import time
@@ -23,6 +22,7 @@ from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array
+from toolee_robot.runtime.readable import readable
 
 Address = tuple[str, int]
 """Host and port."""
@@ -556,7 +556,7 @@ class LineEmulator(HandEmulator[HandT]):
         count = 0
         while not self._over:
             wait = min(RUN_PERIOD_S, max(0.0, due[0][0] - time.monotonic())) if due else RUN_PERIOD_S
-            ready, _, _ = select.select([*self._wire.sources(), self._woken], [], [], wait)
+            ready = readable([*self._wire.sources(), self._woken], wait)
             while due and due[0][0] <= time.monotonic():
                 self._wire.send(heapq.heappop(due)[2])
             data = self._wire.receive(ready)

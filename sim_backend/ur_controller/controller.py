@@ -1,4 +1,4 @@
-"""The controller: its ports and its tick loop, in one thread around `select`.
+"""The controller: its ports and its tick loop, in one thread.
 
 Between ticks the sockets are read as data arrive. In a tick the script's threads run with the latest inputs, the motion
 and the physics advance, the safety system checks its limits, and the services (ports, a world's own) publish.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gc
 import os
-import select
 import time
 from collections import deque
 from collections.abc import Callable
@@ -20,6 +19,7 @@ from typing import get_args
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock, check_real_time_factor, is_loopback
+from toolee_robot.runtime.readable import readable
 from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults, FaultSession
 from toolee_robot.sim_backend.ur_controller.profile import (
     Profile,
@@ -264,7 +264,7 @@ class Controller:
         while True:
             readers = {fd: service for service in self.services for fd in service.filenos()}
             timeout = max(0.0, clock.to_wall_time(due - clock.now()))
-            ready, _, _ = select.select(list(readers), [], [], timeout)
+            ready = readable(list(readers), timeout)
             self.inputs.catching_up = self.schedule.overdue  # the computer may have stalled during the wait
             # A flood on many connections must not delay the tick, and no connection may starve.
             enough = max(due, clock.now()) + self.schedule.period

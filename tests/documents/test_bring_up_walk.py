@@ -11,7 +11,6 @@ import json
 import os
 import pty
 import re
-import select
 import shlex
 import subprocess
 import sys
@@ -28,6 +27,7 @@ from tests.documents.blocks import ROOT, blocks
 from tests.slow_motion import assert_slow
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.robots.dh import DhParameters
+from toolee_robot.runtime.readable import readable
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
 from toolee_robot.types import ArmModel
 
@@ -103,7 +103,7 @@ def at_terminal(words: list[str], folder: Path, robot: Robot) -> tuple[int, str]
         os.close(slave)
         text, answered, deadline = "", 0, time.monotonic() + TIMEOUT
         while time.monotonic() < deadline:
-            if select.select([master], [], [], 0.05)[0]:
+            if readable([master], 0.05):
                 try:
                     text += os.read(master, 1 << 16).decode()
                 except OSError:  # the other end is closed

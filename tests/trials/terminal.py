@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import pty
 import re
-import select
 import signal
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Self
+
+from toolee_robot.runtime.readable import readable
 
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]|\r")
 
@@ -102,7 +103,7 @@ class Terminal:
 
     def _more(self, timeout: float) -> bool:
         """Read what comes; False where the command has ended."""
-        if not select.select([self._fd], [], [], timeout)[0]:
+        if not readable([self._fd], timeout):
             return True
         try:
             data = os.read(self._fd, 65536)

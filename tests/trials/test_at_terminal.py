@@ -18,8 +18,9 @@ from toolee_robot.trials.results import Happened, read_results
 MAIN = "from toolee_robot.cli import main; main()"
 CHEAP = (
     """
-import select, sys, time
+import sys, time
 import toolee_robot.app.job as app
+from toolee_robot.runtime.readable import readable
 
 class Result:
     def __init__(self, interrupted):
@@ -33,7 +34,7 @@ def run_job(spec, out, observer):
     print("job: at the terminal", sys.stdin.isatty(), sys.stderr.isatty())
     try:
         print("job: moving?", flush=True)
-        while not select.select([sys.stdin], [], [], 0.1)[0]:
+        while not readable([sys.stdin.fileno()], 0.1):
             pass  # a signal that came just before a read would wait for its end
         return Result(interrupted=sys.stdin.readline() != "go\\n")
     except KeyboardInterrupt:

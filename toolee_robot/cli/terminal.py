@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import sys
 import termios
 import tty
@@ -15,6 +14,7 @@ from rich.markup import escape
 from rich.status import Status
 
 from toolee_robot.errors import PersonNearError, UserError
+from toolee_robot.runtime.readable import readable
 
 YES = "yes"
 """The only answer that agrees."""
@@ -96,7 +96,7 @@ class TerminalPerson:
 
     def hold_to_run_held(self) -> bool:
         """Whether a motion was confirmed and no key was pressed since; also false once the terminal is closed."""
-        if self._enabled and not self._absent and select.select([sys.stdin], [], [], 0.0)[0]:
+        if self._enabled and not self._absent and readable([sys.stdin.fileno()], 0.0):
             self._enabled = False
         return self._enabled
 

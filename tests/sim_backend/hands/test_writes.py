@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import socket
 import struct
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ import pytest
 
 from tests.errors import raises
 from toolee_robot.errors import UserError
+from toolee_robot.runtime.readable import readable
 from toolee_robot.sim_backend.hands.ability import AbilityEmulator
 from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, ModbusEmulator, foreign
 from toolee_robot.sim_backend.hands.kit import LineFaults, WriteFault, happen
@@ -132,7 +132,7 @@ def wire(request: pytest.FixtureRequest) -> Iterator[tuple[InspireEmulator | Mod
         def ask(frame: str) -> str:
             os.write(end, bytes.fromhex(frame))
             found = b""
-            while select.select([end], [], [], SILENCE)[0]:
+            while readable([end], SILENCE):
                 found += os.read(end, 4096)
             return found.hex(" ").upper()
 

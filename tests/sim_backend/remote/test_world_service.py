@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import threading
 import time
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.hal import Hand, Person, RgbdCamera
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.runtime.readable import readable
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.remote.station import RemoteHand, RemoteJudge, RemotePerson, remote_station
 from toolee_robot.sim_backend.remote.world import Channel
@@ -69,7 +69,7 @@ class Loop(threading.Thread):
         self.ready.set()
         while not self.ended.is_set():
             due = time.monotonic() + PERIOD  # no tick is caught up: that would be the other thread's time
-            for fd in select.select(part.filenos(), [], [], max(0.0, due - time.monotonic()))[0]:
+            for fd in readable(part.filenos(), due - time.monotonic()):
                 part.on_readable(fd)
             if not self.hold.is_set():
                 plant.step(TICK)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import socket
 import termios
 from abc import ABC, abstractmethod
@@ -14,6 +13,7 @@ import serial
 from serial.tools.list_ports import comports
 
 from toolee_robot.errors import ConfigError, NoAnswerError, words_of
+from toolee_robot.runtime.readable import readable
 
 READ_S, CONNECT_S = 0.01, 1.0
 """Longest wait for the first byte, and for a connection."""
@@ -162,7 +162,7 @@ class TcpPort(Port):
         return True
 
     def _receive(self, within: float) -> bytes:
-        if not select.select([self._socket], [], [], within)[0]:
+        if not readable([self._socket.fileno()], within):
             return b""
         data = self._socket.recv(_CHUNK)
         if not data:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from toolee_robot.devices.ur.servo.shared_memory import ServoMemory, StateColumn
 from toolee_robot.errors import DeviceError, LimitError
 from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.runtime.readable import readable
 from toolee_robot.types import Trajectory
 
 
@@ -163,7 +163,7 @@ def test_a_killed_task_cuts_it_though_a_child_of_it_lives_on() -> None:
         assert memory.owner.owner_alive
         task.kill()
         wait_until_cut(memory)
-        assert not select.select([task.stdout], [], [], 0.0)[0], "the child holds it open"
+        assert not readable([task.stdout.fileno()], 0.0), "the child holds it open"
     finally:
         os.killpg(task.pid, signal.SIGKILL)
         task.wait()

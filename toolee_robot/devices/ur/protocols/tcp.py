@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import socket
 import struct
 import threading
@@ -10,6 +9,7 @@ import time
 from contextlib import suppress
 
 from toolee_robot.errors import NoAnswerError, words_of
+from toolee_robot.runtime.readable import readable
 
 _CHUNK = 65536
 _SO_TIMESTAMPNS, _STAMP = 35, struct.Struct("@qq")  # Linux, socket(7); on the wall clock
@@ -110,8 +110,7 @@ def receive(sock: socket.socket, deadline: float) -> bytes:
         NoAnswerError: The connection broke, the peer closed it, or the deadline passed.
     """
     try:
-        ready, _, _ = select.select([sock], [], [], remaining(deadline))
-        data = sock.recv(_CHUNK) if ready else None
+        data = sock.recv(_CHUNK) if readable([sock.fileno()], remaining(deadline)) else None
     except (OSError, ValueError) as error:
         raise NoAnswerError(f"the connection broke: {words_of(error)}", code="no_answer.connection_lost") from error
     if data is None:
