@@ -14,10 +14,16 @@ from dataclasses import dataclass
 from types import CodeType
 
 from toolee_robot.sim_backend.ur_controller.urscript import syntax
-from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
-from toolee_robot.sim_backend.ur_controller.urscript.expressions import Builtin, ExpressionCompiler
+from toolee_robot.sim_backend.ur_controller.urscript.expressions import (
+    Builtin,
+    ExpressionCompiler,
+    assign,
+    at,
+    call,
+    load,
+)
 from toolee_robot.sim_backend.ur_controller.urscript.parser import parse
-from toolee_robot.sim_backend.ur_controller.urscript.python_ast import assign, at, call, load
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import ScriptError
 
 FILE = "<urscript>"
 MAIN = "_program"

@@ -13,10 +13,10 @@ from contextlib import suppress
 from functools import lru_cache
 
 from toolee_robot.sim_backend.ur_controller.urscript.compiler import Compiled, compile_script
-from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
 from toolee_robot.sim_backend.ur_controller.urscript.expressions import Builtin
 from toolee_robot.sim_backend.ur_controller.urscript.functions.library import LIBRARY
 from toolee_robot.sim_backend.ur_controller.urscript.functions.robot import RobotFunctions, function_names
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import ScriptError
 
 SHORT = 512
 """[characters] Length up to which compiling takes no longer than starting a child."""

@@ -1,4 +1,4 @@
-"""Compiler of URScript expressions and calls to Python's `ast`; the first part of `compiler`."""
+"""URScript's expressions as nodes of Python's syntax tree."""
 
 from __future__ import annotations
 
@@ -6,11 +6,59 @@ import ast
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from toolee_robot.sim_backend.ur_controller.urscript import syntax, values
-from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
-from toolee_robot.sim_backend.ur_controller.urscript.python_ast import at, call, load
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import ScriptError
+
+_Node = TypeVar("_Node", bound=ast.AST)
+
+
+def at(node: _Node, line: int) -> _Node:
+    """Set the line of a node.
+
+    Args:
+        node: The node, changed in place.
+        line: Line of the script.
+
+    Returns:
+        The node.
+    """
+    node.lineno = node.end_lineno = line  # type: ignore[attr-defined]
+    node.col_offset = node.end_col_offset = 0  # type: ignore[attr-defined]
+    return node
+
+
+def load(name: str) -> ast.Name:
+    """The value of a variable."""
+    return ast.Name(name, ast.Load())
+
+
+def call(function: str, *arguments: ast.expr) -> ast.Call:
+    """A call of a function.
+
+    Args:
+        function: Name of the function.
+        *arguments: Its positional arguments.
+
+    Returns:
+        The call.
+    """
+    return ast.Call(load(function), list(arguments), [])
+
+
+def assign(name: str, value: ast.expr) -> ast.Assign:
+    """An assignment.
+
+    Args:
+        name: Name of the variable.
+        value: The value.
+
+    Returns:
+        The assignment.
+    """
+    return ast.Assign([ast.Name(name, ast.Store())], value)
+
 
 _ARITHMETIC = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "%": "modulo"}
 _COMPARE: dict[str, type[ast.cmpop]] = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
 from toolee_robot.sim_backend.ur_controller.urscript.syntax import (
     Assign,
     AssignItem,
@@ -25,7 +24,14 @@ from toolee_robot.sim_backend.ur_controller.urscript.syntax import (
     Unary,
     While,
 )
-from toolee_robot.sim_backend.ur_controller.urscript.tokens import Kind, Token, TokenReader, number, tokenise
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import (
+    Kind,
+    ScriptError,
+    Token,
+    TokenReader,
+    number,
+    tokenise,
+)
 
 BINARY = (("or",), ("xor",), ("and",), ("==", "!=", "<", "<=", ">", ">="), ("+", "-"), ("*", "/", "%"))
 """Binary operators, in the order of increasing precedence."""

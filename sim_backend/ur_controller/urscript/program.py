@@ -7,7 +7,9 @@ from collections.abc import Callable
 from enum import IntEnum
 
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
-from toolee_robot.sim_backend.ur_controller.urscript import Compiling, ScriptError, ScriptRuntime
+from toolee_robot.sim_backend.ur_controller.urscript.compiling import Compiling
+from toolee_robot.sim_backend.ur_controller.urscript.runtime import ScriptRuntime
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import ScriptError
 
 WAITING = 20
 """Largest number of uploads that wait to be compiled."""

@@ -11,10 +11,10 @@ from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.registers import Action, Event, EventKind
 from toolee_robot.sim_backend.ur_controller.urscript.compiler import FILE, MAIN
 from toolee_robot.sim_backend.ur_controller.urscript.compiling import compiled
-from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
 from toolee_robot.sim_backend.ur_controller.urscript.expressions import HELPERS
 from toolee_robot.sim_backend.ur_controller.urscript.functions.library import LIBRARY
 from toolee_robot.sim_backend.ur_controller.urscript.functions.robot import RobotFunctions, function_names
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import ScriptError
 
 BUDGET = 20_000
 """Loop iterations and calls per tick and thread, above which a thread is in an endless loop without `sync()`."""

@@ -1,4 +1,4 @@
-"""Tokens of URScript."""
+"""Tokens of URScript, and the error of a script."""
 
 from __future__ import annotations
 
@@ -6,7 +6,24 @@ import re
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
+from toolee_robot.errors import TooleeError
+
+
+class ScriptError(TooleeError):
+    """A script does not parse, or failed while it ran.
+
+    Args:
+        message: What happened.
+        line: Line of the script, 1-based; 0 if unknown.
+
+    Attributes:
+        line: Line of the script, 1-based; 0 if unknown.
+    """
+
+    def __init__(self, message: str, line: int = 0) -> None:
+        super().__init__(f"line {line}: {message}" if line else message)
+        self.line = line
+
 
 KEYWORDS = frozenset(
     {

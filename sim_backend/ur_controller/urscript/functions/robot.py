@@ -2,9 +2,175 @@
 
 from __future__ import annotations
 
-from toolee_robot.sim_backend.ur_controller.urscript.functions.io import IoFunctions
+from collections.abc import Generator
+from math import ceil, isfinite
+from typing import Any
+
+from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
+from toolee_robot.sim_backend.ur_controller.robot.registers import Action, Event, EventKind
 from toolee_robot.sim_backend.ur_controller.urscript.functions.motion import MotionFunctions
 from toolee_robot.sim_backend.ur_controller.urscript.functions.state import StateFunctions
+from toolee_robot.sim_backend.ur_controller.urscript.values import fitting, numbers, text
+
+CONFIGURABLE, TOOL = 8, 16
+"""Index of the first configurable and the first tool channel in the machine's lists."""
+
+
+class IoFunctions:
+    """Functions for time, messages and channels.
+
+    Args:
+        machine: The robot.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+
+    # -- time and messages
+
+    def sync(self) -> Generator[None, None, None]:
+        """Wait for the next tick."""
+        yield
+
+    def sleep(self, t: float) -> Generator[None, None, None]:
+        numbers(t, 0)
+        if not isfinite(t):
+            raise ValueError(f"sleep({t})")
+        for _ in range(max(1, ceil(t * self._machine.model.rate - 1e-6))):
+            yield
+
+    def get_steptime(self) -> float:
+        return self._machine.model.period
+
+    def textmsg(self, s1: Any, s2: Any = "") -> None:
+        self._event(EventKind.TEXT, text(s1) + text(s2))
+
+    def popup(
+        self, s: Any, title: str = "Popup", warning: bool = False, error: bool = False, blocking: bool = False
+    ) -> None:
+        """Show a popup; if blocking, the program pauses until it is resumed."""
+        del warning, error
+        self._event(EventKind.POPUP, f"{title}: {text(s)}")
+        if blocking:
+            self._event(EventKind.PAUSE, "popup")
+
+    def protective_stop(self) -> None:
+        self._event(EventKind.PROTECTIVE_STOP, "asked for by the program")
+
+    def _event(self, kind: EventKind, message: str) -> None:
+        self._machine.events.append(Event(kind, message))
+
+    # -- RTDE
+
+    def rtde_set_watchdog(self, variable_name: str, min_frequency: float, action: str = "pause") -> None:
+        """Require a minimum frequency of writes to a variable [Hz], else ignore, pause or stop."""
+        numbers(min_frequency, 0)
+        if not min_frequency > 0:
+            raise ValueError(f"a watchdog of {min_frequency} Hz")
+        self._machine.watchdogs.set(str(variable_name), float(min_frequency), Action(action))
+
+    def read_input_boolean_register(self, address: int) -> bool:
+        return _at(self._machine.registers.bool_in, address)
+
+    def read_input_integer_register(self, address: int) -> int:
+        return _at(self._machine.registers.int_in, address)
+
+    def read_input_float_register(self, address: int) -> float:
+        return _at(self._machine.registers.float_in, address)
+
+    def read_output_boolean_register(self, address: int) -> bool:
+        return _at(self._machine.registers.bool_out, address)
+
+    def read_output_integer_register(self, address: int) -> int:
+        return _at(self._machine.registers.int_out, address)
+
+    def read_output_float_register(self, address: int) -> float:
+        return _at(self._machine.registers.float_out, address)
+
+    def write_output_boolean_register(self, address: int, value: bool) -> None:
+        _put(self._machine.registers.bool_out, address, _boolean(value))
+
+    def write_output_integer_register(self, address: int, value: int) -> None:
+        numbers(value, 0)
+        _put(self._machine.registers.int_out, address, fitting(int(value)))
+
+    def write_output_float_register(self, address: int, value: float) -> None:
+        numbers(value, 0)
+        _put(self._machine.registers.float_out, address, float(value))
+
+    # -- channels
+
+    def get_standard_digital_in(self, n: int) -> bool:
+        return _at(self._machine.digital_in[:CONFIGURABLE], n)
+
+    def get_configurable_digital_in(self, n: int) -> bool:
+        return _at(self._machine.digital_in[CONFIGURABLE:TOOL], n)
+
+    def get_tool_digital_in(self, n: int) -> bool:
+        return _at(self._machine.digital_in[TOOL:], n)
+
+    def get_digital_in(self, n: int) -> bool:
+        return _at(self._machine.digital_in, n)
+
+    def get_standard_digital_out(self, n: int) -> bool:
+        return _at(self._machine.digital_out[:CONFIGURABLE], n)
+
+    def get_configurable_digital_out(self, n: int) -> bool:
+        return _at(self._machine.digital_out[CONFIGURABLE:TOOL], n)
+
+    def get_tool_digital_out(self, n: int) -> bool:
+        return _at(self._machine.digital_out[TOOL:], n)
+
+    def get_digital_out(self, n: int) -> bool:
+        return _at(self._machine.digital_out, n)
+
+    def set_standard_digital_out(self, n: int, b: bool) -> None:
+        _at(self._machine.digital_out[:CONFIGURABLE], n)
+        self.set_digital_out(n, b)
+
+    def set_configurable_digital_out(self, n: int, b: bool) -> None:
+        _at(self._machine.digital_out[CONFIGURABLE:TOOL], n)
+        self.set_digital_out(CONFIGURABLE + n, b)
+
+    def set_tool_digital_out(self, n: int, b: bool) -> None:
+        _at(self._machine.digital_out[TOOL:], n)
+        self.set_digital_out(TOOL + n, b)
+
+    def set_digital_out(self, n: int, b: bool) -> None:
+        _put(self._machine.digital_out, n, _boolean(b))
+
+    def get_standard_analog_in(self, n: int) -> float:
+        return _at(self._machine.analog_in[:2], n)
+
+    def get_standard_analog_out(self, n: int) -> float:
+        return _at(self._machine.analog_out[:2], n)
+
+    def set_standard_analog_out(self, n: int, f: float) -> None:
+        """Set an analog output to a fraction of its range, 0 to 1."""
+        numbers(f, 0)
+        _at(self._machine.analog_out[:2], n)
+        _put(self._machine.analog_out, n, min(1.0, max(0.0, float(f))))
+
+    def set_analog_out(self, n: int, f: float) -> None:
+        self.set_standard_analog_out(n, f)
+
+
+def _boolean(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"expected a boolean, not {text(value)}")
+    return value
+
+
+def _at(values: list[Any], address: Any) -> Any:
+    if type(address) is not int or not 0 <= address < len(values):
+        raise IndexError(f"there is no channel {text(address)}: 0 to {len(values) - 1}")
+    return values[address]
+
+
+def _put(values: list[Any], address: Any, value: Any) -> None:
+    _at(values, address)
+    values[address] = value
+
 
 E_SERIES_ONLY = frozenset(
     {

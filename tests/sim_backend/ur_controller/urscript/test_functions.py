@@ -15,7 +15,7 @@ from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
 from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E
 from toolee_robot.sim_backend.ur_controller.robot.registers import EventKind
-from toolee_robot.sim_backend.ur_controller.urscript import ScriptError
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import ScriptError
 
 
 def written(robot: ScriptRobot, expression: str, count: int = 6) -> Array:

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from tests.sim_backend.ur_controller.urscript.script_robot import ScriptRobot
-from toolee_robot.sim_backend.ur_controller.urscript import ScriptError
 from toolee_robot.sim_backend.ur_controller.urscript import syntax as s
 from toolee_robot.sim_backend.ur_controller.urscript.parser import parse
-from toolee_robot.sim_backend.ur_controller.urscript.tokens import INT_MAX, KEYWORDS
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import INT_MAX, KEYWORDS, ScriptError
 
 # -- expressions mean what they mean in Python, except that integers have 32 bits and booleans are no numbers
 
