@@ -5,7 +5,6 @@ Every mistake in the input is a `UserError` that names the file and says what to
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,11 @@ from numpy.typing import NDArray
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.image_files import IMAGE_SUFFIXES, read_depth, read_rgb
+from toolee_robot.runtime.files import read_array, read_json, read_text
 from toolee_robot.types import CameraIntrinsics, RgbdFrame, ToolEstimate
+
+LONGEST_OF_A_PART = 20.0
+"""Largest focal length of a part that was cut out of an image, in widths of the part."""
 
 
 def parse_intrinsics(text: str, width: int, height: int) -> CameraIntrinsics:
@@ -52,10 +55,10 @@ def make_intrinsics(fx: float, fy: float, cx: float, cy: float, width: int, heig
     """Checked pinhole intrinsics.
 
     Args:
-        fx: Focal length in x [px], at least 10.
-        fy: Focal length in y [px], positive.
-        cx: Principal point in x [px], inside of the image.
-        cy: Principal point in y [px], inside of the image.
+        fx: Focal length in x [px].
+        fy: Focal length in y [px].
+        cx: Principal point in x [px].
+        cy: Principal point in y [px].
         width: Image width [px].
         height: Image height [px].
 
@@ -63,24 +66,15 @@ def make_intrinsics(fx: float, fy: float, cx: float, cy: float, width: int, heig
         The camera's intrinsics.
 
     Raises:
-        UserError: A value is not finite or outside of these bounds.
+        UserError: No camera has them; see `CameraIntrinsics.problems`.
     """
-    if not np.all(np.isfinite([fx, fy, cx, cy])):
+    camera = CameraIntrinsics(fx, fy, cx, cy, width, height)
+    if wrong := camera.problems(longest=LONGEST_OF_A_PART):
+        told = "; ".join(f"{name}: {text}" for name, text in wrong)
         raise UserError(
-            f"intrinsics {fx},{fy},{cx},{cy} are not finite: give four numbers in pixels", code="user.intrinsics"
+            f"these are no intrinsics of the {width}x{height} image in pixels: {told}", code="user.intrinsics"
         )
-    if fx <= 0 or fy <= 0:
-        raise UserError(f"focal lengths must be positive pixels, got fx {fx}, fy {fy}", code="user.intrinsics")
-    if fx < 10:
-        raise UserError(
-            f"fx = {fx} px is no camera's focal length: give pixels, not millimetres", code="user.intrinsics"
-        )
-    if not (0 <= cx <= width and 0 <= cy <= height):
-        raise UserError(
-            f"the image centre {cx},{cy} lies outside of the {width}x{height} image: wrong order or camera?",
-            code="user.intrinsics",
-        )
-    return CameraIntrinsics(fx, fy, cx, cy, width, height)
+    return camera
 
 
 def read_pose(path: Path) -> Array:
@@ -98,12 +92,12 @@ def read_pose(path: Path) -> Array:
     """
     try:
         if path.suffix == ".npy":
-            values = np.load(path, allow_pickle=False)
+            values = read_array(path)
         elif path.suffix == ".json":
-            data = json.loads(path.read_text())
+            data = read_json(path)
             values = next(iter(data.values())) if isinstance(data, dict) and len(data) == 1 else data
         else:
-            values = [float(v) for v in path.read_text().replace(",", " ").replace("[", " ").replace("]", " ").split()]
+            values = [float(v) for v in read_text(path).replace(",", " ").replace("[", " ").replace("]", " ").split()]
         flat = np.asarray(values, dtype=np.float64).reshape(-1)
     except OSError as error:
         raise UserError(f"cannot read the pose file {path}: {words_of(error)}", code="user.pose_unreadable") from error
@@ -219,7 +213,7 @@ def bop_images(directory: Path) -> list[BopImage]:
             code="user.bop_folder",
         )
     try:
-        cameras = json.loads(path.read_text())
+        cameras = read_json(path)
     except OSError as error:
         raise UserError(
             f"cannot read {path}: a BOP scene folder has rgb/, depth/ and scene_camera.json", code="user.bop_camera"
@@ -252,6 +246,16 @@ def _bop_image(path: Path, key: str, entry: Any, rgbs: dict[int, Path], depths: 
         ) from error
     if len(K) != 9:
         raise UserError(f'{path}, image "{key}": cam_K has {len(K)} numbers, not 9', code="user.bop_camera")
+    if (K[1], K[3], *K[6:]) != (0.0, 0.0, 0.0, 0.0, 1.0):
+        raise UserError(
+            f'{path}, image "{key}": cam_K is no camera matrix by rows, fx 0 cx, 0 fy cy, 0 0 1', code="user.bop_camera"
+        )
+    if not 0.0 < scale < 1.0:
+        raise UserError(
+            f'{path}, image "{key}": depth_scale {scale * 1e3:g} is not the millimetres of one unit: 1 for '
+            "millimetres, 0.1 for tenths",
+            code="user.bop_camera",
+        )
     for kind, files in (("rgb", rgbs), ("depth", depths)):
         if im_id not in files:
             raise UserError(

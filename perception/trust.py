@@ -24,6 +24,7 @@ from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME as RE
 from toolee_robot.perception.pose import weights
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.pose.confidence import ConfidenceModel
+from toolee_robot.runtime.files import read_json
 
 NAME = "trust"
 FEATURES = (
@@ -116,7 +117,7 @@ class Trust:
         if (detector_folder or weight_files.WEIGHTS_DIR) != folder or not path.is_file():
             return cls()
         try:
-            card = json.loads(path.read_text())
+            card = read_json(path)
             model, fitted_for = ConfidenceModel.from_dict(card["model"], FEATURES), card["fitted_for"]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise AssetError(

@@ -16,7 +16,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from toolee_robot.errors import AssetError, words_of
-from toolee_robot.runtime.files import sha256
+from toolee_robot.runtime.files import read_json, sha256
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
 """Folder of the shipped weights."""
@@ -70,7 +70,7 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
     directory = WEIGHTS_DIR if directory is None else directory
     path = directory / f"{name}.json"
     try:
-        description = json.loads(path.read_text())
+        description = read_json(path)
     except OSError as error:
         raise AssetError(
             f"weight description {path} is missing: reinstall the package, or train with "

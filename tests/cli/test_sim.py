@@ -253,7 +253,7 @@ def test_the_papers_estimator_takes_the_pose_networks_place(tmp_path: Path) -> N
     assert "perceive" in record["stage_seconds"]
 
 
-@pytest.mark.parametrize("sign", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("sign", [signal.SIGINT, pytest.param(signal.SIGHUP, marks=pytest.mark.nightly)])
 def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal.Signals) -> None:
     process = _start(tmp_path, "--variant", "perfect_perception", "--seed", "101", "--json")
     assert process.stderr is not None

@@ -57,9 +57,12 @@ def run_folder(out: Path, name: str) -> Iterator[RunFolder]:
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     made_out = not out.exists()
     final = out / f"{stamp}-{name}"
-    path = out / f".{final.name}.partial"
+    path, n = out / f".{final.name}.partial", 2
     try:
-        path.mkdir(parents=True, exist_ok=False)
+        out.mkdir(parents=True, exist_ok=True)
+        while path.exists():  # of another job that has begun in the same second
+            path, n = out / f".{final.name}-{n}.partial", n + 1
+        path.mkdir()
     except OSError as error:
         raise UserError(
             f"cannot write runs to {out}: {words_of(error)}; choose another --out",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from toolee_robot.errors import ConfigError, words_of
-from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.files import read_json, write_atomic
 from toolee_robot.runtime.yaml_files import to_record
 
 SIGNATURE = "sha256"
@@ -53,8 +53,8 @@ def read_signed(path: Path, kind: type[T], what: str) -> T:
             record (`config.invalid`).
     """
     try:
-        data = json.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        data = read_json(path)
+    except (OSError, ValueError) as error:
         message = f"cannot read the {what} {path} that `toolee calibrate` writes: {words_of(error)}"
         raise ConfigError(message, code="config.unreadable") from error
     if not isinstance(data, dict) or SIGNATURE not in data:

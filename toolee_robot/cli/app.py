@@ -63,7 +63,10 @@ def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: N
     """
     words = sys.argv[1:] if args is None else list(args)
     as_json = "--json" in words
-    previous = signal.signal(signal.SIGTERM, _terminate)  # SIGTERM stops the arm as Ctrl-C does
+    heard = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    for number, handler in heard.items():  # they stop the arm as Ctrl-C does; nohup ignores a terminal that is closed
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, _terminate)
     try:
         command = parse(words)
         as_json = getattr(command, "json", False)
@@ -88,7 +91,8 @@ def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: N
         print("Interrupted.", file=sys.stderr)
         return EXIT_INTERRUPTED
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for number, handler in heard.items():
+            signal.signal(number, handler)
 
 
 def parse(words: Sequence[str]) -> Command:

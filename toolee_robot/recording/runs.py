@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from toolee_robot.errors import UserError
 from toolee_robot.recording import RECORDING
+from toolee_robot.runtime.files import read_json
 
 
 def list_runs(folder: Path) -> list[dict[str, Any]]:
@@ -54,7 +54,7 @@ def _order(path: Path) -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        summary: dict[str, Any] = json.loads((path / "summary.json").read_text())
+        summary: dict[str, Any] = read_json(path / "summary.json")
     except (OSError, ValueError):
         summary = {}
     try:

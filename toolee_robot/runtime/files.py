@@ -1,14 +1,25 @@
-"""Atomic writing of files."""
+"""Files: written whole or not at all; read with a limit, and with errors that can be told."""
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
+import json
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tokenize import TokenError
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError, words_of
+
+LARGEST_TEXT = 64 * 1024**2
+"""Of a text file that is read [bytes]: the results of 10,000 trials take 30 MB."""
 
 
 @contextmanager
@@ -67,3 +78,126 @@ def sha256(path: Path) -> str:
     """
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Claim an output folder for this process; a process that was killed claims nothing.
+
+    Args:
+        folder: The folder, which exists.
+
+    Raises:
+        UserError: Another process has claimed it (`user.folder_in_use`); the message has its number.
+    """
+    with (folder / ".claim").open("a+") as claim:
+        try:
+            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            claim.seek(0)
+            raise UserError(
+                f"{folder} is in use by process {claim.read()}: wait for it, or choose another --out",
+                code="user.folder_in_use",
+            ) from None
+        claim.truncate(0)
+        claim.write(str(os.getpid()))
+        claim.flush()
+        yield
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """Read a file that is not larger than it may be.
+
+    Args:
+        path: The file.
+        most: Its largest size [bytes].
+
+    Returns:
+        Its content.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no file, such as `/dev/zero`, or too large.
+    """
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):
+        raise ValueError("it is a folder or a device, no file")
+    if about.st_size > most:
+        raise ValueError(f"it has {about.st_size:,} bytes, more than {most:,}")
+    return path.read_bytes()
+
+
+def read_text(path: Path) -> str:
+    """Read a text file in UTF-8, whatever the locale.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Its text, without a byte order mark.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no text in UTF-8, or too large.
+    """
+    try:
+        return read_bytes(path, LARGEST_TEXT).decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"byte {error.start} is no text in UTF-8: save it in that encoding") from None
+
+
+def from_json(text: str | bytes) -> Any:
+    """Read strict JSON.
+
+    Args:
+        text: The text.
+
+    Returns:
+        Its value, of finite numbers.
+
+    Raises:
+        ValueError: It is no JSON, holds NaN or infinity, or is nested too deeply.
+    """
+    try:
+        return json.loads(text, parse_constant=_refuse)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def read_json(path: Path) -> Any:
+    """Read a file of strict JSON.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Its value, of finite numbers.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no text, or no JSON; see `from_json`.
+    """
+    return from_json(read_text(path))
+
+
+def read_array(path: Path) -> NDArray[Any]:
+    """Read a `.npy` array.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The array, of the file's shape and type.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no array of numbers, or not as long as it says.
+    """
+    try:
+        return np.array(np.load(path, mmap_mode="r", allow_pickle=False))  # a map is never longer than the file
+    except (EOFError, OverflowError, SyntaxError, TypeError, RecursionError, TokenError) as error:  # of a damaged head
+        raise ValueError(f"its head is damaged: {error}") from None
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is no number of JSON")

@@ -12,7 +12,9 @@ import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from toolee_robot.errors import ConfigError, words_of
+from toolee_robot.runtime.files import read_text
 from toolee_robot.runtime.yaml_lines import YamlLines
+from toolee_robot.types.units import shown
 
 T = TypeVar("T")
 IN_FILE = "in_file"
@@ -24,6 +26,12 @@ _ADAPTERS: dict[type[Any], TypeAdapter[Any]] = {}
 
 class _UniqueKeys(yaml.SafeLoader):
     """Refuses a key that is given twice, of which YAML would silently take the last one."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, LookupError, AttributeError) as error:  # such as 2026-02-30, or !!bool abc
+            raise yaml.constructor.ConstructorError(None, None, f"no value: {error}", node.start_mark) from None
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
@@ -49,13 +57,15 @@ def read_yaml(path: Path, what: str) -> Any:
         ConfigError: It cannot be read, or gives a key twice.
     """
     try:
-        return yaml.load(path.read_text(), _UniqueKeys)  # a SafeLoader
+        return yaml.load(read_text(path), _UniqueKeys)  # a SafeLoader
     except FileNotFoundError:
         raise ConfigError(f"there is no {what} {path}", code="config.unreadable") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"the {what} {path} is no text: give a YAML file", code="config.unreadable") from None
-    except (OSError, yaml.YAMLError) as error:
-        raise ConfigError(f"cannot read the {what} {path}: {words_of(error)}", code="config.unreadable") from error
+    except RecursionError:
+        message = f"cannot read the {what} {path}: it is nested too deeply"
+        raise ConfigError(message, code="config.unreadable") from None
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        why = words_of(error).replace('in "<unicode string>", ', "")
+        raise ConfigError(f"cannot read the {what} {path}: {why}", code="config.unreadable") from error
 
 
 def read_record(path: Path, kind: type[T], what: str) -> T:
@@ -112,7 +122,7 @@ def _said(kind: type[Any], loc: Sequence[int | str], error: Any) -> str:
             near = difflib.get_close_matches(str(loc[-1]), _names_at(kind, loc[:-1]), 1)
             text = "there is no such field" + (f": did you mean {near[0]}?" if near else "")
         case "string_type":
-            text = f"a text is needed, {error['input']!r} is none: put it in quotes"
+            text = f"a text is needed, {shown(error['input'])} is none: put it in quotes"
         case "dataclass_type":
             text = "fields with their values are needed, such as `name: value`"
         case "value_error":

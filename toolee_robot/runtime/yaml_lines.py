@@ -8,6 +8,8 @@ from typing import Any
 
 import yaml
 
+from toolee_robot.runtime.files import read_text
+
 
 class YamlLines:
     """Where the fields of a YAML file are. Of a file that cannot be read nothing is told.
@@ -18,8 +20,8 @@ class YamlLines:
 
     def __init__(self, path: Path) -> None:
         try:
-            self._root = yaml.compose(path.read_text(), yaml.SafeLoader)
-        except (OSError, ValueError, yaml.YAMLError):
+            self._root = yaml.compose(read_text(path), yaml.SafeLoader)
+        except (OSError, ValueError, RecursionError, yaml.YAMLError):
             self._root = None
 
     def told(self, place: Sequence[int | str]) -> str:

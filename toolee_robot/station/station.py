@@ -28,12 +28,6 @@ from toolee_robot.station.values import STRICT
 from toolee_robot.station.version import FIELD, is_current
 from toolee_robot.station.work import WorkConfig
 
-LENSES = (0.3, 4.0)
-"""Smallest and largest focal length, in widths of the image."""
-ASPECT = 2.0
-"""Largest ratio of the two focal lengths."""
-OFF_CENTRE = 0.25
-"""Largest distance of the principal point from the image's middle, in sizes of the image."""
 SIM = Path(__file__).with_name("sim.yaml")
 """The simulated station's file."""
 IN_TABLE = 0.02
@@ -231,19 +225,7 @@ def check_lens(camera: CameraConfig, path: Path) -> None:
     Raises:
         ConfigError: They belong to another size of the image, or are mistyped; the message names field and line.
     """
-    lines, k = YamlLines(path), camera
-    wrong = [
-        (name, f"{value:g} px is no focal length of a {k.width} px wide image")
-        for name, value in (("fx", k.fx), ("fy", k.fy))
-        if not LENSES[0] <= value / k.width <= LENSES[1]
-    ]
-    if not wrong and not 1.0 / ASPECT <= k.fx / k.fy <= ASPECT:
-        wrong = [("fy", f"{k.fy:g} px beside fx {k.fx:g} px: pixels are about square")]
-    wrong += [
-        (name, f"{value:g} px is far from the middle of {size} px: the principal point of another size of the image")
-        for name, value, size in (("cx", k.cx, k.width), ("cy", k.cy, k.height))
-        if abs(value / size - 0.5) > OFF_CENTRE
-    ]
+    lines, wrong = YamlLines(path), camera.intrinsics.problems()
     if wrong:
         told = [f"camera.{n}: {text}" + (f" ({w})" if (w := lines.told(("camera", n))) else "") for n, text in wrong]
         raise ConfigError(f"{path} is not a valid station: {'; '.join(told)}", code="config.invalid")

@@ -17,7 +17,7 @@ from toolee_robot.app.variant import SIMULATED_ONLY, Variant
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.station import ToolData
-from toolee_robot.station.values import STRICT, Count, NotNegative, Positive
+from toolee_robot.station.values import STRICT, NotNegative, Positive
 
 FIRST = frozenset({"name", "first_seed", "trials", "arms", "errors"})
 """Fields that count in the hash always; the others only where they say something, since published plans lack them."""
@@ -120,7 +120,7 @@ class TrialPlan:
     """Name, for the report's title."""
     first_seed: Annotated[int, Field(ge=0)]
     """The first seed; on a robot the number of the first repetition, such as 1."""
-    trials: Count
+    trials: Annotated[int, Field(ge=1, le=100_000)]
     """Number of seeds, one after the other but for those `left_out`; on a robot of repetitions."""
     arms: Annotated[tuple[Variant, ...], Field(min_length=1)] = (Variant.FULL,)
     """Arms, compared with the first one."""

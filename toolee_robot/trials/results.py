@@ -18,7 +18,8 @@ from typing import Any, Self
 import toolee_robot
 from toolee_robot.app.variant import Variant
 from toolee_robot.errors import UserError, words_of
-from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.files import claimed, from_json, read_text, write_atomic
+from toolee_robot.runtime.json_line import json_line
 from toolee_robot.trials.plan import Trial, TrialPlan
 
 RESULTS = "trials.jsonl"
@@ -100,24 +101,30 @@ class Results:
         events: What else happened.
 
     Raises:
-        UserError: The folder holds another plan's trials; code `user.other_plan`.
+        UserError: When it is entered: the folder holds another plan's trials (`user.other_plan`), its file is none of
+            trials (`user.no_results`), or another process works on them (`user.folder_in_use`).
     """
 
     def __init__(self, plan: TrialPlan, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / RESULTS
-        _begin(path, plan)
-        self._plan = plan
-        self.done, self.events = _read(path, plan)
-        self._file = path.open("a")
+        self._plan, self._path = plan, folder / RESULTS
+        self._claim = claimed(folder)
 
     def __enter__(self) -> Self:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._claim.__enter__()
+        try:
+            self.done, self.events = _begun(self._path, self._plan)
+            self._file = self._path.open("a")
+        except BaseException:
+            self._claim.__exit__(None, None, None)
+            raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._file.close()
+        self._claim.__exit__(None, None, None)
 
     @property
     def records(self) -> list[Record]:
@@ -146,7 +153,7 @@ class Results:
         self.events.append(event)
 
     def _append(self, line: dict[str, Any]) -> None:
-        os.write(self._file.fileno(), (json.dumps(line) + "\n").encode())
+        os.write(self._file.fileno(), (json_line(line) + "\n").encode())
         os.fsync(self._file.fileno())
 
 
@@ -190,32 +197,32 @@ def read_results_file(plan: TrialPlan, path: Path) -> tuple[list[Record], list[E
     return [done[trial] for trial in plan.jobs() if trial in done], events
 
 
-def _begin(path: Path, plan: TrialPlan) -> None:
-    """Make the file, or let it end with a whole line."""
-    data = path.read_bytes() if path.exists() else b""
-    if data:  # a process may have been killed while it wrote
-        os.truncate(path, data.rfind(b"\n") + 1)
-    if b"\n" not in data:
+def _begun(path: Path, plan: TrialPlan) -> tuple[dict[Trial, Record], list[Event]]:
+    """Make the file, or read it and let it end with a whole line; what is not this plan's is not touched."""
+    if not path.exists():
         head = {"plan": asdict(plan), "hash": plan.hash, "version": toolee_robot.__version__}
         write_atomic(path, (json.dumps(head) + "\n").encode())
+    done = _read(path, plan)
+    os.truncate(path, path.read_bytes().rfind(b"\n") + 1)  # a process may have been killed while it wrote
+    return done
 
 
 def _read(path: Path, plan: TrialPlan) -> tuple[dict[Trial, Record], list[Event]]:
     try:
-        lines = path.read_text().splitlines(keepends=True)
-        head, *rest = [json.loads(line) for line in lines if line.endswith("\n")]
-        other = head["hash"] != plan.hash
-    except (OSError, ValueError, TypeError, KeyError) as error:
+        head, *rest = [from_json(line) for line in read_text(path).split("\n")[:-1]]
+        other, named = head["hash"] != plan.hash, f"{head['plan']['name']!r} ({head['hash'][:12]})"
+        records = [] if other else [_record(line) for line in rest if "event" not in line]
+        events = [] if other else [_event(line["event"]) for line in rest if "event" in line]
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         why = words_of(error) if isinstance(error, OSError) else "it does not begin with a plan, or a line is damaged"
         raise UserError(f"{path} holds no results of trials: {why}", code="user.no_results") from error
     if other:
         raise UserError(
-            f"{path} holds the trials of another plan, {head['plan']['name']!r} ({head['hash'][:12]}): this one is "
+            f"{path} holds the trials of another plan, {named}: this one is "
             f"{plan.hash[:12]}. A plan is not changed once its trials have begun: give another --out",
             code="user.other_plan",
         )
-    records = [_record(line) for line in rest if "event" not in line]
-    return {record.trial: record for record in records}, [_event(line["event"]) for line in rest if "event" in line]
+    return {record.trial: record for record in records}, events
 
 
 def _trial(trial: Trial) -> dict[str, Any]:

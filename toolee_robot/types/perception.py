@@ -12,6 +12,13 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, skew
 
+LENSES = (0.3, 4.0)
+"""Smallest and largest focal length, in widths of the image."""
+ASPECT = 2.0
+"""Largest ratio of the two focal lengths."""
+OFF_CENTRE = 0.25
+"""Largest distance of the principal point from the image's middle, in sizes of the image."""
+
 
 @dataclass(frozen=True)
 class CameraIntrinsics:
@@ -34,6 +41,28 @@ class CameraIntrinsics:
     cy: float
     width: int
     height: int
+
+    def problems(self, longest: float = LENSES[1]) -> list[tuple[str, str]]:
+        """Find what no camera's pinhole model has.
+
+        Args:
+            longest: Largest focal length, in widths of the image; more of a part that was cut out.
+
+        Returns:
+            Names of fields, and what is wrong with each; none of a camera's.
+        """
+        wrong = [
+            (name, f"{value:g} px is no focal length of a {self.width} px wide image")
+            for name, value in (("fx", self.fx), ("fy", self.fy))
+            if not LENSES[0] <= value / self.width <= longest
+        ]
+        if not wrong and not 1.0 / ASPECT <= self.fx / self.fy <= ASPECT:
+            wrong = [("fy", f"{self.fy:g} px beside fx {self.fx:g} px: pixels are about square")]
+        return wrong + [
+            (name, f"{value:g} px is far from the middle of {size} px: of another size of the image, or in wrong order")
+            for name, value, size in (("cx", self.cx, self.width), ("cy", self.cy, self.height))
+            if not abs(value / size - 0.5) <= OFF_CENTRE
+        ]
 
     @property
     def matrix(self) -> Array:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite, pi
 from typing import Annotated, Any
 
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel = 1
 OTHER_UNITS = {
     "m": (("millimetres", 1e-3),),
     "rad": (("degrees", pi / 180.0),),
@@ -58,7 +61,7 @@ class Unit:
             number = float("nan")
         if not isfinite(number):
             raise ValueError(
-                f"a number is needed, {str(value)[:40]!r} is none: digits, a point for decimals, no unit ({self.range})"
+                f"a number is needed, {shown(value)} is none: digits, a point for decimals, no unit ({self.range})"
             )
         if self.low <= number <= self.high:
             return value
@@ -96,3 +99,8 @@ Direction = tuple[Part, Part, Part]
 Near = Annotated[float, Metres(-1.0, 1.0, "on or beside a flange or a tool")]
 NearPoint = tuple[Near, Near, Near]
 """A point of a hand, a mount or a tool."""
+
+
+def shown(value: Any) -> str:
+    """A value of a file in a message, of any size and depth, on part of a line."""
+    return _SHORT.repr(value)

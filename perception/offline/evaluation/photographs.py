@@ -25,7 +25,7 @@ from toolee_robot.perception.image_files import read_depth, read_rgb
 from toolee_robot.perception.io import make_intrinsics
 from toolee_robot.perception.offline.annotation.poses import Box, position_sigma, rotation_sigma
 from toolee_robot.perception.pipeline import ToolPerception
-from toolee_robot.types import RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraIntrinsics, RgbdFrame, ToolEstimate
 
 HALVES = ("A", "B")
 """The halves of a set: A to choose by, B to report."""
@@ -143,7 +143,7 @@ def crops(photograph: Photograph) -> list[Photograph]:
         x = int(np.clip((end.box[0] + end.box[2]) / 2 - w / 2, 0, width - w))
         y = int(np.clip((end.box[1] + end.box[3]) / 2 - h / 2, 0, height - h))
         K = photograph.frame.intrinsics
-        inside = make_intrinsics(K.fx, K.fy, float(np.clip(K.cx - x, 0, w)), float(np.clip(K.cy - y, 0, h)), w, h)
+        inside = CameraIntrinsics(K.fx, K.fy, float(np.clip(K.cx - x, 0, w)), float(np.clip(K.cy - y, 0, h)), w, h)
         part = np.s_[y : y + h, x : x + w]
         frame = RgbdFrame(photograph.frame.rgb[part].copy(), photograph.frame.depth[part].copy(), inside)
         others = [e.box for j, e in enumerate(photograph.ends) if j != k]

@@ -21,7 +21,7 @@ from toolee_robot.devices.cameras.lens import Lens, LensModel
 from toolee_robot.devices.cameras.stream import CameraProfile, RawImages
 from toolee_robot.errors import NoAnswerError, UserError, words_of
 from toolee_robot.hal import Clock
-from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.files import read_json, write_atomic
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 RECORDING = "recording.json"
@@ -197,7 +197,7 @@ def recording_of(images: Path) -> Recording | None:
 
 def _read(path: Path) -> Any:
     try:
-        return json.loads(path.read_text())
+        return read_json(path)
     except (OSError, ValueError) as error:
         message = f"cannot read {path}: give the folder of a recording by `toolee camera record`"
         raise UserError(message, code="user.camera_recording") from error

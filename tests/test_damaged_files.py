@@ -1,0 +1,304 @@
+"""What a damaged or foreign file does: an error that names it, or the right value; soon, and in little memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.errors import raises
+from tests.examples import examples
+from toolee_robot.app.run_folder import run_folder
+from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord
+from toolee_robot.calibration.signed import read_signed, write_signed
+from toolee_robot.errors import ConfigError, TooleeError, UserError
+from toolee_robot.perception.image_files import read_depth, read_rgb
+from toolee_robot.perception.io import bop_images, parse_intrinsics, read_pose
+from toolee_robot.runtime.files import claimed, from_json, read_text
+from toolee_robot.station import load_station
+from toolee_robot.trials import TrialPlan, load_plan
+from toolee_robot.trials.results import RESULTS, Happened, Results, read_results
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+PLAN = TrialPlan("a plan", 1, 2)
+LONGEST = 5.0
+"""[s] That a reader may take of a damaged file on a machine that is busy."""
+
+_BOMB = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 8)}]\n" for i in range(1, 14))
+YAMLS = {
+    "no such day": "robot: {host: 2026-02-30}",
+    "a number of 5,000 digits": f"strike: {{touch_force: {'9' * 5000}}}",
+    "no whole number": "robot: {host: !!int abc}",
+    "no truth value": "robot: {host: !!bool abc}",
+    "no time": "robot: {host: !!timestamp abc}",
+    "5,000 brackets": f"hand: {'[' * 5000}{']' * 5000}",
+    "an alias bomb in a number": f"{_BOMB}strike: {{touch_force: *a13}}",
+    "an alias bomb in a text": f"{_BOMB}hand: {{model: *a13}}",
+    "itself": "strike: &a {touch_force: *a}",
+    "Latin-1": "hand: {model: hämmer}".encode("latin-1"),
+    "UTF-16": "hand: {model: hammer}".encode("utf-16"),
+    "zeros": bytes(100),
+}
+
+
+@pytest.mark.parametrize("name", YAMLS)
+@pytest.mark.parametrize("read", [load_station, load_plan])
+def test_a_yaml_file_that_cannot_be_is_named(name: str, read: Callable[[Path], Any], tmp_path: Path) -> None:
+    path, data = tmp_path / "lab.yaml", YAMLS[name]
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    began = time.monotonic()
+    with pytest.raises(ConfigError) as refused:
+        read(path)
+    assert time.monotonic() - began < LONGEST
+    assert str(path) in str(refused.value)
+    assert len(str(refused.value)) < 5000
+
+
+def test_a_device_is_no_file_and_an_endless_one_is_not_read() -> None:
+    with raises(ConfigError, code="config.unreadable") as refused:
+        load_station(Path("/dev/zero"))
+    assert "no file" in str(refused.value)
+
+
+def test_text_is_read_whatever_the_locale(tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_bytes(b"\xef\xbb\xbf" + "name: Hämmer\r\n".encode())
+    program = (
+        "import sys; from pathlib import Path; from toolee_robot.runtime.files import read_text\n"
+        "print(ascii(read_text(Path(sys.argv[1]))))"
+    )
+    told = subprocess.run([sys.executable, "-c", program, path], env={**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0"},
+                          capture_output=True, text=True, check=True)  # fmt: skip
+    assert told.stdout.strip() == r"'name: H\xe4mmer\n'"
+    assert read_text(path) == "name: Hämmer\n"
+
+
+@pytest.mark.parametrize("text", ["NaN", "[-Infinity]", "[" * 100_000, "9" * 5000, "", "{", '{"a": 1}}'])
+def test_json_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"\w"):
+        from_json(text)
+
+
+# -- images and arrays ------------------------------------------------------------------------------------------------
+
+
+def test_an_image_too_large_for_the_memory_is_not_decoded(tmp_path: Path) -> None:
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    rows = zlib.compress(bytes(40_001 * 100))
+    head = struct.pack(">IIBBBBB", 20_000, 20_000, 16, 0, 0, 0, 0)
+    path = tmp_path / "large.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
+    for read in (read_rgb, read_depth):
+        with raises(UserError, code="user.file_unreadable") as refused:
+            read(path)
+        assert "pixels" in str(refused.value)
+
+
+def test_an_array_is_not_longer_than_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "depth.npy"
+    np.save(path, np.ones((4, 4)))
+    sound = path.read_bytes()
+    longer = sound.replace(b"(4, 4)", b"(999999, 999999)").replace(b" " * 10, b"", 1)
+    for data in (longer, sound[:20], sound[:-1], sound[:70], b"", b"\x93NUMPY"):
+        path.write_bytes(data)
+        for read in (read_depth, read_pose):
+            with pytest.raises(UserError) as refused:
+                read(path)
+            assert str(path) in str(refused.value)
+
+
+# -- camera matrices --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", ["500,500,64,48", "500,5,32,24", "500,1e9,32,24", "1e9,1e9,32,24", "500,500,32,1"])
+def test_intrinsics_of_no_camera_are_refused(text: str) -> None:
+    with raises(UserError, code="user.intrinsics"):
+        parse_intrinsics(text, 64, 48)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"cam_K": [365, 0, 0, 0, 366, 0, 16, 12, 1]},  # by columns
+        {"cam_K": [365, 0, 16, 0, 366, 12, 0, 0, 2]},
+        {"cam_K": [365, 0, 16, 0, 366, 12, 0, 0, 1], "depth_scale": 0},
+        {"cam_K": [365, 0, 16, 0, 366, 12, 0, 0, 1], "depth_scale": "NaN"},
+    ],
+)
+def test_a_scenes_matrix_is_a_camera_matrix_by_rows_and_its_depth_has_a_scale(
+    entry: dict[str, Any], tmp_path: Path
+) -> None:
+    for kind in ("rgb", "depth"):
+        (tmp_path / kind).mkdir()
+        cv2.imwrite(str(tmp_path / kind / "000000.png"), np.full((24, 32), 9000, np.uint16))
+    (tmp_path / "scene_camera.json").write_text(json.dumps({"0": entry}))
+    with raises(UserError, code="user.bop_camera") as refused:
+        bop_images(tmp_path)
+    assert "cam_K" in str(refused.value) or "depth_scale" in str(refused.value)
+    assert "--" not in str(refused.value), "no option of a single frame"
+
+
+# -- what other work has left -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text", ["a text that somebody keeps here", "a line\nand another", '{"hash": 1}\n', "[]\n", '"x"\n']
+)
+def test_a_file_that_is_none_of_trials_is_not_touched(text: str, tmp_path: Path) -> None:
+    (tmp_path / RESULTS).write_text(text)
+    with pytest.raises(UserError), Results(PLAN, tmp_path):
+        pass
+    assert (tmp_path / RESULTS).read_text() == text
+
+
+def test_another_plans_unfinished_line_is_not_cut(tmp_path: Path) -> None:
+    with Results(PLAN, tmp_path) as results:
+        results.note(Happened.SESSION)
+    path = tmp_path / RESULTS
+    path.write_text(path.read_text() + '{"unfinished')
+    before = path.read_text()
+    with raises(UserError, code="user.other_plan"), Results(TrialPlan("another", 1, 2), tmp_path):
+        pass
+    assert path.read_text() == before
+    with Results(PLAN, tmp_path) as results:
+        assert len(results.events) == 1
+    assert path.read_text() == before.removesuffix('{"unfinished')
+    assert len(read_results(PLAN, tmp_path)[1]) == 1
+
+
+def test_two_cannot_run_trials_in_one_folder_and_a_killed_one_claims_nothing(tmp_path: Path) -> None:
+    program = (
+        "import sys, time\nfrom pathlib import Path\nfrom toolee_robot.runtime.files import claimed\n"
+        "with claimed(Path(sys.argv[1])):\n    print('claimed', flush=True)\n    time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, tmp_path], stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "claimed\n"
+        with raises(UserError, code="user.folder_in_use") as refused, Results(PLAN, tmp_path):
+            pass
+        assert f"process {other.pid}" in str(refused.value)
+        assert not (tmp_path / RESULTS).exists()
+        other.kill()
+    with claimed(tmp_path), raises(UserError, code="user.folder_in_use"), Results(PLAN, tmp_path):
+        pass
+    with Results(PLAN, tmp_path):
+        pass
+
+
+def test_jobs_that_begin_in_the_same_second_have_a_folder_each(tmp_path: Path) -> None:
+    with (
+        run_folder(tmp_path, "seed1") as one,
+        run_folder(tmp_path, "seed1") as two,
+        run_folder(tmp_path, "seed1") as three,
+    ):
+        kept = {folder.keep() for folder in (two, one, three)}
+    assert len(kept) == 3
+    assert set(tmp_path.iterdir()) == kept
+
+
+# -- mutations --------------------------------------------------------------------------------------------------------
+
+_RECORD = IntrinsicsRecord
+READERS: dict[str, Callable[[Path], Any]] = {
+    "lab.yaml": load_station,
+    "plan.yaml": load_plan,
+    "signed.json": lambda path: read_signed(path, _RECORD, "record"),
+    "pose.json": read_pose,
+    "pose.txt": read_pose,
+    "pose.npy": read_pose,
+    "rgb.png": read_rgb,
+    "rgb.jpg": read_rgb,
+    "depth.tiff": lambda path: read_depth(path, 0.001),
+    "depth.npy": lambda path: read_depth(path, 0.001),
+    "scene/scene_camera.json": lambda path: [image.read() for image in bop_images(path.parent)],
+    RESULTS: lambda path: read_results(PLAN, path.parent),
+}
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one sound file of each kind."""
+    folder = tmp_path_factory.mktemp("sound")
+    (folder / "lab.yaml").write_bytes((EXAMPLES / "lab.yaml").read_bytes())
+    (folder / "plan.yaml").write_text("name: a plan\nfirst_seed: 1\ntrials: 2\narms: [full]\n")
+    write_signed(folder / "signed.json", {"model": "D435", "width": 640})
+    X = np.eye(4)
+    (folder / "pose.json").write_text(json.dumps(X.tolist()))
+    np.savetxt(folder / "pose.txt", X)
+    np.save(folder / "pose.npy", X)
+    pixels = np.random.default_rng(3).integers(500, 1500, (24, 32), np.uint16)
+    for place in (folder, folder / "scene"):
+        (place / "rgb").mkdir(parents=True)
+        (place / "depth").mkdir()
+    colour = np.repeat((pixels >> 3).astype(np.uint8)[..., None], 3, axis=2)
+    for name in ("rgb.png", "rgb.jpg", "scene/rgb/000000.png"):
+        cv2.imwrite(str(folder / name), colour)
+    for name in ("depth.tiff", "scene/depth/000000.png"):
+        cv2.imwrite(str(folder / name), pixels)
+    np.save(folder / "depth.npy", pixels)
+    camera = {"cam_K": [36.5, 0, 16, 0, 36.6, 12, 0, 0, 1], "depth_scale": 1.0}
+    (folder / "scene" / "scene_camera.json").write_text(json.dumps({"0": camera}))
+    with Results(PLAN, folder) as results:
+        results.note(Happened.SESSION)
+    return folder
+
+
+_PIECES = st.sampled_from(
+    [
+        b"",
+        b"\0",
+        b"\xff\xfe",
+        b"NaN",
+        b"1e999",
+        b"-1",
+        b"[" * 3000,
+        b"9" * 5000,
+        b"null",
+        b"{}",
+        b"&a ",
+        b"*a",
+        b"\n",
+        b"!!int ",
+    ]
+)
+
+
+@given(
+    name=st.sampled_from(sorted(READERS)),
+    edits=st.lists(
+        st.tuples(st.floats(0, 1), st.integers(0, 40), _PIECES | st.binary(max_size=12)), min_size=1, max_size=4
+    ),
+)
+@examples(150)
+def test_any_mutation_ends_in_an_error_of_ours_or_in_a_value(
+    name: str, edits: list[tuple[float, int, bytes]], sound: Path
+) -> None:
+    path = sound / name
+    before = data = path.read_bytes()
+    for at, gone, piece in edits:
+        place = round(at * len(data))
+        data = data[:place] + piece + data[place + gone :]
+    path.write_bytes(data)
+    began = time.monotonic()
+    try:
+        READERS[name](path)
+    except TooleeError as error:
+        assert len(str(error)) < 20_000  # noqa: PT017 - whatever is raised is told
+    finally:
+        path.write_bytes(before)
+    assert time.monotonic() - began < LONGEST
