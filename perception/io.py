@@ -92,7 +92,7 @@ def read_pose(path: Path) -> Array:
     """
     try:
         if path.suffix == ".npy":
-            values = read_array(path)
+            values: Any = read_array(path)
         elif path.suffix == ".json":
             data = read_json(path)
             values = next(iter(data.values())) if isinstance(data, dict) and len(data) == 1 else data

@@ -38,7 +38,7 @@ LONGEST = 5.0
 """[s] That a reader may take of a damaged file on a machine that is busy."""
 
 _BOMB = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 8)}]\n" for i in range(1, 14))
-YAMLS = {
+YAMLS: dict[str, str | bytes] = {
     "no such day": "robot: {host: 2026-02-30}",
     "a number of 5,000 digits": f"strike: {{touch_force: {'9' * 5000}}}",
     "no whole number": "robot: {host: !!int abc}",
