@@ -43,6 +43,7 @@ if bad:
 """
 
 
+@pytest.mark.nightly
 def test_importing_every_module_of_the_blind_packages_does_not_load_the_simulation() -> None:
     """In one process, which takes the time of importing what they share once."""
     done = subprocess.run(
@@ -51,6 +52,7 @@ def test_importing_every_module_of_the_blind_packages_does_not_load_the_simulati
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.nightly
 def test_a_job_loads_nothing_that_trains_or_scores() -> None:
     """In a fresh process: what a trial compares with is loaded when it is asked for."""
     done = subprocess.run(
@@ -86,6 +88,7 @@ if bad:
 """
 
 
+@pytest.mark.nightly
 def test_opening_a_labs_station_loads_no_module_of_the_simulation() -> None:
     """Each of its drivers is opened, up to the device that does not answer."""
     examples = _ROOT.parent / "examples"

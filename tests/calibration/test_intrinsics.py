@@ -86,6 +86,7 @@ def test_corners_that_do_not_fit_are_left_out(tilted: list[BoardView]) -> None:
     assert record.intrinsics.fx == pytest.approx(clean.intrinsics.fx, abs=0.3)
 
 
+@pytest.mark.nightly
 def test_what_does_not_determine_them_is_refused(tilted: list[BoardView]) -> None:
     with raises(UserError, "user.intrinsics_few_views"):
         _calibrate(tilted[:9])

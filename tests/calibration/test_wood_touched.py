@@ -30,6 +30,7 @@ OVER = 0.03
 """Height over the wood at which an approach begins [m]: over the nail's head."""
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=60)
 def test_the_wood_is_found_by_guarded_touches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The tip is the face of a hammer in the hand, whose place is known; its rim touches first."""

@@ -29,6 +29,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.nightly
 def test_it_is_sound_until_a_file_is_changed(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["dataset", "validate", str(made), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"sound": True, "faults": []}

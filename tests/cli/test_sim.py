@@ -224,6 +224,7 @@ def test_a_job_that_is_told_what_a_person_measures_drives_the_nail(tmp_path: Pat
     assert job.record["strike_offset_mm"] == pytest.approx(errors["nail_beside_mm"], abs=1.5)
 
 
+@pytest.mark.nightly
 def test_without_correction_the_same_hammer_misses_the_nail(tmp_path: Path) -> None:
     """What the correction is worth: measured, the face passes 48 mm beside the nail, tilted by 17 deg."""
     job = _whole_job(tmp_path, "--variant", "no_correction", "--errors", "exact")

@@ -39,6 +39,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.nightly
 def test_segmentation_resumes_and_keeps_its_configuration(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

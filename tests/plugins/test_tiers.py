@@ -109,6 +109,7 @@ def test_what_is_bound_to_the_clock_runs_last_in_a_process_of_its_own(suite: pyt
     assert all(len(pids) == 1 for pids in processes.values()), "a file stays in one process"
 
 
+@pytest.mark.nightly
 def test_light_ones_run_one_after_another_beside_the_others_that_are_bound_to_the_clock(
     with_light: pytest.Pytester,
 ) -> None:
@@ -136,6 +137,7 @@ def test_of_few_workers_one_runs_all_that_is_bound_to_the_clock_last(with_light:
     assert len({pid for _, pid in log}) == workers
 
 
+@pytest.mark.nightly
 def test_a_worker_that_dies_is_replaced_and_only_its_test_fails(with_light: pytest.Pytester) -> None:
     """One of the others, and then both that run what is bound to the clock."""
     head = "import pytest\npytestmark = pytest.mark.{0}\n"
@@ -181,6 +183,7 @@ def test_a_choice_of_files_runs_in_the_process_itself(suite: pytest.Pytester) ->
     assert "bringing up nodes" not in result.stdout.str()
 
 
+@pytest.mark.nightly
 def test_nightly_tests_run_when_asked_for(suite: pytest.Pytester) -> None:
     suite.runpytest_subprocess("--nightly").assert_outcomes(passed=8, deselected=12)
     suite.runpytest_subprocess("-m", "nightly").assert_outcomes(passed=4, deselected=16)

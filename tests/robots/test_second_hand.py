@@ -93,6 +93,7 @@ def test_fingers_wrap_around_a_handle() -> None:
         assert in_tool[1] > 0, "around the far side: the palm is at -y"
 
 
+@pytest.mark.nightly
 def test_it_closes_on_a_hammer_and_holds_it_by_contact(handover: Trajectory) -> None:
     with SimStation.build(CONFIG, 100, SimOptions(q_start=handover.q[-1])) as simulation:
         station, world = simulation.station, simulation.world

@@ -33,6 +33,7 @@ def block(world: SimWorld) -> int:
     return body
 
 
+@pytest.mark.nightly
 def test_a_hand_that_meets_something_hard_stops_the_robot_and_the_job_goes_on_after_a_person(bench: Bench) -> None:
     bench.arm = SimArm(bench.sim.world, wrench_errors=1.0)
     world, log, blocks = bench.sim.world, Log(), []

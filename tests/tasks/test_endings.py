@@ -295,6 +295,7 @@ def test_perception_stays_unsure(bench: Bench) -> None:
     assert grip_kept(bench.sim)
 
 
+@pytest.mark.nightly
 def test_the_second_look_saves_the_job_and_a_slip_between_looks_ends_it(bench: Bench) -> None:
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=2, strikes_between_looks=1))
     perception = ScriptedPerception(bench.sim.judge, unsure, lambda e: e, moved([0.0, 0.02, 0.0]))

@@ -72,6 +72,7 @@ def test_a_head_that_stands_higher_than_expected_ends_the_fast_way(bench: Bench)
     assert rig.log.motions.count("touch the nail") == 2
 
 
+@pytest.mark.nightly
 def test_what_later_touches_tell_of_the_stiffness_counts_for_earlier_ones(bench: Bench) -> None:
     rig = Rig(bench, 6)
     gauge = NailGauge(rig.motions, CONFIG)

@@ -88,6 +88,7 @@ def test_a_nail_that_moves_as_expected_is_seldom_given_up(pace: float) -> None:
     assert stopped <= 0.03 * jobs
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 def test_a_nail_that_every_strike_moves_by_less_than_the_least_progress_is_driven_on(bench: Bench) -> None:
     strike = replace(CONFIG.strike, speed=0.45)

@@ -29,6 +29,7 @@ def _config(nail: NailConfig, *others: NailConfig) -> StationConfig:
     return replace(CONFIG, work=replace(CONFIG.work, block_size=(0.14, 0.14, 0.06)).with_nails(nail, *others))
 
 
+@pytest.mark.nightly
 def test_the_wood_is_not_felt_where_another_nail_stands(bench: Bench) -> None:
     """A lone nail's wood is felt towards the handle, where the other one is here."""
     log = Log()

@@ -198,6 +198,7 @@ def test_without_correction_what_the_first_touch_told_is_not_added_again(bench: 
     assert last == pytest.approx(before_the_look, abs=0.001), "nothing was touched between the last two"
 
 
+@pytest.mark.nightly
 def test_what_a_touch_told_of_the_cameras_error_outlives_the_next_look(bench: Bench) -> None:
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=CONFIG.task.strikes_between_looks + 1))
     log = Plans()

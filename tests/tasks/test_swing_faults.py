@@ -118,6 +118,7 @@ def swing(over_nail: tuple[Bench, StrikePlan]) -> Swing:
     return Swing(bench, robot, plan, motions, log)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_the_strike_itself_meets_the_nail(swing: Swing) -> None:
     report, verdict = swing.motions.swing("strike", swing.plan, swing.motions.held)

@@ -34,6 +34,7 @@ def touches(bench: Bench, seeds: range, each: int) -> Array:
     return found
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=10)
 def test_touches_with_a_cb3s_force_end_on_the_nail(bench: Bench) -> None:
     assert np.all(np.abs(touches(bench, range(1, 2), each=3)) < 1e-3)

@@ -178,6 +178,7 @@ def test_a_device_that_fails_on_the_way_back_does_not_hide_the_reason() -> None:
         assert any("on scales" in text for text in observer.messages)
 
 
+@pytest.mark.nightly
 def test_a_tool_heavier_than_the_job_is_planned_for_is_refused() -> None:
     config = sim_station()
     with SimStation.build(config, SEED, ERRORS) as simulation:
@@ -234,6 +235,7 @@ def test_the_empty_hand_is_believed_less_with_time_and_after_a_reset(age: float,
     assert all(a >= b + c for a, b, c in zip(reset, soon, (0.999 * drift[0], 0.999 * drift[1]), strict=True))
 
 
+@pytest.mark.nightly
 def test_a_stop_while_the_tool_is_weighed_does_not_leave_it_unweighed() -> None:
     config = sim_station()
     with SimStation.build(config, SEED, ERRORS) as simulation:

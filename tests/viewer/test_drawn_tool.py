@@ -19,6 +19,7 @@ from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.viewer.run_state import RunStates
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 def test_the_face_is_drawn_where_it_was_also_in_a_strike(tmp_path: Path) -> None:
     true: list[tuple[float, Array]] = []

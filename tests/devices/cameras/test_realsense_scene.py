@@ -41,6 +41,7 @@ class _FirstFrame(TaskObserver):
         raise _SeenEnough
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=25)
 def test_the_held_hammer_is_found_in_its_frames() -> None:
     station, first = sim_station(), _FirstFrame()

@@ -172,6 +172,7 @@ def log_of(folder: Path) -> list[dict[str, float]]:
     return [entry for entry in entries if "event" not in entry]
 
 
+@pytest.mark.nightly
 def test_training_lowers_the_loss_and_logs_it(trained: Path) -> None:
     log = log_of(trained)
     assert log[-1]["loss"] < 0.75 * log[0]["loss"]

@@ -159,6 +159,7 @@ def test_pictures_kept_aside_are_judged_as_in_the_whole_image(refinement_data: R
     assert values["iou"] == values["iou_before"]
 
 
+@pytest.mark.nightly
 def test_training_writes_weights_configuration_validation_and_log(trained: Path) -> None:
     description = described(trained)
     assert RefinerConfig.from_json(description["model"]) == TINY  # type: ignore[arg-type]

@@ -26,6 +26,7 @@ def ask(state: list[int], item: int) -> tuple[int, int]:
     return state[0], item
 
 
+@pytest.mark.nightly
 def test_a_process_map_keeps_the_order_and_the_errors_and_takes_from_endless_items() -> None:
     with ProcessMap(begin, 1) as alone:
         assert list(alone.map(ask, range(5))) == [(os.getpid(), k) for k in range(5)]

@@ -240,6 +240,7 @@ def test_what_is_there_after_a_time_is_kept(folder: Path, tmp_path: Path) -> Non
     assert 2 * made("--minutes", "0.000001") == made("--minutes", "60") == made()
 
 
+@pytest.mark.nightly
 def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> None:
     samples, held_out = (sample_tools(held_out=held, seeds_per_kind=1, workers=1) for held in (False, True))
     config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=64, validation=40, compile=False)

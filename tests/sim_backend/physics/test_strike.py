@@ -51,6 +51,7 @@ def held() -> Iterator[SimStation]:
         yield simulation
 
 
+@pytest.mark.nightly
 def test_strikes_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: SimStation) -> None:
     _strike_twice(held)
 

@@ -87,6 +87,7 @@ def loop() -> Iterator[Loop]:
     assert loop.ended.is_set(), "the loop ends when its client hangs up"
 
 
+@pytest.mark.nightly
 def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
     """The same seed, tool, offset and room; the same hold; frames and states on the host's clock."""
     tool, _ = draw_handover(SEED, OPTIONS)

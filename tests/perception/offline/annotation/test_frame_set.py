@@ -66,6 +66,7 @@ def _clicks(ends: list[RenderedEnd], empty: tuple[str, ...] = ()) -> ClicksFile:
     return ClicksFile("bench", frames=frames)
 
 
+@pytest.mark.nightly
 def test_the_true_outlines_give_the_true_poses(folder: Path, ends: list[RenderedEnd]) -> None:
     write_clicks(folder / "clicks.yaml", _clicks(ends))
     frames = FrameSet(folder)

@@ -100,6 +100,7 @@ def test_so_does_that_of_ones_own_folders(own: bool, brought: Path) -> None:
     assert asked_again(spec, brought) == spec
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_the_command_gives_the_same_bytes_and_older_words_of_it_are_no_fault(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -62,6 +62,7 @@ def copy(whole: Path, tmp_path: Path) -> Path:
     return root
 
 
+@pytest.mark.nightly
 def test_three_workers_give_the_bytes_of_one_and_so_does_a_run_killed_in_the_middle(
     whole: Path, tmp_path: Path
 ) -> None:

@@ -74,6 +74,7 @@ def test_evaluation_sees_the_same_instances(folder: Path) -> None:
     assert true_instances(images, 1)[0][1].sum() == (images.ee[1] == 1).sum()
 
 
+@pytest.mark.nightly
 def test_ranks_share_a_data_set_without_overlap_while_it_grows(folder: Path) -> None:
     streams = [SceneStream(folder, (rank, 2)) for rank in range(2)]
     try:

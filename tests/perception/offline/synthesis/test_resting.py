@@ -106,6 +106,7 @@ def test_a_tool_across_another_one_touches_it_and_the_plane() -> None:
     assert found > 10
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_scenes_show_held_lying_standing_leaning_and_stacked_tools() -> None:
     pool = Pool.random(np.random.default_rng(4), "train")
