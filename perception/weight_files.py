@@ -1,7 +1,8 @@
 """Weights on disk: safetensors shards under 16 MiB each, in half precision, with a JSON file beside them.
 
 `NAME-00001-of-00002.safetensors`, `NAME-00002-of-00002.safetensors` and `NAME.json` (architecture, training
-configuration, log). Nothing is ever fetched from a network.
+configuration, log), with checksums in `sha256.txt`: those of the weights are checked, a description may be edited.
+Nothing is ever fetched from a network.
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from toolee_robot.errors import AssetError, words_of
-from toolee_robot.runtime.files import read_json, sha256
+from toolee_robot.runtime.files import read_json, read_text, sha256, write_atomic
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
 """Folder of the shipped weights."""
+SUMS = "sha256.txt"
+"""The file of checksums, as `sha256sum` writes and checks it."""
 SHARD_BYTES = 15 * 1024 * 1024
 """Largest shard [byte]: small files are easier to store, review and transfer."""
 
@@ -49,9 +52,16 @@ def save_weights(directory: Path, name: str, tensors: dict[str, torch.Tensor], d
     directory.mkdir(parents=True, exist_ok=True)
     for old in directory.glob(f"{name}-*-of-*.safetensors"):
         old.unlink()
-    for i, shard in enumerate(shards):
-        save_file(shard, directory / f"{name}-{i + 1:05d}-of-{len(shards):05d}.safetensors")
-    (directory / f"{name}.json").write_text(json.dumps(description, indent=1) + "\n")
+    files = [directory / f"{name}-{i + 1:05d}-of-{len(shards):05d}.safetensors" for i in range(len(shards))]
+    for shard, file in zip(shards, files, strict=True):
+        save_file(shard, file)
+        file.chmod(0o644)  # safetensors makes it readable for its owner alone
+    files.append(directory / f"{name}.json")
+    files[-1].write_text(json.dumps(description, indent=1) + "\n")
+    own = (f"{name}-", f"{name}.")  # of this name before
+    others = {file: digest for file, digest in _sums(directory).items() if not file.startswith(own)}
+    sums = others | {file.name: sha256(file) for file in files}
+    write_atomic(directory / SUMS, "".join(f"{digest}  {file}\n" for file, digest in sums.items()).encode())
 
 
 def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -65,10 +75,10 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
         Tensors (floating ones as float32) and description.
 
     Raises:
-        AssetError: A file is missing or unreadable; the message names it.
+        AssetError: A file is missing, unreadable or damaged; the message names it.
     """
     directory = WEIGHTS_DIR if directory is None else directory
-    path = directory / f"{name}.json"
+    path, sums = directory / f"{name}.json", _sums(directory)
     try:
         description = read_json(path)
     except OSError as error:
@@ -91,12 +101,28 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
                 f"weight file {shard} is missing: reinstall the package or fetch the file again", code="asset.missing"
             )
         try:
+            _check(shard, sums)
             tensors.update(load_file(shard))
         except (SafetensorError, OSError) as error:
             raise AssetError(
                 f"weight file {shard} is unreadable: fetch the file again ({words_of(error)})", code="asset.unreadable"
             ) from error
+    if wrong := [key for key, value in tensors.items() if value.is_floating_point() and not value.isfinite().all()]:
+        message = f"the weights {name} in {directory} are not finite ({wrong[0]}): fetch the files again"
+        raise AssetError(message, code="asset.not_finite")
     return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}, description
+
+
+def _sums(directory: Path) -> dict[str, str]:
+    """Checksums by file; none in a folder that has no list of them."""
+    path = directory / SUMS
+    return {line[66:]: line[:64] for line in read_text(path).splitlines()} if path.is_file() else {}
+
+
+def _check(path: Path, sums: dict[str, str]) -> None:
+    if path.name in sums and sha256(path) != sums[path.name]:
+        message = f"weight file {path} is damaged, its checksum is not that of {SUMS}: fetch the file again"
+        raise AssetError(message, code="asset.unreadable")
 
 
 def load_into(network: torch.nn.Module, tensors: dict[str, torch.Tensor], what: str) -> None:

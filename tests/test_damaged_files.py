@@ -16,6 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -24,9 +25,10 @@ from tests.examples import examples
 from toolee_robot.app.run_folder import run_folder
 from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord
 from toolee_robot.calibration.signed import read_signed, write_signed
-from toolee_robot.errors import ConfigError, TooleeError, UserError
+from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.image_files import read_depth, read_rgb
 from toolee_robot.perception.io import bop_images, parse_intrinsics, read_pose
+from toolee_robot.perception.weight_files import load_weights, save_weights
 from toolee_robot.runtime.files import claimed, from_json, read_text
 from toolee_robot.station import load_station
 from toolee_robot.trials import TrialPlan, load_plan
@@ -120,6 +122,29 @@ def test_an_array_is_not_longer_than_its_file(tmp_path: Path) -> None:
             with pytest.raises(UserError) as refused:
                 read(path)
             assert str(path) in str(refused.value)
+
+
+@pytest.mark.parametrize("damage", ["a flipped bit", "zeros", "cut", "NaN"])
+def test_damaged_weights_are_not_loaded(damage: str, tmp_path: Path) -> None:
+    save_weights(tmp_path, "other", {"w": torch.ones(3)}, {})
+    save_weights(tmp_path, "toy", {"w": torch.arange(64.0)}, {"model": "toy"})
+    load_weights(tmp_path, "toy")
+    shard = tmp_path / "toy-00001-of-00001.safetensors"
+    data = shard.read_bytes()
+    match damage:
+        case "a flipped bit":
+            shard.write_bytes(data[:-9] + bytes([data[-9] ^ 8]) + data[-8:])
+        case "zeros":
+            shard.write_bytes(data[:-128] + bytes(128))
+        case "cut":
+            shard.write_bytes(data[:-1])
+        case "NaN":
+            (tmp_path / "sha256.txt").unlink()
+            shard.write_bytes(data[:-2] + np.float16(np.nan).tobytes())
+    with pytest.raises(AssetError) as refused:
+        load_weights(tmp_path, "toy")
+    assert "toy" in str(refused.value)
+    load_weights(tmp_path, "other")
 
 
 # -- camera matrices --------------------------------------------------------------------------------------------------
