@@ -133,7 +133,8 @@ def test_the_nails_frame_points_into_the_wood_and_sinks_with_it() -> None:
         ({}, ("R1", "C1"), "2026-06-19", []),
         ({}, ("R1", "C1"), "2026-06-20", ["31 days old"]),
         ({"valid_days": None}, ("R1", "C1"), "2036-06-20", []),
-        ({}, ("R1", "C1"), "2026-05-19", ["still to come"]),
+        ({}, ("R1", "C1"), "2026-05-19", []),  # measured where it is a day later already
+        ({}, ("R1", "C1"), "2026-05-18", ["still to come"]),
         ({}, ("R2", "C1"), "2026-05-20", ["robot 'R1'"]),
         ({}, ("", ""), "2026-05-20", ["robot", "camera"]),
         ({}, ("R1", "C2"), "2026-05-20", ["camera 'C1'"]),

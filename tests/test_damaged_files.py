@@ -23,11 +23,12 @@ from hypothesis import strategies as st
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.app.run_folder import run_folder
-from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord
+from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, read_intrinsics
 from toolee_robot.calibration.signed import read_signed, write_signed
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.image_files import read_depth, read_rgb
 from toolee_robot.perception.io import bop_images, parse_intrinsics, read_pose
+from toolee_robot.perception.offline.annotation.clicks import ClicksFile, read_clicks, write_clicks
 from toolee_robot.perception.weight_files import load_weights, save_weights
 from toolee_robot.runtime.files import claimed, from_json, read_text
 from toolee_robot.station import load_station
@@ -176,6 +177,35 @@ def test_a_scenes_matrix_is_a_camera_matrix_by_rows_and_its_depth_has_a_scale(
         bop_images(tmp_path)
     assert "cam_K" in str(refused.value) or "depth_scale" in str(refused.value)
     assert "--" not in str(refused.value), "no option of a single frame"
+
+
+@pytest.mark.parametrize(
+    "change", [{"fx": -615.0}, {"width": 10**18}, {"cx": 1e308}, {"fy": 61.5}], ids=lambda change: next(iter(change))
+)
+def test_a_signed_record_of_no_camera_is_refused(change: dict[str, Any], tmp_path: Path) -> None:
+    board = {"columns": 8, "rows": 5, "square": 0.03}
+    camera = {"fx": 615.0, "fy": 615.0, "cx": 320.0, "cy": 240.0, "width": 640, "height": 480}
+    said = {
+        "format": FORMAT, "measured_at": "2026-11-20T10:00:00", "software": "0.1", "camera_serial": "1", "board": board,
+        "distortion": [0.0] * 4, "sigma": [1.0] * 4, "sigma_distortion": [0.1] * 4, "reprojection": 0.1,
+        "held_out": 0.1, "largest_distortion": 0.1, "covered": 0.9, "views": 20,
+    }  # fmt: skip
+    write_signed(tmp_path / "sound.json", said | {"intrinsics": camera})
+    assert read_intrinsics(tmp_path / "sound.json").views == 20
+    write_signed(tmp_path / "signed.json", said | {"intrinsics": camera | change})
+    with raises(ConfigError, code="config.invalid") as refused:
+        read_intrinsics(tmp_path / "signed.json")
+    assert next(iter(change)).replace("width", "fx") in str(refused.value)
+
+
+def test_clicks_that_could_not_be_read_again_are_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "clicks.yaml"
+    write_clicks(path, ClicksFile("a lab", tape_offset_mm=4.2))
+    before = path.read_bytes()
+    with raises(ConfigError, code="config.invalid"):
+        write_clicks(path, ClicksFile("a lab", tape_offset_mm=float("inf")))
+    assert path.read_bytes() == before
+    assert read_clicks(path).tape_offset_mm == 4.2
 
 
 # -- what other work has left -----------------------------------------------------------------------------------------

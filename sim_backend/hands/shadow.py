@@ -365,7 +365,7 @@ class ShadowEmulator(HandEmulator[Hand]):
         """Carry out a client's operation; return the one that answers it. Text that is no JSON is passed over."""
         try:
             said = json.loads(data)
-        except ValueError:
+        except (ValueError, RecursionError):
             return None
         try:
             problem = self._carry_out(said, subscribed)

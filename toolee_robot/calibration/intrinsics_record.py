@@ -61,6 +61,8 @@ class IntrinsicsRecord:
     def __post_init__(self) -> None:
         if self.format != FORMAT:
             raise ValueError(f"format {self.format!r}: this software reads {FORMAT!r}")
+        if wrong := self.intrinsics.problems():
+            raise ValueError(f"intrinsics.{wrong[0][0]}: {wrong[0][1]}")
 
     @property
     def distorts(self) -> bool:

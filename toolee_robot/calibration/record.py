@@ -15,6 +15,8 @@ from toolee_robot.types import CameraIntrinsics, DhCalibration
 
 FORMAT = "toolee camera calibration 1"
 """Name and version of the format."""
+FARTHEST = 20.0
+"""Of a camera from the base, and of a board from the flange [m]."""
 ELSEWHERE = 0.3
 """Distance of a calibrated camera from where a person has measured it over which one of the two is wrong [m]."""
 Row = tuple[float, ...]
@@ -141,10 +143,14 @@ class CalibrationRecord:
         if self.format != FORMAT:
             raise ValueError(f"format {self.format!r}: this software reads {FORMAT!r}")
         datetime.fromisoformat(self.measured_at)
+        if wrong := self.intrinsics.problems():
+            raise ValueError(f"intrinsics.{wrong[0][0]}: {wrong[0][1]}")
         for name in ("X_base_camera", "X_flange_board"):
             X = np.array(getattr(self, name))
             if X.shape != (4, 4) or not is_rigid(X):
                 raise ValueError(f"{name} is no rigid transform")
+            if np.linalg.norm(X[:3, 3]) > FARTHEST:
+                raise ValueError(f"{name} is over {FARTHEST:g} m away")
         covariance = np.array(self.covariance)
         if covariance.shape != (6, 6) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
             raise ValueError("covariance is no covariance of six numbers")

@@ -64,6 +64,7 @@ class EmulateHand:
         from toolee_robot.devices.hands import wired_hand
         from toolee_robot.devices.hands.ports import tcp_address
         from toolee_robot.robots.hands import HAND_FILES
+        from toolee_robot.runtime.clock import is_loopback
         from toolee_robot.sim_backend.hands import LOOPBACK, emulated_hand
         from toolee_robot.sim_backend.hands.kit import happen
         from toolee_robot.station import HandConfig
@@ -77,6 +78,8 @@ class EmulateHand:
         if self.tcp is not None and kind.scheme is None:
             raise UserError(f"--tcp: {model} is on a serial port only", code="user.option")
         listen = LOOPBACK if self.tcp is None else tcp_address(f"tcp://{self.tcp}")
+        if not is_loopback(listen[0]):
+            raise UserError(f"--tcp {self.tcp}: an emulator listens on 127.x.x.x only", code="user.not_loopback")
         config = HandConfig(model, port=self.tcp and f"{kind.scheme}://{self.tcp}", hand_id=self.hand_id)
         console = Console(stderr=True, highlight=False)
         with emulated_hand(config, self.seed, listen=listen) as emulator, self._linked(emulator.port):

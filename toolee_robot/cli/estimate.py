@@ -90,15 +90,15 @@ class Estimate:
 
             hand = HoldingHand(read_pose(self.hand_pose), hand_model(self.hand).grasp.R_hand_tool)
         estimates, elapsed_ms = _timed(ToolPerception.load(), frame, hand)
-        if self.picture is not None:
+        if self.json:
+            print(json_line([as_record(e) for e in estimates]), flush=True)
+        else:
+            console.print(_table(estimates, f"{self.rgb.name}: {elapsed_ms:.0f} ms"))
+        if self.picture is not None:  # after the estimates: a place that cannot be written does not cost them
             from toolee_robot.recording.picture import draw
 
             write_atomic(self.picture, draw(frame, estimates, title=self.rgb.name))
             console.print(f"picture: {escape(str(self.picture))}", soft_wrap=True)
-        if self.json:
-            print(json_line([as_record(e) for e in estimates]))
-        else:
-            console.print(_table(estimates, f"{self.rgb.name}: {elapsed_ms:.0f} ms"))
         return _verdict(console, estimates)
 
     def _run_bop(self, console: Console, folder: Path) -> int:

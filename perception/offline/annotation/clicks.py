@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.yaml_files import read_record
+from toolee_robot.runtime.yaml_files import read_record, to_record
 from toolee_robot.station.values import STRICT
 
 CLICKS = "clicks.yaml"
@@ -132,10 +132,11 @@ def write_clicks(path: Path, clicks: ClicksFile) -> None:
         clicks: The clicks.
 
     Raises:
-        UserError: It cannot be written.
+        UserError: It cannot be written, or could not be read again.
     """
     data = TypeAdapter(ClicksFile).dump_python(clicks, mode="json", exclude_defaults=True)
     data["half"] = clicks.half
+    to_record(data, path, ClicksFile, "file of clicks")
     write_atomic(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120).encode())
 
 
