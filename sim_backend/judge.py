@@ -8,15 +8,16 @@ handle, a cheek or the hand may drive a nail, too, but that is no hit.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, cross, inverse, transform
+from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.physics.nail import SLIDE, Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import driving_work
@@ -33,6 +34,7 @@ from toolee_robot.sim_backend.truth import (
     strike_offset,
     strike_tilt,
 )
+from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import InHandEstimate
 
 HISTORY_PERIOD = 1 / 240  # [s] between recorded poses
@@ -44,49 +46,17 @@ FACE_NORMAL = np.cos(np.deg2rad(45.0))  # of the angle between the contact's nor
 FAR = 0.10  # [m] distance between face and nail beyond which strikes are not looked for
 
 
-class TruthSource(Protocol):
-    """What the judge needs of the world. Poses are 4x4 in `base` at the current step."""
-
-    @property
-    def client(self) -> int:
-        """Id of pybullet's physics client."""
-
-    @property
-    def time(self) -> float:
-        """Time on the station's clock [s]."""
-
-    @property
-    def nail(self) -> Nail:
-        """The nail that the tool is nearest to."""
-
-    @property
-    def nails(self) -> Mapping[str, Nail]:
-        """The nails by name."""
-
-    @property
-    def tool_body(self) -> int:
-        """Id of the tool's body in pybullet, a single free body."""
-
-    @property
-    def robot_body(self) -> int | None:
-        """Id of the robot's body in pybullet; None without one."""
-
-    def X_base_hand(self) -> Array:
-        """Pose of the palm."""
-
-    def X_base_ee(self) -> Array:
-        """Pose of the tool's end effector."""
-
-
 class Judge:
     """Observes a world; `after_step` must be called after every step.
 
     Args:
         world: The world.
+        clock: The clock on which the stamps are; None for the world's own. Behind a controller it is the controller's:
+            the steps of a tick are computed in a burst, closer together on it than in simulated time.
     """
 
-    def __init__(self, world: TruthSource) -> None:
-        self._world = world
+    def __init__(self, world: SimWorld, clock: Clock | None = None) -> None:
+        self._world, self._clock = world, clock
         self._stamps: list[float] = []
         self._Xs_hand_ee: list[Array] = []
         self._strikes: list[StrikeTruth] = []
@@ -97,7 +67,7 @@ class Judge:
 
     def after_step(self) -> None:
         """Record the result of a step."""
-        now = self._world.time
+        now = self._world.time if self._clock is None else self._clock.now()
         X_base_ee = self._world.X_base_ee()
         if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
             self._stamps.append(now)
@@ -174,8 +144,7 @@ class Judge:
             force = float(sum(contact[9] for contact in contacts))
             on_face = any(_on_face(X_base_ee, contact) for contact in contacts)
             return force, StruckBy.FACE if on_face else StruckBy.OTHER_PART
-        touched = world.robot_body is not None and self._contacts(world.robot_body)
-        return 0.0, StruckBy.HAND if touched else StruckBy.NOTHING
+        return 0.0, StruckBy.HAND if self._contacts(world.robot_body) else StruckBy.NOTHING
 
     def _contacts(self, body: int) -> list[tuple[Any, ...]]:
         """Contacts of a body with the nail's head that carry a force, as pybullet's tuples."""

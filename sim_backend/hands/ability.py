@@ -264,7 +264,7 @@ class AbilityEmulator(LineEmulator[Hand]):
     def __init__(self, address: int = 0x50, seed: int = 0, pace: float = 1.0) -> None:
         clock = HandTime(pace)
         super().__init__(Hand(clock, seed), PseudoTerminal(), LineFaults(foreign, seed), clock, TURNAROUND_S, BYTE_S)
-        self._address, self._rest, self.ignored = address, b"", 0
+        self._address, self.ignored = address, 0
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:
         """See `HandEmulator.happen`; a hand without pads says 0 in their place."""
@@ -275,7 +275,7 @@ class AbilityEmulator(LineEmulator[Hand]):
 
     def answer(self, data: bytes) -> list[bytes]:
         """Answer the messages in the stream of bytes."""
-        *lines, self._rest = (self._rest[-64:] + data).split(b"\x7e")
+        *lines, self.stream = (self.stream[-64:] + data).split(b"\x7e")
         replies = []
         for body in map(unstuffed, filter(None, lines)):
             if 3 <= len(body) <= 15 and not sum(body) % 256 and body[0] == self._address:

@@ -238,7 +238,6 @@ class InspireEmulator(LineEmulator[Hand]):
         clock = HandTime(pace)
         super().__init__(Hand(clock), wire, faults, clock, turnaround, byte_time)
         self.number, self.ignored = number, 0
-        self._stream = b""
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:
         """See `HandEmulator.happen`; an error stays until it is cleared, but heat, which goes with the temperature."""
@@ -257,20 +256,16 @@ class InspireEmulator(LineEmulator[Hand]):
         else:
             super().happen(event, motor, *words)
 
-    def connected(self) -> None:
-        """Forget what the last driver had begun to say."""
-        self._stream = b""
-
     def answer(self, data: bytes) -> list[bytes]:
         """Answer the requests in the stream of bytes."""
-        self._stream += data
+        self.stream += data
         replies = []
-        while (begin := self._stream.find(b"\xeb\x90")) >= 0 and len(self._stream) >= begin + 4:
-            end = begin + 5 + self._stream[begin + 3]
-            if len(self._stream) < end:
+        while (begin := self.stream.find(b"\xeb\x90")) >= 0 and len(self.stream) >= begin + 4:
+            end = begin + 5 + self.stream[begin + 3]
+            if len(self.stream) < end:
                 break
-            replies += self._carry_out(self._stream[begin + 2 : end])
-            self._stream = self._stream[end:]
+            replies += self._carry_out(self.stream[begin + 2 : end])
+            self.stream = self.stream[end:]
         return replies
 
     def _carry_out(self, body: bytes) -> list[bytes]:
@@ -338,17 +333,17 @@ class ModbusEmulator(InspireEmulator):
 
     def answer(self, data: bytes) -> list[bytes]:
         """Answer the requests in the stream of bytes."""
-        self._stream += data
+        self.stream += data
         replies = []
-        while len(self._stream) >= 7:
-            transaction, protocol, length, unit = struct.unpack_from(">HHHB", self._stream)
+        while len(self.stream) >= 7:
+            transaction, protocol, length, unit = struct.unpack_from(">HHHB", self.stream)
             if protocol or not 2 <= length <= 254:  # where the next frame begins, nobody knows
-                self.ignored, self._stream = self.ignored + 1, b""
+                self.ignored, self.stream = self.ignored + 1, b""
                 break
-            body, rest = self._stream[7 : 6 + length], self._stream[6 + length :]
+            body, rest = self.stream[7 : 6 + length], self.stream[6 + length :]
             if len(body) < length - 1:
                 break
-            self._stream = rest
+            self.stream = rest
             if unit != self.number:
                 self.ignored += 1
                 continue

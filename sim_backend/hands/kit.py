@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array
@@ -392,27 +392,8 @@ class HandEmulator(ABC, Generic[HandT]):
         """Speak on the wire until `_over`, of which `_woken` tells who waits; then release the wire."""
 
 
-class Wire(Protocol):
-    """The hand's end of a wire: a pseudo-terminal or a TCP server."""
-
-    port: str
-    """What a driver opens."""
-
-    def sources(self) -> list[int]:
-        """File descriptors on which something may arrive."""
-
-    def receive(self, ready: list[int]) -> bytes | None:
-        """Return what has come; None where another driver has come, or the last one has gone."""
-
-    def send(self, data: bytes) -> None:
-        """Send bytes; where no driver is, they are lost."""
-
-    def close(self) -> None:
-        """Pull the cable out: whoever has the port open gets an error."""
-
-
 class PseudoTerminal:
-    """A serial line."""
+    """The hand's end of a serial line."""
 
     def __init__(self) -> None:
         self._ours, theirs = os.openpty()
@@ -421,19 +402,19 @@ class PseudoTerminal:
         self._ends = weakref.finalize(self, _close, self._ours, theirs)  # one that nobody enters is closed, too
 
     def sources(self) -> list[int]:
-        """See `Wire`."""
+        """File descriptors on which something may arrive."""
         return [self._ours]
 
     def receive(self, ready: list[int]) -> bytes:
-        """See `Wire`."""
+        """Return what has come."""
         return os.read(self._ours, _CHUNK) if self._ours in ready else b""
 
     def send(self, data: bytes) -> None:
-        """See `Wire`."""
+        """Send bytes."""
         os.write(self._ours, data)
 
     def close(self) -> None:
-        """See `Wire`."""
+        """Pull the cable out: whoever has the port open gets an error."""
         self._ends()
 
 
@@ -461,11 +442,11 @@ class TcpServer:
         self._driver: socket.socket | None = None
 
     def sources(self) -> list[int]:
-        """See `Wire`."""
+        """As of a serial line."""
         return [end.fileno() for end in (self._listener, self._driver) if end is not None]
 
     def receive(self, ready: list[int]) -> bytes | None:
-        """See `Wire`."""
+        """Return what has come; None where another driver has come, or the last one has gone."""
         ended = self._driver is not None and self._driver.fileno() in ready  # its end is seen before who comes next
         if self._listener.fileno() in ready and not ended:
             connection, _ = self._listener.accept()
@@ -487,7 +468,7 @@ class TcpServer:
         return data or None
 
     def send(self, data: bytes) -> None:
-        """See `Wire`."""
+        """Send bytes; where no driver is, they are lost."""
         if self._driver is not None:
             try:
                 self._driver.sendall(data)
@@ -495,7 +476,7 @@ class TcpServer:
                 self._end()
 
     def close(self) -> None:
-        """See `Wire`."""
+        """As of a serial line."""
         self._listener.close()
         if self._driver is not None:
             self._driver.close()
@@ -504,6 +485,10 @@ class TcpServer:
         assert self._driver is not None
         self._driver.close()
         self._driver, self._free_from = None, time.monotonic() + self._grace
+
+
+Wire = PseudoTerminal | TcpServer
+"""The hand's end of its wire."""
 
 
 def listener(address: Address) -> socket.socket:
@@ -529,6 +514,9 @@ class LineEmulator(HandEmulator[HandT]):
         clock: The time in which its motors move.
         turnaround: Time that the hand takes for a reply [s].
         byte_time: Time of a byte on the line [s].
+
+    Attributes:
+        stream: What the driver has begun to say.
     """
 
     def __init__(
@@ -536,7 +524,7 @@ class LineEmulator(HandEmulator[HandT]):
     ) -> None:
         super().__init__(hand, faults, clock)
         self._wire, self.port = wire, wire.port
-        self._turnaround, self._byte_time = turnaround, byte_time
+        self._turnaround, self._byte_time, self.stream = turnaround, byte_time, b""
 
     @abstractmethod
     def answer(self, data: bytes) -> list[bytes]:
@@ -544,6 +532,7 @@ class LineEmulator(HandEmulator[HandT]):
 
     def connected(self) -> None:
         """Another driver has come, or the last one has gone: forget what it had begun to say."""
+        self.stream = b""
 
     def _run(self) -> None:
         try:

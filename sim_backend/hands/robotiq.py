@@ -101,15 +101,10 @@ class RobotiqEmulator(LineEmulator[EmulatedHand[Jaws]]):
         super().__init__(hand, TcpServer(address, 0.0), faults, clock, 0.003, 1e-7)
         self.joints = lambda angles: joints_of_position(name, float(angles[0]))
         self._registers = {"ACT": 1, "ATR": 0, "ADR": 0, "GTO": 0, "STA": 3, "SPE": 255, "FOR": 255, "PRE": 0}
-        self._rest = b""
-
-    def connected(self) -> None:
-        """Forget what the last driver had begun to say."""
-        self._rest = b""
 
     def answer(self, data: bytes) -> list[bytes]:
         """Answer the requests in the stream of bytes."""
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        *lines, self.stream = (self.stream + data).split(b"\n")
         return [reply for line in lines for reply in self._carry_out(line.decode(errors="replace").split())]
 
     def _carry_out(self, words: list[str]) -> list[bytes]:

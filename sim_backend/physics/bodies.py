@@ -22,19 +22,6 @@ OBSTACLE_COLOR = (0.85, 0.65, 0.20)
 """Colour of a station's obstacles, RGB."""
 
 
-def body_pose(client: int, body: int) -> Array:
-    """Pose of a body's inertial frame.
-
-    Args:
-        client: pybullet's physics client.
-        body: pybullet's id of the body.
-
-    Returns:
-        X_world_body, 4x4.
-    """
-    return pose_matrix(*pb.getBasePositionAndOrientation(body, physicsClientId=client))
-
-
 def set_body_pose(client: int, body: int, X_world_body: Array) -> None:
     """Move a body instantly, and set its velocity to zero.
 

@@ -28,7 +28,6 @@ from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.judge import Judge
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.remote.station import HostTimedTruth
 from toolee_robot.sim_backend.station import build_world, draw_handover, simulated_hand
 from toolee_robot.sim_backend.ur_controller.controller import Controller
 from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel
@@ -133,7 +132,7 @@ class WorldService:
         self._hand = hand = simulated_hand(world, options)
         fingers = CoupledFingers(world, options.friction)
         person = SimPerson(world, offset, options.hands_over)
-        judge = Judge(HostTimedTruth(world, clock))
+        judge = Judge(world, clock)
         world.after_step.append(judge.after_step)
         # Commands that take time, with their device: each device executes one at a time.
         self._lasting: dict[str, tuple[str, Handler]] = {

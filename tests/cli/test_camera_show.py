@@ -13,7 +13,8 @@ import yaml
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, write_intrinsics
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.realsense import RealSenseStream
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import COEFFICIENTS, COLOR, SERIAL, SoftwareRealSense
 from toolee_robot.station import CameraConfig, CameraDevice
@@ -33,7 +34,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with SoftwareRealSense(rs, rs.distortion.brown_conrady) as emulated:
 
         def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
-            mode = RealSenseMode(config.width, config.height, device.fps, device.exposure)
+            mode = CameraMode(config.width, config.height, device.fps, device.exposure)
             return RealSenseStream(device.serial, mode, emulated.devices)
 
         monkeypatch.setitem(camera._DRIVERS, "realsense", driver)

@@ -17,7 +17,8 @@ import pytest
 import yaml
 
 from toolee_robot.cli.app import run
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.realsense import RealSenseStream
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
 from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
@@ -145,7 +146,7 @@ def realsense(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with SoftwareRealSense(pytest.importorskip("pyrealsense2", exc_type=ImportError)) as found:
 
         def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
-            mode = RealSenseMode(config.width, config.height, device.fps)
+            mode = CameraMode(config.width, config.height, device.fps)
             return RealSenseStream(device.serial, mode, found.devices)
 
         monkeypatch.setitem(camera._DRIVERS, "realsense", driver)

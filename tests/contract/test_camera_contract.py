@@ -18,8 +18,9 @@ from tests.rigs.camera_devices import CameraEvent, OrbbecDevice
 from tests.rigs.software_airo import SoftwareAiroCamera
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.airo import AiroStream
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.recording import RecordedStream, RecordingWriter
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.hal import Clock, RgbdCamera
 from toolee_robot.runtime.clock import HostClock
@@ -88,7 +89,7 @@ class RealSenseRig(Rig):
     def __init__(self, device: SoftwareRealSense) -> None:
         self._device = device
         self.clock = HostClock()
-        mode = RealSenseMode(COLOR.width, COLOR.height, 30, exposure=0.008)
+        mode = CameraMode(COLOR.width, COLOR.height, 30, exposure=0.008)
         self.camera = StreamedCamera(RealSenseStream(SERIAL, mode, device.devices), self.clock)
 
     def freeze(self) -> None:

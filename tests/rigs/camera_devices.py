@@ -21,9 +21,10 @@ from tests.rigs.orbbec_recording import write_recording
 from tests.rigs.software_airo import SoftwareAiroCamera
 from toolee_robot.devices.cameras import CameraStream, orbbec, realsense
 from toolee_robot.devices.cameras.airo import AiroStream
-from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.orbbec import OrbbecStream
+from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.recording import RecordedStream, RecordingWriter
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.software_realsense import SoftwareRealSense
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
@@ -91,7 +92,7 @@ class RealSenseDevice:
         self._emulated.__exit__()
 
     def stream(self, serial: str) -> CameraStream:
-        return RealSenseStream(serial, RealSenseMode(COLOR.width, COLOR.height, FPS), self._emulated.devices)
+        return RealSenseStream(serial, CameraMode(COLOR.width, COLOR.height, FPS), self._emulated.devices)
 
     def happen(self) -> None:
         emulated, event = self._emulated, self._event
@@ -124,7 +125,7 @@ class OrbbecDevice:
         self._playback = None
 
     def stream(self, serial: str) -> CameraStream:
-        mode = OrbbecMode(COLOR.width, COLOR.height, orbbec_recording.FPS)
+        mode = CameraMode(COLOR.width, COLOR.height, orbbec_recording.FPS)
         return OrbbecStream(serial, mode, lambda: self._plugged)
 
     def happen(self) -> None:

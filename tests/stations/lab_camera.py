@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.cli import main
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream, sdk
+from toolee_robot.devices.cameras.realsense import RealSenseStream, sdk
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import frame_from_axes, inverse, transform
 from toolee_robot.hal import Clock
@@ -51,7 +52,7 @@ def plugged_in() -> Iterator[None]:
             return found[0].devices()
 
         def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
-            mode = RealSenseMode(config.width, config.height, device.fps, device.exposure)
+            mode = CameraMode(config.width, config.height, device.fps, device.exposure)
             return RealSenseStream(device.serial, mode, devices)
 
         theirs = camera._DRIVERS["realsense"]

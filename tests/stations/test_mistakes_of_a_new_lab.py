@@ -22,7 +22,8 @@ import yaml
 
 from tests.devices.cameras.toy_recording import toy_recording
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.realsense import RealSenseStream
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.devices.hands import ports as port
 from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import SERIAL, SoftwareRealSense
@@ -83,7 +84,7 @@ def realsense(monkeypatch: pytest.MonkeyPatch) -> SoftwareRealSense:
     found = SoftwareRealSense(rs, rs.distortion.none, k, k)
 
     def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
-        return RealSenseStream(device.serial, RealSenseMode(config.width, config.height, device.fps), found.devices)
+        return RealSenseStream(device.serial, CameraMode(config.width, config.height, device.fps), found.devices)
 
     monkeypatch.setitem(camera._DRIVERS, "realsense", driver)
     return found

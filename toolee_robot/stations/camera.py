@@ -14,9 +14,10 @@ from typing import Any
 
 from toolee_robot.devices.cameras import CameraProfile, CameraStream, RawImages, StatedLens, StreamedCamera
 from toolee_robot.devices.cameras.airo import AiroStream
-from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.orbbec import OrbbecStream
+from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.recording import RecordedStream
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.errors import ConfigError, NotReadyError, UserError, words_of
 from toolee_robot.hal import Clock
 from toolee_robot.runtime.device_plugins import installed, load
@@ -175,12 +176,12 @@ def _refused(name: str, why: str) -> ConfigError:
 
 
 def _realsense(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraStream:
-    return RealSenseStream(device.serial, RealSenseMode(config.width, config.height, device.fps, device.exposure))
+    return RealSenseStream(device.serial, CameraMode(config.width, config.height, device.fps, device.exposure))
 
 
 def _orbbec(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraStream:
     _refuse_exposure(device)
-    return OrbbecStream(device.serial, OrbbecMode(config.width, config.height, device.fps))
+    return OrbbecStream(device.serial, CameraMode(config.width, config.height, device.fps))
 
 
 def _airo(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraStream:

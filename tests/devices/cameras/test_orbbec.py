@@ -15,14 +15,15 @@ from tests.errors import raises
 from tests.rigs.orbbec_recording import COLOR, DEPTH, SERIAL, TRANSLATION_MM, write_recording
 from toolee_robot.devices.cameras import LensModel, StreamedCamera
 from toolee_robot.devices.cameras.lens import DepthRegistration
-from toolee_robot.devices.cameras.orbbec import OrbbecMode, OrbbecStream, sdk
+from toolee_robot.devices.cameras.orbbec import OrbbecStream, sdk
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.errors import NoAnswerError, NotReadyError
 from toolee_robot.runtime.clock import HostClock
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pyorbbecsdk") is None, reason="needs pyorbbecsdk2, installed with --no-deps"
 )
-MODE = OrbbecMode(COLOR.width, COLOR.height, 30)
+MODE = CameraMode(COLOR.width, COLOR.height, 30)
 
 
 def pictures(count: int) -> list[tuple[Any, Any]]:
@@ -44,7 +45,7 @@ def recording(tmp_path: Path) -> Path:
     return tmp_path / "frames.bag"
 
 
-def stream(recording: Path, mode: OrbbecMode = MODE) -> OrbbecStream:
+def stream(recording: Path, mode: CameraMode = MODE) -> OrbbecStream:
     return OrbbecStream(SERIAL, mode, lambda: {SERIAL: lambda: sdk().PlaybackDevice(str(recording))})
 
 
@@ -102,7 +103,7 @@ def test_what_it_cannot_do_it_refuses(recording: Path) -> None:
     with raises(NoAnswerError, "no_answer.camera_missing"):
         OrbbecStream("no such", MODE).open()
     with raises(NotReadyError, "not_ready.camera_mode") as raised:
-        stream(recording, OrbbecMode(1280, 720, 30)).open()
+        stream(recording, CameraMode(1280, 720, 30)).open()
     assert "640x480" in str(raised.value)
 
 

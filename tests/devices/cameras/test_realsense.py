@@ -14,13 +14,14 @@ import pytest
 from tests.errors import raises
 from toolee_robot.devices.cameras import CameraProfile, Lens, LensModel, StreamedCamera
 from toolee_robot.devices.cameras.lens import DepthRegistration
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.realsense import RealSenseStream
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.errors import NoAnswerError, NotReadyError
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, COLOR, DEPTH, SERIAL, SoftwareRealSense
 
 rs: Any = pytest.importorskip("pyrealsense2", exc_type=ImportError)
-MODE = RealSenseMode(COLOR.width, COLOR.height, 30, exposure=0.008)
+MODE = CameraMode(COLOR.width, COLOR.height, 30, exposure=0.008)
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def device() -> Iterator[SoftwareRealSense]:
         yield device
 
 
-def stream(device: SoftwareRealSense, mode: RealSenseMode = MODE, serial: str = SERIAL) -> RealSenseStream:
+def stream(device: SoftwareRealSense, mode: CameraMode = MODE, serial: str = SERIAL) -> RealSenseStream:
     return RealSenseStream(serial, mode, device.devices)
 
 
@@ -125,10 +126,10 @@ def test_what_it_cannot_do_it_refuses(device: SoftwareRealSense) -> None:
         stream(device, serial="1").open()
     assert SERIAL in str(raised.value)
     with raises(NotReadyError, "not_ready.camera_mode") as unknown:
-        stream(device, RealSenseMode(1280, 720, 30)).open()
+        stream(device, CameraMode(1280, 720, 30)).open()
     assert "424x240" in str(unknown.value)
     with raises(NotReadyError, "not_ready.camera_exposure"):
-        stream(device, RealSenseMode(COLOR.width, COLOR.height, 30, exposure=3.0)).open()
+        stream(device, CameraMode(COLOR.width, COLOR.height, 30, exposure=3.0)).open()
     driver = stream(device)
     driver.open()
     with raises(NoAnswerError, "no_answer.camera_refuses"):

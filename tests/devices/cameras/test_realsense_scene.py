@@ -11,7 +11,8 @@ import pytest
 from toolee_robot import Category, HammeringTask, ToolPerception, nominal_grasp
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.devices.cameras import StreamedCamera
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.devices.cameras.realsense import RealSenseStream
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.frames import Array
 from toolee_robot.render.sensors.depth_camera import measure_depth
 from toolee_robot.robots import hand_model
@@ -65,7 +66,7 @@ def test_the_held_hammer_is_found_in_its_frames() -> None:
     noise = measure_depth(other.depth, other.cos_incidence, other.shininess, k, DepthNoise(), np.random.default_rng(0))
     with SoftwareRealSense(rs, rs.distortion.none, k, k) as device:
         device.rgb, device.depth = direct.rgb, np.nan_to_num(noise).astype(np.float64) * 1e3
-        mode = RealSenseMode(k.width, k.height, 30, exposure=0.008)
+        mode = CameraMode(k.width, k.height, 30, exposure=0.008)
         with StreamedCamera(RealSenseStream(SERIAL, mode, device.devices), HostClock()) as camera:
             frame = camera.read()
     off = [_depth_error(seen.depth, rendered.depth) for seen in (direct, frame)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import cast
 
 import numpy as np
 import pybullet as pb
@@ -20,6 +21,7 @@ from toolee_robot.sim_backend.physics.bullet import IMPACT
 from toolee_robot.sim_backend.physics.nail import Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import NailSpec, driving_work
 from toolee_robot.sim_backend.truth import StruckBy, pose_error, strike_offset, strike_tilt
+from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import InHandEstimate
 
 pytestmark = pytest.mark.sim
@@ -43,8 +45,8 @@ class ThrownHead:
         pb.changeDynamics(self.tool_body, -1, linearDamping=0, angularDamping=0, restitution=0, physicsClientId=client)
         self.X_hand_ee = X_hand_ee
         self.X_tool_ee = transform(DOWN, [0.0, 0.0, -HALF])
-        self.robot_body: int | None = None
-        self.judge = Judge(self)
+        self.robot_body = int(pb.createMultiBody(0.0, shape, -1, [9, 9, 9], physicsClientId=client))
+        self.judge = Judge(cast(SimWorld, self))
 
     def X_base_ee(self) -> Array:
         p, q = pb.getBasePositionAndOrientation(self.tool_body, physicsClientId=self.client)

@@ -13,14 +13,13 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from toolee_robot.devices.cameras.lens import Lens, LensModel
-from toolee_robot.devices.cameras.stream import CameraProfile, RawImages
+from toolee_robot.devices.cameras.stream import CameraMode, CameraProfile, RawImages
 from toolee_robot.errors import NoAnswerError, NotReadyError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.types import CameraIntrinsics
@@ -97,18 +96,6 @@ def describe_connected() -> list[dict[str, str]]:
     ]
 
 
-@dataclass(frozen=True)
-class OrbbecMode:
-    """What is asked of the camera."""
-
-    width: int
-    """Width of the colour image [px]."""
-    height: int
-    """Height of the colour image [px]."""
-    fps: int
-    """Frames per second of both images."""
-
-
 class OrbbecStream:
     """The `CameraStream` of an Orbbec camera. The exposure stays as it was set by the maker's program.
 
@@ -119,7 +106,7 @@ class OrbbecStream:
     """
 
     def __init__(
-        self, serial: str, mode: OrbbecMode, cameras: Callable[[], Mapping[str, Callable[[], Any]]] = connected
+        self, serial: str, mode: CameraMode, cameras: Callable[[], Mapping[str, Callable[[], Any]]] = connected
     ) -> None:
         self._serial, self._mode, self._cameras = serial, mode, cameras
         self._pipeline: Any = None

@@ -9,13 +9,12 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from toolee_robot.devices.cameras.lens import Lens, LensModel
-from toolee_robot.devices.cameras.stream import CameraProfile, RawImages
+from toolee_robot.devices.cameras.stream import CameraMode, CameraProfile, RawImages
 from toolee_robot.errors import NoAnswerError, NotReadyError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.types import CameraIntrinsics
@@ -74,20 +73,6 @@ def describe_connected(devices: Callable[[], Sequence[Any]] = connected) -> list
     ]
 
 
-@dataclass(frozen=True)
-class RealSenseMode:
-    """What is asked of the camera."""
-
-    width: int
-    """Width of the colour image [px]."""
-    height: int
-    """Height of the colour image [px]."""
-    fps: int
-    """Frames per second of both images."""
-    exposure: float | None = None
-    """Exposure of the colour image [s]; None to let the camera choose it."""
-
-
 class RealSenseStream:
     """The `CameraStream` of a RealSense.
 
@@ -100,7 +85,7 @@ class RealSenseStream:
         devices: Where the camera is looked for, again when it falls silent.
     """
 
-    def __init__(self, serial: str, mode: RealSenseMode, devices: Callable[[], Sequence[Any]] = connected) -> None:
+    def __init__(self, serial: str, mode: CameraMode, devices: Callable[[], Sequence[Any]] = connected) -> None:
         self._serial, self._mode, self._devices = serial, mode, devices
         self._sensors: list[Any] = []
 

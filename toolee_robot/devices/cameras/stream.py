@@ -18,6 +18,20 @@ WARM_UP = 15
 """Pairs of images that a device takes to settle: half a second at 30 Hz. Assumed."""
 
 
+@dataclass(frozen=True)
+class CameraMode:
+    """What is asked of a camera."""
+
+    width: int
+    """Width of the colour image [px]."""
+    height: int
+    """Height of the colour image [px]."""
+    fps: int
+    """Frames per second of both images."""
+    exposure: float | None = None
+    """Exposure of the colour image [s], of a RealSense; None to let the camera choose it."""
+
+
 @dataclass(frozen=True, eq=False)
 class CameraProfile:
     """An opened camera.

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.devices.hands import SERIAL, WiredHandKind
 from toolee_robot.devices.hands.grip import GripRule, Reading, Setpoints
-from toolee_robot.devices.hands.polled import MOTION_S, LineCounts, PolledHand
+from toolee_robot.devices.hands.polled import LineCounts, PolledHand
 from toolee_robot.devices.hands.ports import SerialPort
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 from toolee_robot.frames import Array
@@ -274,59 +274,34 @@ class AbilityHand(PolledHand[AbilityLine, NDArray[np.bool_]]):
         hand_id: The hand's address on the line.
     """
 
+    blocked = "something blocks the hand, or it is too hot"
+
     def __init__(self, model: HandModel, port: str, clock: Clock, hand_id: int = ADDRESS) -> None:
         super().__init__(model, clock, RULE, STILL_DEG)
         self._port, self._address = port, hand_id
         self._setpoints: Setpoints | None = None
         self._silent_most = clock.to_wall_time(SILENT_S) if isinstance(clock, HostClock) else SILENT_S
 
-    def open(self, timeout: float = MOTION_S) -> None:
-        """Open the thumb, then the fingers; the thumb stays before the palm.
+    def _spread(self, reading: Reading[NDArray[np.bool_]]) -> tuple[Reading[NDArray[np.bool_]], list[str]]:
+        """The thumb first, then the fingers; the thumb stays before the palm."""
+        self._lapsed = False
+        for motors in ([_THUMB], _ALL):
+            self._go(motors, OPEN, OPENING_SPEED)
+            self._free_what_is_stuck(self._until_still(), motors)
+        reading = self.reading(1.0)
+        return reading, [MOTORS[motor] for motor in _short(reading, _ALL)]
 
-        Args:
-            timeout: Time for the motion [s].
-
-        Raises:
-            DeviceError: The motion timed out, something blocks a finger, a motor has a fault, or `stop` ended it.
-        """
-        with self._motion(timeout):  # whatever is wrong: a person waits for the tool
-            self._grip.end()
-            self._lapsed = False
-            for motors in ([_THUMB], _ALL):
-                self._go(motors, OPEN, OPENING_SPEED)
-                self._free_what_is_stuck(self._until_still(), motors)
-            reading = self.reading(1.0)
-            if short := _short(reading, _ALL):
-                reading.refuse_fault()
-                names = ", ".join(MOTORS[motor] for motor in short)
-                message = f"something blocks the hand, or it is too hot: {names} did not open; look at it"
-                raise DeviceError(message, code="device.hand_blocked")
-
-    def close(self, timeout: float = MOTION_S) -> None:
-        """Close the fingers, then the thumb, until they hold something or are shut.
-
-        Args:
-            timeout: Time for the motion [s].
-
-        Raises:
-            DeviceError: The motion timed out, a motor has a fault, or `stop` ended it; the hand keeps its grip.
-        """
-        with self._motion(timeout) as reading:
-            reading.refuse_fault()
-            self._grip.end()
-            self._lapsed = False
-            if abs(reading.closures[_ROTATOR] - CLOSED[_ROTATOR]) > OPENED_DEG:  # the thumb turns before it bends
-                self._go([_ROTATOR], CLOSED, OPENING_SPEED)
-                self._until_still(_ROTATOR)
-            for motors in (_FINGERS, [_THUMB]):
-                self._go(motors, CLOSED, APPROACH_SPEED)
-                reading = self._until_still()
-            stuck = reading.said & (reading.closures < OPEN_STILL_DEG) & (reading.forces <= TOUCHES)
-            if stuck[[*_FINGERS, _THUMB]].any():
-                names = ", ".join(MOTORS[motor] for motor in np.flatnonzero(stuck))
-                message = f"something blocks the hand, or it is too hot: {names} did not close; look at it"
-                raise DeviceError(message, code="device.hand_stall")
-            self._grip.begin(reading)
+    def _grasp(self, reading: Reading[NDArray[np.bool_]]) -> tuple[Reading[NDArray[np.bool_]], list[str]]:
+        """The fingers first, then the thumb."""
+        self._lapsed = False
+        if abs(reading.closures[_ROTATOR] - CLOSED[_ROTATOR]) > OPENED_DEG:  # the thumb turns before it bends
+            self._go([_ROTATOR], CLOSED, OPENING_SPEED)
+            self._until_still(_ROTATOR)
+        for motors in (_FINGERS, [_THUMB]):
+            self._go(motors, CLOSED, APPROACH_SPEED)
+            reading = self._until_still()
+        stuck = reading.said & (reading.closures < OPEN_STILL_DEG) & (reading.forces <= TOUCHES)
+        return reading, [MOTORS[motor] for motor in (*_FINGERS, _THUMB) if stuck[motor]]
 
     def _go(self, motors: list[int], targets: tuple[float, ...], speed: float) -> None:
         """Send motors to targets, unless the hand is to stop."""

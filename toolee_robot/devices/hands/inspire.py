@@ -28,7 +28,7 @@ import numpy as np
 
 from toolee_robot.devices.hands import SERIAL, WiredHandKind
 from toolee_robot.devices.hands.grip import GripRule, Reading
-from toolee_robot.devices.hands.polled import MOTION_S, UNPLUGGED, LineCounts, PolledHand
+from toolee_robot.devices.hands.polled import UNPLUGGED, LineCounts, PolledHand
 from toolee_robot.devices.hands.ports import Port, SerialPort, TcpPort, is_tcp
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 from toolee_robot.frames import Array
@@ -394,52 +394,32 @@ class InspireHand(PolledHand[InspireLine, tuple[int, ...]]):
         self._target: tuple[int, ...] | None = None
         self._untaken = ""
 
-    def open(self, timeout: float = MOTION_S) -> None:
-        """Open the thumb, then the fingers; the thumb stays before the palm.
+    def _spread(self, reading: Reading[tuple[int, ...]]) -> tuple[Reading[tuple[int, ...]], list[str]]:
+        """The thumb first, then the fingers; the thumb stays before the palm."""
+        self._untaken = ""
+        self._limit(COUNTS, COUNTS)
+        self._move(_with(reading.said, _BEND, OPEN[_BEND]))
+        self._until_still(_BEND)
+        self._move(OPEN)
+        reading = self._until_still()
+        at_goal = zip(MOTORS, reading.said, OPEN, strict=True)
+        return reading, [name for name, at, goal in at_goal if abs(at - goal) > OPENED]
 
-        Args:
-            timeout: Time for the motion [s].
-
-        Raises:
-            DeviceError: The motion timed out, something blocks a finger, a motor has a fault, or `stop` ended it.
-        """
-        with self._motion(timeout) as reading:  # whatever is wrong: a person waits for the tool
-            self._grip.end()
-            self._untaken = ""
-            self._limit(COUNTS, COUNTS)
-            self._move(_with(reading.said, _BEND, OPEN[_BEND]))
-            self._until_still(_BEND)
-            self._move(OPEN)
-            reading = self._until_still()
-            at_goal = zip(MOTORS, reading.said, OPEN, strict=True)
-            if short := [name for name, at, goal in at_goal if abs(at - goal) > OPENED]:
-                reading.refuse_fault()
-                message = f"something blocks the hand: {', '.join(short)} did not open; look at it"
-                raise DeviceError(message, code="device.hand_blocked")
-
-    def close(self, timeout: float = MOTION_S) -> None:
-        """Close fingers and thumb until they hold something or are shut.
-
-        Args:
-            timeout: Time for the motion [s].
-
-        Raises:
-            DeviceError: The motion timed out, a motor has a fault, or `stop` ended it; the hand keeps its grip.
-        """
-        with self._motion(timeout) as reading:
-            reading.refuse_fault()
-            self._grip.end()
-            self._untaken = ""
-            self._limit(TOUCH_FORCE, APPROACH_SPEED)
-            if reading.said[_ROTATION] > OPENED:  # the thumb turns before it bends
-                self._move(_with(reading.said, _ROTATION, CLOSED[_ROTATION]))
-                self._until_still(_ROTATION)
-            self._move(CLOSED)
-            self._until_still()
-            self._limit(GRIP_FORCE, FINISH_SPEED)
-            self._move(CLOSED)
-            if self._grip.begin(self._until_still()):
-                self._limit(GRIP_FORCE, FOLLOW_SPEED)
+    def _grasp(self, reading: Reading[tuple[int, ...]]) -> tuple[Reading[tuple[int, ...]], list[str]]:
+        """Fingers and thumb together: fast until they touch, then slowly up to the grip's force."""
+        self._untaken = ""
+        self._limit(TOUCH_FORCE, APPROACH_SPEED)
+        if reading.said[_ROTATION] > OPENED:  # the thumb turns before it bends
+            self._move(_with(reading.said, _ROTATION, CLOSED[_ROTATION]))
+            self._until_still(_ROTATION)
+        self._move(CLOSED)
+        self._until_still()
+        self._limit(GRIP_FORCE, FINISH_SPEED)
+        self._move(CLOSED)
+        reading = self._until_still()
+        if self._grip.holding:
+            self._limit(GRIP_FORCE, FOLLOW_SPEED)
+        return reading, []  # a finger that does not move is a stall, which the hand reports
 
     def clear_faults(self) -> None:
         """Clear what is wrong, after a person has looked; heat has to go by itself.

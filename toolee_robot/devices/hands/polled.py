@@ -82,6 +82,9 @@ class PolledHand(ABC, Generic[LineT, SaidT]):
         readings: Number of readings so far.
     """
 
+    blocked = "something blocks the hand"
+    """What a finger that does not move means, for people."""
+
     def __init__(self, model: HandModel, clock: Clock, rule: GripRule, still: float) -> None:
         self._model, self._clock, self._rule, self._still = model, clock, rule, still
         self._line: LineT | None = None
@@ -186,13 +189,50 @@ class PolledHand(ABC, Generic[LineT, SaidT]):
         if self._thread is not None:
             self._tell(self._freeze)
 
-    @abstractmethod
     def open(self, timeout: float = MOTION_S) -> None:
-        """Spread the fingers; DeviceError if that times out, is blocked or is stopped."""
+        """Open the hand, whatever is wrong with it: a person waits for the tool.
+
+        Args:
+            timeout: Time for the motion [s].
+
+        Raises:
+            DeviceError: The motion timed out, something blocks a finger, a motor has a fault, the hand does not take
+                commands, or `stop` ended it.
+        """
+        with self._motion(timeout) as reading:
+            self._grip.end()
+            reading, short = self._spread(reading)
+            if short:
+                reading.refuse_fault()
+                message = f"{self.blocked}: {', '.join(short)} did not open; look at it"
+                raise DeviceError(message, code="device.hand_blocked")
+
+    def close(self, timeout: float = MOTION_S) -> None:
+        """Close the hand until it holds something or is shut.
+
+        Args:
+            timeout: Time for the motion [s].
+
+        Raises:
+            DeviceError: The motion timed out, a motor has a fault, a finger does not move, the hand does not take
+                commands, or `stop` ended it; the hand keeps its grip.
+        """
+        with self._motion(timeout) as reading:
+            reading.refuse_fault()
+            self._grip.end()
+            reading, stuck = self._grasp(reading)
+            if stuck:
+                message = f"{self.blocked}: {', '.join(stuck)} did not close; look at it"
+                raise DeviceError(message, code="device.hand_stall")
+            self._grip.begin(reading)
 
     @abstractmethod
-    def close(self, timeout: float = MOTION_S) -> None:
-        """Close until the hand holds something or is shut; DeviceError as of `open`, and the grip is kept."""
+    def _spread(self, reading: Reading[SaidT]) -> tuple[Reading[SaidT], list[str]]:
+        """Move to the open hand; the reading then, and the names of what did not open."""
+
+    @abstractmethod
+    def _grasp(self, reading: Reading[SaidT]) -> tuple[Reading[SaidT], list[str]]:
+        """Move until the hand holds or is shut; the reading for the grip, and the names of what did not close."""
 
     @abstractmethod
     def _connect(self) -> LineT:

@@ -19,7 +19,7 @@ import numpy as np
 
 from toolee_robot.devices.hands import WiredHandKind
 from toolee_robot.devices.hands.grip import GripRule, Reading
-from toolee_robot.devices.hands.polled import MOTION_S, LineCounts, PolledHand
+from toolee_robot.devices.hands.polled import LineCounts, PolledHand
 from toolee_robot.devices.hands.ports import TcpPort
 from toolee_robot.errors import DeviceError, NoAnswerError
 from toolee_robot.frames import Array
@@ -146,40 +146,15 @@ class RobotiqGripper(PolledHand[RobotiqLine, int]):
         super().__init__(model, clock, RULE, STILL)
         self._port, self._force = port, SIZES[model.name].force
 
-    def open(self, timeout: float = MOTION_S) -> None:
-        """Open the jaws.
+    def _spread(self, reading: Reading[int]) -> tuple[Reading[int], list[str]]:
+        self._go(0, FULL)
+        reading = self._until_still(settled=lambda reading: reading.said != MOVING)
+        return reading, ["jaws"] if reading.closures[0] > OPENED else []
 
-        Args:
-            timeout: Time for the motion [s].
-
-        Raises:
-            DeviceError: The motion timed out, something blocks it, it has a fault, or `stop` ended it.
-        """
-        with self._motion(timeout):
-            self._grip.end()
-            self._go(0, FULL)
-            reading = self._until_still(settled=lambda reading: reading.said != MOVING)
-            if reading.closures[0] > OPENED:
-                reading.refuse_fault()
-                raise DeviceError("something blocks the gripper: it did not open", code="device.hand_blocked")
-
-    def close(self, timeout: float = MOTION_S) -> None:
-        """Close the jaws until they hold something or are shut.
-
-        Args:
-            timeout: Time for the motion [s].
-
-        Raises:
-            DeviceError: The motion timed out, it does not move, it has a fault, or `stop` ended it.
-        """
-        with self._motion(timeout) as reading:
-            reading.refuse_fault()
-            self._grip.end()
-            self._go(FULL, CLOSING_SPEED)
-            reading = self._until_still(settled=lambda reading: reading.said != MOVING)
-            if reading.closures[0] <= OPENED:
-                raise DeviceError("something blocks the gripper: it did not close", code="device.hand_stall")
-            self._grip.begin(reading)
+    def _grasp(self, reading: Reading[int]) -> tuple[Reading[int], list[str]]:
+        self._go(FULL, CLOSING_SPEED)
+        reading = self._until_still(settled=lambda reading: reading.said != MOVING)
+        return reading, ["jaws"] if reading.closures[0] <= OPENED else []
 
     def _go(self, position: int, speed: int) -> None:
         def go(line: RobotiqLine) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.devices.hands import WiredHandKind
 from toolee_robot.devices.hands.grip import GripRule, Reading, Setpoints
-from toolee_robot.devices.hands.polled import MOTION_S, PolledHand
+from toolee_robot.devices.hands.polled import PolledHand
 from toolee_robot.devices.hands.rosbridge import RosbridgeLine, Told
 from toolee_robot.errors import ConfigError, DeviceError
 from toolee_robot.frames import Array
@@ -130,53 +130,26 @@ class ShadowHand(PolledHand[RosbridgeLine, Told]):
         self._sent: Array | None = None
         self._touched_at = np.full(len(MOTORS), np.inf)
 
-    def open(self, timeout: float = MOTION_S) -> None:
-        """Open the thumb, then the fingers; the wrist goes to its rest.
+    def _spread(self, reading: Reading[Told]) -> tuple[Reading[Told], list[str]]:
+        """The thumb first, then the fingers; the wrist goes to its rest."""
+        for motors in (_THUMB, _ALL):
+            self._go(motors, AT_OPEN, OPENING_SPEED)
+            reading = self._until_still()
+        short = np.abs(reading.closures - AT_OPEN) > OPENED_DEG
+        short[_WRIST] = False  # the wrist gives way to whoever holds it
+        return reading, _named(short)
 
-        Args:
-            timeout: Time for the motion [s].
-
-        Raises:
-            DeviceError: The motion timed out, something blocks a finger, a motor has a fault, the hand does not take
-                commands, or `stop` ended it.
-        """
-        with self._motion(timeout) as reading:  # whatever is wrong: a person waits for the tool
-            self._grip.end()
-            for motors in (_THUMB, _ALL):
-                self._go(motors, AT_OPEN, OPENING_SPEED)
-                reading = self._until_still()
-            short = np.abs(reading.closures - AT_OPEN) > OPENED_DEG
-            short[_WRIST] = False  # the wrist gives way to whoever holds it
-            if short.any():
-                reading.refuse_fault()
-                message = f"something blocks the hand: {_named(short)} did not open; look at it"
-                raise DeviceError(message, code="device.hand_blocked")
-
-    def close(self, timeout: float = MOTION_S) -> None:
-        """Close the fingers, then the thumb, until they hold something or are shut.
-
-        Args:
-            timeout: Time for the motion [s].
-
-        Raises:
-            DeviceError: The motion timed out, a motor has a fault, a finger does not move, the hand does not take
-                commands, or `stop` ended it; the hand keeps its grip.
-        """
-        with self._motion(timeout) as reading:
-            reading.refuse_fault()
-            self._grip.end()
-            if np.abs(reading.closures - AT_OPEN)[_THUMB].max() > OPENED_DEG:  # out of the fingers' way
-                self._go(_THUMB, AT_OPEN, OPENING_SPEED)
-                self._until_still()
-            for motors in (_OTHERS, _THUMB):
-                self._go(motors, AT_CLOSED, APPROACH_SPEED)
-                reading = self._until_still(settled=self._presses)
-            reading.refuse_fault()
-            stuck = _BENDING & (reading.closures - AT_OPEN < STUCK_DEG)
-            if stuck.any():
-                message = f"something blocks the hand: {_named(stuck)} did not close; look at it"
-                raise DeviceError(message, code="device.hand_stall")
-            self._grip.begin(fingers_of(reading, self._efforts.touch))
+    def _grasp(self, reading: Reading[Told]) -> tuple[Reading[Told], list[str]]:
+        """The fingers first, then the thumb."""
+        if np.abs(reading.closures - AT_OPEN)[_THUMB].max() > OPENED_DEG:  # out of the fingers' way
+            self._go(_THUMB, AT_OPEN, OPENING_SPEED)
+            self._until_still()
+        for motors in (_OTHERS, _THUMB):
+            self._go(motors, AT_CLOSED, APPROACH_SPEED)
+            reading = self._until_still(settled=self._presses)
+        reading.refuse_fault()
+        stuck = _BENDING & (reading.closures - AT_OPEN < STUCK_DEG)
+        return fingers_of(reading, self._efforts.touch), _named(stuck)
 
     def _go(self, motors: Sequence[int], targets: Array, speed: float) -> None:
         """Send motors to targets, unless the hand is to stop."""
@@ -258,10 +231,10 @@ class ShadowHand(PolledHand[RosbridgeLine, Told]):
         return dict(zip(PREFIXES, map(float, newtons), strict=True))
 
 
-def _named(motors: NDArray[np.bool_]) -> str:
-    """Name the fingers of motors, (20,), for people."""
+def _named(motors: NDArray[np.bool_]) -> list[str]:
+    """The fingers of motors, (20,), for people."""
     fingers = {prefix: finger for finger, prefix in PREFIXES.items()}
-    return ", ".join(f"{fingers[MOTORS[motor][:2]]} ({MOTORS[motor]})" for motor in np.flatnonzero(motors))
+    return [f"{fingers[MOTORS[motor][:2]]} ({MOTORS[motor]})" for motor in np.flatnonzero(motors)]
 
 
 def _ignored(told: Told) -> bool:

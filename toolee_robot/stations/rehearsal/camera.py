@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from toolee_robot.calibration.record import rows
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.devices.cameras import CameraProfile, CameraStream, Lens, LensModel, RawImages, StatedLens
-from toolee_robot.devices.cameras.realsense import RealSenseMode, RealSenseStream, sdk
+from toolee_robot.devices.cameras.realsense import RealSenseStream, sdk
+from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Clock
 from toolee_robot.render.scene import Rendering
@@ -312,5 +313,5 @@ def emulated_stream(
         clock=clock,
         pictures=see(transform(p=[BASELINE, 0.0, 0.0])),
     ) as emulated:
-        mode = RealSenseMode(k.width, k.height, device.fps, device.exposure)
+        mode = CameraMode(k.width, k.height, device.fps, device.exposure)
         yield RealSenseStream(device.serial, mode, emulated.devices)
