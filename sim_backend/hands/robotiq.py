@@ -15,7 +15,6 @@ Not there: activation, automatic release, current (it is activated; its force ma
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -100,7 +99,7 @@ class RobotiqEmulator(LineEmulator[EmulatedHand[Jaws]]):
         faults = LineFaults(lambda _: b"PRE 17\n", seed, framing=3)
         super().__init__(hand, TcpServer(address, 0.0), faults, clock, 0.003, 1e-7)
         self.joints = lambda angles: joints_of_position(name, float(angles[0]))
-        self._registers = {"ACT": 1, "ATR": 0, "ADR": 0, "GTO": 0, "STA": 3, "SPE": 255, "FOR": 255, "PRE": 0}
+        self._registers = {"ACT": 1, "GTO": 0, "STA": 3, "SPE": 255, "FOR": 255, "PRE": 0}
 
     def answer(self, data: bytes) -> list[bytes]:
         """Answer the requests in the stream of bytes."""
@@ -116,7 +115,7 @@ class RobotiqEmulator(LineEmulator[EmulatedHand[Jaws]]):
             return [f"{words[1]} {now[words[1]]}\n".encode()] if words[1] in now else []
         if not words or words[0] != "SET" or len(words) % 2 == 0:
             return []
-        return self.faults.write(partial(self._set, dict(zip(words[1::2], map(int, words[2::2]), strict=True))))
+        return self._set(dict(zip(words[1::2], map(int, words[2::2]), strict=True)))
 
     def _set(self, values: dict[str, int]) -> list[bytes]:
         (jaws,) = self._hand.motors

@@ -9,28 +9,20 @@ from typing import Any
 
 import numpy as np
 
+from tests.rigs.wired_hands import WiredHand
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.devices.hands import open_hand
-from toolee_robot.devices.hands.ability import AbilityHand
-from toolee_robot.devices.hands.inspire import InspireHand
 from toolee_robot.devices.hands.mount import MountedTool
-from toolee_robot.devices.hands.robotiq import RobotiqGripper
-from toolee_robot.devices.hands.shadow import ShadowHand
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
 from toolee_robot.robots import SHADOW_HAND, HandModel, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.hand import SimHand
-from toolee_robot.sim_backend.hands.ability import AbilityEmulator
-from toolee_robot.sim_backend.hands.inspire import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.hands.kit import HandEmulator
-from toolee_robot.sim_backend.hands.robotiq import RobotiqEmulator
-from toolee_robot.sim_backend.hands.shadow import ShadowEmulator
 from toolee_robot.station import HandConfig, sim_station
-from toolee_robot.types import HandEfforts, HandMounting, ToolMount
+from toolee_robot.types import ToolMount
 
-MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
 MOUNT = ToolMount(
     position=(0.0, 0.0, 0.14), handle=(1.0, 0.0, 0.0), working_side=(0.0, 0.0, 1.0), mass=1.1,
     center_of_mass=(0.0, 0.0, 0.07), clamp_mass=0.3, body_size=(0.09, 0.09, 0.17), body_position=(0.0, 0.0, 0.085),
@@ -103,75 +95,22 @@ class MountRig(Rig):
 
 
 class EmulatedRig(Rig):
-    """A driver on an emulated hand.
+    """A driver on its emulated hand."""
 
-    Args:
-        emulator: The emulated hand.
-    """
+    def __init__(self, wired: WiredHand, config: HandConfig, emulator: HandEmulator[Any]) -> None:
+        self._wired, self._emulator = wired, emulator
+        self.model, self.clock = hand_model(config), HostClock()
+        self.hand = open_hand(config, self.clock)
+        self.rest, self.bends = wired.rest, wired.bends
 
-    def __init__(self, emulator: HandEmulator[Any]) -> None:
-        self._emulator = emulator
-        self.clock = HostClock()
+    def give(self) -> None:
+        self._emulator.hold(self._wired.handle)
 
     def cut(self) -> None:
         self._emulator.faults.muted = True
 
     def restore(self) -> None:
         self._emulator.faults.muted = False
-
-
-class InspireRig(EmulatedRig):
-    """The Inspire driver on the emulated hand, whose motors are four times as fast as real ones."""
-
-    def __init__(self, emulator: InspireEmulator | ModbusEmulator) -> None:
-        super().__init__(emulator)
-        self.model = hand_model(HandConfig("inspire_rh56", mounting=MOUNTING))
-        self.hand = InspireHand(self.model, emulator.port, self.clock)
-
-    def give(self) -> None:
-        self._emulator.tell(lambda hand: hand.hold(400.0))
-
-
-class AbilityRig(EmulatedRig):
-    """The Ability Hand's driver on the emulated hand."""
-
-    rest = 0.4  # its motors approach their targets with a time constant of 67 ms
-
-    def __init__(self, emulator: AbilityEmulator) -> None:
-        super().__init__(emulator)
-        self.model = hand_model(HandConfig("ability_hand", mounting=MOUNTING))
-        self.hand = AbilityHand(self.model, emulator.port, self.clock)
-
-    def give(self) -> None:
-        self._emulator.hold(55.0)
-
-
-class ShadowRig(EmulatedRig):
-    """The Shadow Hand's driver on the emulated hand, over a websocket."""
-
-    rest = 0.4
-
-    def __init__(self, emulator: ShadowEmulator) -> None:
-        super().__init__(emulator)
-        self.model = SHADOW_HAND
-        self.hand = ShadowHand(self.model, emulator.port, HandEfforts(60.0, 300.0, 0.03), self.clock)
-
-    def give(self) -> None:
-        self._emulator.hold(55.0)
-
-
-class RobotiqRig(EmulatedRig):
-    """The Robotiq driver on the emulated gripper."""
-
-    bends = 0.79  # all that its linkage does
-
-    def __init__(self, emulator: RobotiqEmulator) -> None:
-        super().__init__(emulator)
-        self.model = hand_model(HandConfig("robotiq_2f85", mounting=MOUNTING))
-        self.hand = RobotiqGripper(self.model, emulator.port, self.clock)
-
-    def give(self) -> None:
-        self._emulator.hold(150.0)
 
 
 class LabRig(Rig):

@@ -14,37 +14,21 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
-from tests.contract.hand_rigs import (
-    AbilityRig,
-    InspireRig,
-    LabRig,
-    MountRig,
-    Rig,
-    RobotiqRig,
-    ShadowRig,
-    SimRig,
-    at_handover,
-)
+from tests.contract.hand_rigs import EmulatedRig, LabRig, MountRig, Rig, SimRig, at_handover
 from tests.contract.lab import asker, hand_of
 from tests.errors import raises
+from tests.rigs.wired_hands import HANDS, emulated
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.hal import Hand, HandState
 from toolee_robot.robots import PALM
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.hands.ability import AbilityEmulator
-from toolee_robot.sim_backend.hands.inspire import InspireEmulator, ModbusEmulator
-from toolee_robot.sim_backend.hands.robotiq import RobotiqEmulator
-from toolee_robot.sim_backend.hands.shadow import ShadowEmulator
 from toolee_robot.station import sim_station
 
+EMULATED = tuple(name for name in HANDS if name != "robotiq_2f140")
 TIERS = {
     "simulated": pytest.mark.sim,
     "mount": pytest.mark.unit,
-    "inspire": pytest.mark.realtime(light=True),
-    "inspire_tcp": pytest.mark.realtime(light=True),
-    "ability": pytest.mark.realtime(light=True),
-    "shadow": pytest.mark.realtime(light=True),
-    "robotiq": pytest.mark.realtime(light=True),
+    **dict.fromkeys(EMULATED, pytest.mark.realtime(light=True)),
     "lab": pytest.mark.realtime,
 }
 
@@ -62,21 +46,9 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
         yield MountRig()
     elif request.param == "lab":
         yield LabRig(hand_of(request.config), asker(request.config))
-    elif request.param == "inspire":
-        with InspireEmulator(pace=4.0) as emulator:
-            yield InspireRig(emulator)
-    elif request.param == "inspire_tcp":
-        with ModbusEmulator(pace=4.0) as modbus:
-            yield InspireRig(modbus)
-    elif request.param == "ability":
-        with AbilityEmulator() as ability:
-            yield AbilityRig(ability)
-    elif request.param == "shadow":
-        with ShadowEmulator() as shadow:
-            yield ShadowRig(shadow)
-    elif request.param == "robotiq":
-        with RobotiqEmulator() as robotiq:
-            yield RobotiqRig(robotiq)
+    elif request.param in HANDS:
+        with emulated(HANDS[request.param]) as (config, emulator):
+            yield EmulatedRig(HANDS[request.param], config, emulator)
     else:
         with SimStation.build(sim_station(), 100, SimOptions(q_start=at_handover())) as simulation:
             yield SimRig(simulation)
@@ -86,7 +58,7 @@ def state(rig: Rig) -> HandState:
     return rig.hand.state(max_age=1.0)
 
 
-@on("simulated", "mount", "inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab")
+@on("simulated", "mount", *EMULATED, "lab")
 def test_its_state_is_that_of_its_model(rig: Rig) -> None:
     assert isinstance(rig.hand, Hand)
     assert rig.hand.joint_names == rig.model.joints
@@ -106,7 +78,7 @@ def test_its_state_is_that_of_its_model(rig: Rig) -> None:
         hand.state()
 
 
-@on("simulated", "mount", "inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab")
+@on("simulated", "mount", *EMULATED, "lab")
 def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
     with rig.hand as hand:
         hand.open()
@@ -129,7 +101,7 @@ def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
         assert opened[len(rig.model.wrist) :].max(initial=0.0) < 0.1
 
 
-@on("inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab", nightly=("simulated",))
+@on(*EMULATED, "lab", nightly=("simulated",))
 def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
     with rig.hand as hand:
         hand.close()
@@ -138,7 +110,7 @@ def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
         assert np.abs(bent).max() > rig.bends
 
 
-@on("inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab", nightly=("simulated",))
+@on(*EMULATED, "lab", nightly=("simulated",))
 def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
     with rig.hand as hand:
         with raises(DeviceError, "device.timeout"):
@@ -152,7 +124,7 @@ def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
         assert state(rig).holding
 
 
-@on("inspire", "inspire_tcp", "ability", "shadow", "robotiq", nightly=("simulated",))
+@on(*EMULATED, nightly=("simulated",))
 def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None:
     with rig.hand as hand:
         rig.give()
@@ -166,7 +138,7 @@ def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None
         assert state(rig).holding
 
 
-@on("inspire", "inspire_tcp", "ability", "shadow", "robotiq", "lab")
+@on(*EMULATED, "lab")
 def test_it_is_watched_and_stopped_by_other_threads_while_it_closes(rig: Rig) -> None:
     with rig.hand as hand, ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)

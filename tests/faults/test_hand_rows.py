@@ -10,8 +10,9 @@ import pytest
 
 from tests.faults.record import FaultRow, Phase
 from tests.faults.rows.hands import FAULTS, ROWS, HandFault, hand_row
-from tests.rigs.hand_rig import HANDS, DriverHand, HandKind
+from tests.rigs.hand_rig import HANDS, DriverHand
 from tests.rigs.job_rig import Bench
+from tests.rigs.wired_hands import WiredHand
 from toolee_robot.tasks.common import hand_watch
 from toolee_robot.tasks.common.motions import Motions
 
@@ -35,7 +36,7 @@ the Inspire show a slip of 40 counts 0.35 s after it, those of the Ability Hand 
 s are the opening that frees a finger; the fault happens 0.3 s before the contact."""
 
 
-def _marks(kind: HandKind, fault: HandFault) -> tuple[pytest.MarkDecorator, ...]:
+def _marks(kind: WiredHand, fault: HandFault) -> tuple[pytest.MarkDecorator, ...]:
     name = (fault.fault, fault.phase, kind.label)
     if name in _NOT_HANDLED:
         return (pytest.mark.nightly, pytest.mark.xfail(reason=_NOT_HANDLED[name]))
@@ -78,7 +79,7 @@ def test_every_fault_of_the_hand_is_there() -> None:
         for kind, fault in ROWS
     ],
 )
-def test_a_fault_is_handled(bench: Bench, kind: HandKind, fault: HandFault) -> None:
+def test_a_fault_is_handled(bench: Bench, kind: WiredHand, fault: HandFault) -> None:
     row = hand_row(fault, kind, bench)
     assert row.handled, row.why
     assert (row.number, row.fault, row.phase, row.on) == (
@@ -103,7 +104,7 @@ def test_without_the_watch_of_the_hand(bench: Bench, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.nightly
 def test_a_hand_that_lets_go(bench: Bench) -> None:
-    def let_go(emulator: Any, _kind: HandKind) -> None:
+    def let_go(emulator: Any, _kind: WiredHand) -> None:
         def open_at_once(hand: Any) -> None:
             for motor in hand.motors:
                 motor.position = 0.0

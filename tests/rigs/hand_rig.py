@@ -12,10 +12,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Self
 
 from tests.rigs.job_rig import ClosedHand
+from tests.rigs.wired_hands import HANDS as WIRED_HANDS
+from tests.rigs.wired_hands import WiredHand
 from toolee_robot.devices.hands import open_hand
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Clock, Hand, HandState
@@ -23,75 +25,10 @@ from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.hand import TICK, SimHand
 from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.sim_backend.hands.kit import HandEmulator
-from toolee_robot.station import HandConfig
 from toolee_robot.stations.rehearsal.emulated_lab import SWITCH_INTERVAL
-from toolee_robot.types import HandEfforts, HandMounting
 
-MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
-"""Any: the arm of these rows carries the simulated hand."""
-EFFORTS = HandEfforts(touch=60.0, grip=300.0, newtons_per_unit=0.03)
-"""Of the emulated Shadow Hand."""
-
-
-@dataclass(frozen=True)
-class Unheard:
-    """How a hand goes on telling its state and takes no command, nor acknowledges one.
-
-    Attributes:
-        event: Event by which it is so.
-        says: What its driver says of it.
-        code: Code of that error.
-        gives: Way by which what it holds gives way so that it is told to close further, in its own unit.
-    """
-
-    event: str
-    says: str
-    code: str
-    gives: float
-
-
-@dataclass(frozen=True)
-class HandKind:
-    """A kind of hand.
-
-    Attributes:
-        config: What a station file says of it.
-        label: Name of the rows' column.
-        handle: Angle at which its fingers meet a handle, in the hand's own unit.
-        slip: Way by which a slipping handle gives way, in that unit.
-        margin: Largest distance of a finger that still holds from where it meets the handle, in that unit.
-        jams: Event by which its middle finger jams.
-        heats: Event by which it gets too hot.
-        unheard: How it takes no command; None for one that answers each command with its state, and so is silent then.
-    """
-
-    config: HandConfig
-    label: str
-    handle: float
-    slip: float
-    margin: float
-    jams: str = "jam middle"
-    heats: str = "heat index 75"
-    unheard: Unheard | None = None
-
-
-_MODBUS = HandConfig("inspire_rh56", mounting=MOUNTING, port="tcp://127.0.0.1:6000")
-"""The port tells its wire only: an emulated hand listens at any that is free."""
-_DEAF = Unheard("deaf", "register", "no_answer.hand_write", 25.0)
-"""25 counts take half of the force."""
-_STOPPED = Unheard("controllers off", "its controllers do not do what it is told", "device.hand_command", 6.0)
-HANDS = (
-    HandKind(HandConfig("inspire_rh56", mounting=MOUNTING), "Inspire RH56", 400.0, 60.0, 110.0, unheard=_DEAF),
-    HandKind(HandConfig("ability_hand", mounting=MOUNTING), "Ability Hand", 55.0, 6.0, 15.0, heats="heat 75"),
-    HandKind(_MODBUS, "Inspire Modbus-TCP", 400.0, 60.0, 110.0, unheard=_DEAF),
-    HandKind(
-        HandConfig("shadow_right", efforts=EFFORTS), "Shadow Hand", 55.0, 6.0, 15.0, "jam MFJ3", "heat FFJ3 75",
-        _STOPPED,
-    ),
-)  # fmt: skip
-"""The hands that have a driver here and an emulator, on each of their wires."""
-
-
+HANDS = tuple(hand for hand in WIRED_HANDS.values() if hand.slip)
+"""The hands that the fault table has, on each of their wires."""
 LOOK_PERIOD, AHEAD = 0.01, 0.04
 """How often the simulation looks for the hand's newest reading, and by how far it may be ahead of it [s, its own]."""
 WAIT = 2.0
@@ -145,7 +82,7 @@ class DriverHand(ClosedHand):
         emulator: The emulated hand.
     """
 
-    def __init__(self, simulation: SimStation, simulated: SimHand, kind: HandKind) -> None:
+    def __init__(self, simulation: SimStation, simulated: SimHand, kind: WiredHand) -> None:
         super().__init__(simulated)
         self.kind, self._simulation = kind, simulation
         self.emulator: HandEmulator[Any] = emulated_hand(kind.config)

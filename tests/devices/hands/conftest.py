@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.rigs.wired_hands import EFFORTS, MOUNTING
 from toolee_robot.devices.hands import inspire as inspire_driver
 from toolee_robot.devices.hands.ability import AbilityHand
 from toolee_robot.devices.hands.inspire import InspireHand
@@ -17,11 +18,8 @@ from toolee_robot.sim_backend.hands.ability import AbilityEmulator
 from toolee_robot.sim_backend.hands.inspire import InspireEmulator, ModbusEmulator
 from toolee_robot.sim_backend.hands.shadow import ShadowEmulator
 from toolee_robot.station import HandConfig
-from toolee_robot.types import HandEfforts, HandMounting
 
 PACE = 4.0
-MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
-EFFORTS = HandEfforts(touch=60.0, grip=300.0, newtons_per_unit=0.03)
 InspireWire = InspireEmulator | ModbusEmulator
 
 

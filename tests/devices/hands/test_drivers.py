@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
@@ -14,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.devices.hands.conftest import EFFORTS, MOUNTING
 from tests.errors import raises
+from tests.rigs.wired_hands import HANDS, emulated
 from toolee_robot.devices.hands import open_hand
 from toolee_robot.devices.hands.polled import PolledHand
 from toolee_robot.doctor.devices import check_hand
@@ -23,24 +22,13 @@ from toolee_robot.errors import ConfigError, DeviceError, NoAnswerError
 from toolee_robot.findings import Level
 from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.sim_backend.hands.kit import HandEmulator, LineFault, happen
-from toolee_robot.station import HandConfig, StationConfig, load_station
+from toolee_robot.station import StationConfig, load_station
 
 pytestmark = pytest.mark.realtime(light=True)
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 NOISE = {LineFault.GARBAGE: 0.05, LineFault.CORRUPT: 0.03, LineFault.DOUBLED: 0.05, LineFault.FOREIGN: 0.05}
-TCP = "tcp://192.168.11.210:6000"
-HANDS = {
-    "inspire": (HandConfig("inspire_rh56", mounting=MOUNTING, port="/dev/ttyUSB0"), "heat index 80"),
-    "modbus": (HandConfig("inspire_rh56", mounting=MOUNTING, port=TCP), "heat index 80"),
-    "ability": (HandConfig("ability_hand", mounting=MOUNTING, port="/dev/ttyUSB0"), "heat 80"),
-    "shadow": (HandConfig("shadow_right", efforts=EFFORTS, port="ws://127.0.0.1:9090"), "heat FFJ3 70"),
-    "2f85": (HandConfig("robotiq_2f85", mounting=MOUNTING, port=TCP), "heat 90"),
-    "2f140": (HandConfig("robotiq_2f140", mounting=MOUNTING, port=TCP), "heat 90"),
-}
-"""Name -> what a station file says of it, an event after which it has a fault."""
 
 
 @dataclass(frozen=True)
@@ -60,15 +48,9 @@ class Rig:
 
 @pytest.fixture(params=HANDS)
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
-    hand, heats = HANDS[request.param]
-    config = replace(load_station(EXAMPLES / "inspire.yaml"), hand=hand)
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(5e-4)  # driver and emulator are in this process
-    try:
-        with emulated_hand(hand) as emulator:
-            yield Rig(replace(config, hand=replace(config.hand, port=emulator.port)), emulator, heats)
-    finally:
-        sys.setswitchinterval(interval)
+    station, hand = load_station(EXAMPLES / "inspire.yaml"), HANDS[request.param]
+    with emulated(hand) as (config, emulator):
+        yield Rig(replace(station, hand=config), emulator, hand.heats)
 
 
 def eventually(condition: Callable[[], bool], within: float = 5.0) -> None:

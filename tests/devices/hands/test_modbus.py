@@ -59,13 +59,6 @@ def test_an_exception_is_an_error_and_one_of_a_busy_hand_is_asked_again(emulator
         assert line.read(ANGLE_ACT, 12) == OPEN
         emulator.refusals.append(5)
         line.write(ANGLE_SET, OPEN)
-        for code in (1, 2, 3):
-            emulator.refusals.append(code)
-            with raises(DeviceError, "device.hand_refuses"):
-                line.read(ANGLE_ACT, 12)
-            emulator.refusals.append(code)
-            with raises(DeviceError, "device.hand_refuses"):
-                line.write(ANGLE_SET, OPEN)
         with raises(DeviceError, "device.hand_refuses"):
             line.write(ANGLE_ACT, OPEN)
         emulator.refusals.extend([4] * ATTEMPTS)

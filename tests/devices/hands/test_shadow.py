@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from tests.devices.hands.conftest import EFFORTS
 from tests.errors import raises
+from tests.rigs.wired_hands import EFFORTS
 from toolee_robot.devices.hands.shadow import ShadowHand
 from toolee_robot.errors import ConfigError, DeviceError, NoAnswerError, ProtocolError, StaleDataError
 from toolee_robot.hal import HandState

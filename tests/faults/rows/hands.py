@@ -13,8 +13,9 @@ from typing import Any
 from tests.faults.record import FaultRow, Measurement, Phase
 from tests.faults.rows.job import job_row
 from tests.faults.rows.job_fault import IN_STRIKE, Braking, JobFault, Scene
-from tests.rigs.hand_rig import HANDS, DriverHand, HandKind
+from tests.rigs.hand_rig import HANDS, DriverHand
 from tests.rigs.job_rig import CONFIG, Bench
+from tests.rigs.wired_hands import WiredHand
 from toolee_robot.errors import DeviceError
 from toolee_robot.robots.hands.inspire import INSPIRE
 from toolee_robot.robots.hands.shadow import SHADOW
@@ -37,22 +38,22 @@ BEFORE = 0.3
 SEEN_TIME, UNHEARD_TIME = 0.5, 1.0
 """Time from a fault at rest until the job goes on, and from one that shows by commands without effect [s]."""
 
-Event = Callable[[HandEmulator[Any], HandKind], object]
+Event = Callable[[HandEmulator[Any], WiredHand], object]
 
 
-def _is_any(_: HandKind) -> bool:
+def _is_any(_: WiredHand) -> bool:
     return True
 
 
-def _is_inspire(kind: HandKind) -> bool:
+def _is_inspire(kind: WiredHand) -> bool:
     return kind.config.model == INSPIRE
 
 
-def _is_serial(kind: HandKind) -> bool:
+def _is_serial(kind: WiredHand) -> bool:
     return kind.config.port is None and kind.config.model != SHADOW
 
 
-def _is_told_apart(kind: HandKind) -> bool:
+def _is_told_apart(kind: WiredHand) -> bool:
     """Whether commands are not the questions: an Ability Hand that takes none is a silent one, which is row 15."""
     return kind.unheard is not None
 
@@ -81,7 +82,7 @@ class HandFault:
     message: str
     expected: str
     keeps: bool = True
-    concerns: Callable[[HandKind], bool] = _is_any
+    concerns: Callable[[WiredHand], bool] = _is_any
     unheard: bool = False
     seen: float = SEEN_TIME
 
@@ -91,14 +92,14 @@ class HandFault:
         return SWING if self.when == IN_STRIKE else REST
 
 
-def _mute(e: HandEmulator[Any], _: HandKind) -> None:
+def _mute(e: HandEmulator[Any], _: WiredHand) -> None:
     e.faults.muted = True
 
 
 def _rates(**rates: float) -> Event:
     """Let this share of all replies be damaged."""
 
-    def noise(e: HandEmulator[Any], _: HandKind) -> None:
+    def noise(e: HandEmulator[Any], _: WiredHand) -> None:
         e.faults.rates = {LineFault(name): rate for name, rate in rates.items()}
 
     return noise
@@ -108,24 +109,24 @@ def _tell(line: str) -> Event:
     return lambda e, _: happen(e, line)
 
 
-def _jam(e: HandEmulator[Any], kind: HandKind) -> None:
+def _jam(e: HandEmulator[Any], kind: WiredHand) -> None:
     happen(e, kind.jams)
 
 
-def _heat(e: HandEmulator[Any], kind: HandKind) -> None:
+def _heat(e: HandEmulator[Any], kind: WiredHand) -> None:
     happen(e, kind.heats)
 
 
-def _slip(e: HandEmulator[Any], kind: HandKind) -> None:
+def _slip(e: HandEmulator[Any], kind: WiredHand) -> None:
     e.slip(kind.slip)
 
 
-def _unheard(e: HandEmulator[Any], kind: HandKind) -> None:
+def _unheard(e: HandEmulator[Any], kind: WiredHand) -> None:
     assert kind.unheard is not None
     happen(e, kind.unheard.event)
 
 
-def _unheard_and_slips(e: HandEmulator[Any], kind: HandKind) -> None:
+def _unheard_and_slips(e: HandEmulator[Any], kind: WiredHand) -> None:
     assert kind.unheard is not None
     _unheard(e, kind)
     e.slip(kind.unheard.gives)
@@ -181,7 +182,7 @@ def hand_rows(bench: Bench) -> Iterator[Measurement]:
         yield Measurement(fault.number, fault.fault, fault.phase, _on(kind), fault.expected, run)
 
 
-def hand_row(fault: HandFault, kind: HandKind, bench: Bench) -> FaultRow:
+def hand_row(fault: HandFault, kind: WiredHand, bench: Bench) -> FaultRow:
     """Measure one fault of one hand."""
     bench.reset()
     with DriverHand(bench.sim, bench.sim_hand, kind) as hand:
@@ -250,5 +251,5 @@ _LAST: dict[Stage | str | None, str | None] = {
 """When a fault happens -> the last motion."""
 
 
-def _on(kind: HandKind) -> str:
+def _on(kind: WiredHand) -> str:
     return f"{kind.label}, simulated {CONFIG.arm.model}"

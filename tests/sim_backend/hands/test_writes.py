@@ -2,81 +2,42 @@
 
 from __future__ import annotations
 
-import os
-import socket
 import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import pytest
 
 from tests.errors import raises
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.readable import readable
 from toolee_robot.sim_backend.hands.ability import AbilityEmulator
-from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, ModbusEmulator, foreign
-from toolee_robot.sim_backend.hands.kit import LineFaults, WriteFault, happen
+from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, ModbusEmulator
+from toolee_robot.sim_backend.hands.kit import WriteFault, happen
 from toolee_robot.sim_backend.hands.shadow import ShadowEmulator
 
-
-@dataclass(frozen=True)
-class Frames:
-    """What goes over one of the wires."""
-
-    read: str
-    write: str
-    written: str
-    read_500: str
-    read_300: str
-
-
-SERIAL = Frames(
-    "EB 90 01 04 11 DA 05 0C 01",
-    "EB 90 01 0F 12 DA 05 " + "2C 01 " * 6 + "0F",
-    "90 EB 01 04 12 DA 05 01 F7",
-    "90 EB 01 0F 11 DA 05 " + "F4 01 " * 6 + "BE",
-    "90 EB 01 0F 11 DA 05 " + "2C 01 " * 6 + "0E",
-)
-MODBUS = Frames(
-    "00 01 00 00 00 06 01 03 05 DA 00 06",
-    "00 01 00 00 00 13 01 10 05 DA 00 06 0C " + "01 2C " * 6,
-    "00 01 00 00 00 06 01 10 05 DA 00 06",
-    "00 01 00 00 00 0F 01 03 0C " + "01 F4 " * 6,
-    "00 01 00 00 00 0F 01 03 0C " + "01 2C " * 6,
-)
-"""The thresholds of the force: read, and written as 300."""
-WRITE_ONE_MODBUS = "00 02 00 00 00 06 01 06 05 DA 01 2C"
-SILENCE = 0.3
-"""Time after which no answer comes [s]."""
-
-
-def test_what_becomes_of_a_write() -> None:
-    faults, done = LineFaults(foreign), []
-
-    def carry_out() -> list[str]:
-        done.append(1)
-        return ["done"]
-
-    assert (faults.write(carry_out), len(done)) == (["done"], 1)
-    faults.writes = WriteFault.UNACKNOWLEDGED
-    assert (faults.write(carry_out), len(done)) == ([], 2)
-    faults.writes = WriteFault.DEAF
-    assert (faults.write(carry_out), len(done)) == ([], 2)
+FRAMES = {
+    InspireEmulator: ("EB 90 01 04 11 DA 05 0C 01", ["EB 90 01 0F 12 DA 05 " + "2C 01 " * 6 + "0F"]),
+    ModbusEmulator: (
+        "00 01 00 00 00 06 01 03 05 DA 00 06",
+        ["00 02 00 00 00 06 01 06 05 DA 01 2C", "00 01 00 00 00 13 01 10 05 DA 00 06 0C " + "01 2C " * 6],
+    ),
+}
+"""The thresholds of the force: read, and written as 300 in every way that the wire has."""
 
 
 @pytest.mark.parametrize("fault", WriteFault)
-def test_every_function_of_modbus_that_writes(fault: WriteFault) -> None:
-    server = ModbusEmulator()
-    faults = server.faults
-    faults.writes = fault
-    for frame in (WRITE_ONE_MODBUS, MODBUS.write):
-        assert server.answer(bytes.fromhex(frame)) == []
-    assert server.tell(lambda hand: hand.told)[0][1] == (500 if fault is WriteFault.DEAF else 300)
-    assert len(server.answer(bytes.fromhex(MODBUS.read))) == 1
-    server.refusals.append(6)
-    assert server.answer(bytes.fromhex(WRITE_ONE_MODBUS)) == []
-    faults.writes = None
-    assert len(server.answer(bytes.fromhex(WRITE_ONE_MODBUS))) == 1
+@pytest.mark.parametrize("kind", FRAMES)
+def test_reads_are_answered_and_writes_are_not(kind: type[InspireEmulator], fault: WriteFault) -> None:
+    hand, (read, writes) = kind(), FRAMES[kind]
+    hand.faults.writes = fault
+    for write in writes:
+        assert hand.answer(bytes.fromhex(write)) == []
+    assert hand.tell(lambda hand: hand.told)[0][1] == (500 if fault is WriteFault.DEAF else 300)
+    assert len(hand.answer(bytes.fromhex(read))) == 1
+    if isinstance(hand, ModbusEmulator):
+        hand.refusals.append(6)
+        assert hand.answer(bytes.fromhex(writes[0])) == []
+    hand.faults.writes = None
+    for write in writes:
+        assert len(hand.answer(bytes.fromhex(write))) == 1
 
 
 def test_events() -> None:
@@ -113,45 +74,3 @@ def test_a_motor_with_too_much_current_stands_until_it_is_cleared() -> None:
     assert (hand.read(1606, 6)[2], hand.read(1612, 6)[2]) == (4, 5)
     assert hand.write(1004, b"\x01")
     assert hand.read(1606, 6) == bytes(6)
-
-
-Ask = Callable[[str], str]
-
-
-@pytest.fixture(params=[SERIAL, MODBUS], ids=["rs485", "modbus"])
-def wire(request: pytest.FixtureRequest) -> Iterator[tuple[InspireEmulator | ModbusEmulator, Ask, Frames]]:
-    """An emulated hand, what asks it, and its frames."""
-    frames = request.param
-    with InspireEmulator() if frames is SERIAL else ModbusEmulator() as emulator:
-        if frames is SERIAL:
-            end = os.open(emulator.port, os.O_RDWR | os.O_NOCTTY)
-        else:
-            host, port = emulator.port.removeprefix("tcp://").split(":")
-            end = socket.create_connection((host, int(port))).detach()
-
-        def ask(frame: str) -> str:
-            os.write(end, bytes.fromhex(frame))
-            found = b""
-            while readable([end], SILENCE):
-                found += os.read(end, 4096)
-            return found.hex(" ").upper()
-
-        yield emulator, ask, frames
-        os.close(end)
-
-
-@pytest.mark.realtime(light=True)
-def test_reads_are_answered_and_writes_are_not(
-    wire: tuple[InspireEmulator | ModbusEmulator, Ask, Frames],
-) -> None:
-    emulator, ask, frames = wire
-    told = emulator.tell(lambda hand: hand.told)
-    happen(emulator, "deaf")
-    assert ask(frames.write) == ""
-    assert ask(frames.read) == frames.read_500.strip()
-    assert emulator.tell(lambda hand: hand.told) == told
-    happen(emulator, "unacknowledged")
-    assert ask(frames.write) == ""
-    assert ask(frames.read) == frames.read_300.strip()
-    happen(emulator, "acknowledge")
-    assert ask(frames.write) == frames.written

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 import time
-from itertools import cycle
 
 import numpy as np
 
@@ -59,16 +58,11 @@ RULE = GripRule((1,), 0, touches=1.0, shut=SHUT - 4.0, slipped=8.0, unit="of 255
 
 
 class RobotiqLine:
-    """The URCap's socket; one thread may use it.
-
-    TCP keeps the order of replies. So after a request without one, a variable is asked for that is not used otherwise:
-    once that is answered, whatever is older has come.
-    """
+    """The URCap's socket; one thread may use it. TCP keeps the order of replies, and each names its variable."""
 
     def __init__(self, port: str) -> None:
         self.counts = LineCounts()
         self._port = TcpPort(port, ANSWER_S)
-        self._barriers = cycle((b"ACT", b"ATR", b"ADR"))
 
     def close(self) -> None:
         """Release the port; the gripper goes on with what it does."""
@@ -80,54 +74,29 @@ class RobotiqLine:
         Raises:
             NoAnswerError: The gripper does not answer, or the connection is gone.
         """
-        for attempt in range(ATTEMPTS):
-            if (not attempt or self._recover()) and (found := self._get(name.encode())) is not None:
-                return found
-        raise self._silent()
+        return int(self._ask(f"GET {name}", rf"{name} (\d+)\r?\n"))
 
     def set(self, **values: int) -> None:
-        """Write variables, and see that acknowledged, or else read them back.
+        """Write variables, and see that acknowledged.
 
         Raises:
-            NoAnswerError: The gripper does not answer, or does not take them (`no_answer.hand_write`).
+            NoAnswerError: The gripper does not answer, or the connection is gone.
         """
-        text = "SET " + " ".join(f"{name} {value}" for name, value in values.items())
-        for attempt in range(ATTEMPTS):
-            if attempt and self._recover() and self._took(values):
-                return
-            if self._ask(text.encode(), rb"(ack)") is not None:
-                return
-        if not self._recover():
-            raise self._silent()
-        message = f"the gripper at {self._port.path} answers questions and does not take {text}: no other program may"
-        raise NoAnswerError(f"{message} command it, and the arm's must not", code="no_answer.hand_write")
+        self._ask("SET " + " ".join(f"{name} {value}" for name, value in values.items()), "(ack)")
 
-    def _took(self, values: dict[str, int]) -> bool:
-        """Whether it has these values; POS is where it is, PRE what it was told."""
-        return all(self.get("PRE" if name == "POS" else name) == value for name, value in values.items())
-
-    def _get(self, name: bytes) -> int | None:
-        found = self._ask(b"GET " + name, name + rb" (\d+)\r?\n")
-        return None if found is None else int(found)
-
-    def _recover(self) -> bool:
-        return self._get(next(self._barriers)) is not None
-
-    def _ask(self, request: bytes, reply: bytes) -> bytes | None:
-        self.counts.requests += 1
-        self._port.drop_received()
-        received, end = b"", time.monotonic() + ANSWER_S
-        self._port.send(request + b"\n")
-        while time.monotonic() < end:
-            received += self._port.receive()
-            if found := re.search(reply, received):
-                return found[1]
-        self.counts.unanswered += 1
-        return None
-
-    def _silent(self) -> NoAnswerError:
-        message = f"no gripper answers at {self._port.path}: see that its URCap is installed and sees the gripper"
-        return NoAnswerError(message, code="no_answer.hand_silent")
+    def _ask(self, request: str, reply: str) -> bytes:
+        for _ in range(ATTEMPTS):
+            self.counts.requests += 1
+            self._port.drop_received()
+            received, end = b"", time.monotonic() + ANSWER_S
+            self._port.send(f"{request}\n".encode())
+            while time.monotonic() < end:
+                received += self._port.receive()
+                if found := re.search(reply.encode(), received):
+                    return found[1]
+            self.counts.unanswered += 1
+        message = f"no gripper answers {request!r} at {self._port.path}: see that its URCap is installed and sees the"
+        raise NoAnswerError(f"{message} gripper, and that no other program commands it", code="no_answer.hand_silent")
 
 
 class RobotiqGripper(PolledHand[RobotiqLine, int]):
