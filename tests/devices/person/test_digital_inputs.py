@@ -102,29 +102,6 @@ def test_the_press_before_the_door_is_closed_releases_nobody() -> None:
         assert not person.release("step back", 0.8)
 
 
-def test_a_door_that_opens_again_withdraws_the_confirmation() -> None:
-    panel = Panel()
-
-    def come_back() -> None:
-        panel.step_back()
-        panel.closed = False
-
-    with at(panel) as person:
-        later(come_back)
-        assert not person.release("step back", 1.2)
-
-
-def test_a_stuck_switch_is_not_taken_anew() -> None:
-    panel = Panel()
-    panel.held = True
-    with at(panel) as person:
-        assert eventually(person.hold_to_run_held)
-        assert not person.hold_switch("hold it", 0.4)
-        later(panel.hold)
-        assert person.hold_switch("hold it", 2.0)
-        assert person.hold_to_run_held()
-
-
 @pytest.mark.parametrize(
     ("stuck", "missing"), [(DOOR_CLOSED, "nobody was ever seen"), (SWITCH_HELD, "never seen released")]
 )
@@ -139,21 +116,6 @@ def test_a_single_contact_that_is_stuck_never_proves_itself(stuck: int, missing:
         with raises(PersonNearError, "person_near.inputs_not_proven"):
             proof.zone_occupied()
         assert any(missing in text for text in proof.missing)
-
-
-def test_a_handover_proves_both() -> None:
-    panel = Panel()
-    with at(panel, ONE_CONTACT) as person:
-        proof = PersonProof(person)
-        later(panel.hold)
-        assert proof.hold_switch("hold it", 2.0)
-        panel.held = False
-        later(panel.press)
-        assert proof.request_handover("give", 2.0)
-        later(panel.step_back)
-        assert proof.release("step back", 3.0)
-        assert proof.missing == ()
-        assert not proof.zone_occupied()
 
 
 def test_a_person_that_always_answers_no_is_not_believed() -> None:

@@ -5,21 +5,24 @@ by an entry point `hand_model.NAME` of the group `toolee_robot.devices`. Its dev
 with the record's joints.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 from functools import lru_cache
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
 from typing import Protocol
 
 import numpy as np
 
 from toolee_robot.errors import ConfigError
-from toolee_robot.frames import inverse
+from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.robots.hands.ability import ABILITY_HAND
 from toolee_robot.robots.hands.inspire import INSPIRE_RH56
 from toolee_robot.robots.hands.model import PALM, UNMOUNTED, Finger, HandModel, NominalGrasp, Phalanx, WristJoint
-from toolee_robot.robots.hands.mount import mount_model
 from toolee_robot.robots.hands.shadow import SHADOW_HAND
+from toolee_robot.robots.tree import Inertial, Link, Shape, Tree
 from toolee_robot.runtime.device_plugins import installed, load
 from toolee_robot.types import MOUNT, HandMounting, HandWeight, ToolMount
 
@@ -161,3 +164,84 @@ __all__ = [
     "find_hand",
     "hand_model",
 ]
+
+
+HINGE = "mount_hinge"
+_BODY, _CLAMP, _FRAME = "mount_body", "mount_clamp", "mount"
+_CLAMP_SIZE = 0.04  # [m] edge of the cube as which the clamp's inertia is taken
+_FASTEST = 20.0  # [rad/s]
+_MARK = Inertial(1e-3, np.eye(4), (1e-7, 1e-7, 1e-7))  # a link without mass makes the engine assume 1 kg
+
+
+@lru_cache(maxsize=8)
+def mount_model(mount: ToolMount, yield_torque: float) -> HandModel:
+    """Build the model of a tool mount: a hand without fingers, whose wrist is the hinge that yields.
+
+    Args:
+        mount: The mount's data.
+        yield_torque: Torque above which it yields [Nm].
+
+    Returns:
+        The model. Its hand frame is the clamp: x along the handle, z towards the tool's working side.
+    """
+    tree = _tree(mount, yield_torque)
+    return HandModel(
+        name=MOUNT,
+        label="tool mount",
+        source=Path("hand.mount"),
+        read=lambda *_: tree,
+        X_flange_root=np.eye(4),
+        frame=_FRAME,
+        wrist=(WristJoint(HINGE, rest=0.0, torque=yield_torque, stiffness=mount.stiffness),),
+        fingers=(),
+        finger_joints=(),
+        forearm=(),
+        postures={"open": {}, "preshape": {}, "closed": {}},
+        closing_order=(),
+        wrapping_order=(),
+        grasp=NominalGrasp(z=(1.0, 0.0, 0.0), x=(0.0, 0.0, 1.0), p=(0.0, 0.0, 0.0), p_per_radius=(0.0, 0.0, 0.0)),
+        holding_links=0,
+        finger_force=0.0,
+        grip_width=_CLAMP_SIZE,
+        clamps=True,
+    )
+
+
+def _tree(mount: ToolMount, yield_torque: float) -> Tree:
+    X_flange_mount = mount.X_flange_mount
+    X_flange_hinge = transform(X_flange_mount[:3, :3], mount.hinge_position)
+    X_hinge_mount = inverse(X_flange_hinge) @ X_flange_mount
+    fixed = mount.mass - mount.clamp_mass - _MARK.mass
+    moment = mount.mass * np.array(mount.center_of_mass) - (mount.clamp_mass + _MARK.mass) * np.array(mount.position)
+    body = Shape("box", mount.body_size, transform(p=mount.body_position))
+    return Tree(
+        (
+            Link(
+                _BODY,
+                "tool0",
+                np.eye(4),
+                f"{_BODY}_mount",
+                inertial=_box(fixed, moment / fixed, np.array(mount.body_size)),
+                visuals=(body,),
+                collisions=(body,),
+            ),
+            Link(
+                _CLAMP,
+                _BODY,
+                X_flange_hinge,
+                HINGE,
+                axis=X_flange_hinge[:3, :3].T @ mount.axis,
+                lower=0.0,
+                upper=mount.travel,
+                effort=yield_torque + mount.stiffness * mount.travel,
+                velocity=_FASTEST,
+                inertial=_box(mount.clamp_mass, X_hinge_mount[:3, 3], np.full(3, _CLAMP_SIZE)),
+            ),
+            Link(_FRAME, _CLAMP, X_hinge_mount, f"{_FRAME}_fixed", inertial=_MARK),
+        )
+    )
+
+
+def _box(mass: float, p: Array, size: Array) -> Inertial:
+    x, y, z = np.square(size)
+    return Inertial(mass, transform(p=p), tuple(mass / 12.0 * np.array([y + z, x + z, x + y])))
