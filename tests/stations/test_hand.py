@@ -115,11 +115,6 @@ def test_a_port_that_the_hand_cannot_have(model: str, port: str) -> None:
         open_hand(config, HostClock())
 
 
-def test_an_inspire_hand_needs_a_port() -> None:
-    with raises(ConfigError, "config.hand_port"):
-        open_hand(HandConfig("inspire_rh56", mounting=MOUNTING), HostClock())
-
-
 def test_a_shadow_hand_needs_what_only_a_lab_can_measure() -> None:
     with raises(ConfigError, "config.hand_port"):
         open_hand(HandConfig("shadow_right"), HostClock())

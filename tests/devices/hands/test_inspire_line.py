@@ -40,7 +40,7 @@ def write(line: InspireLine, register: int, value: int) -> None:
 
 
 @pytest.mark.parametrize("fault", LineFault)
-def test_a_reading_survives_it(inspire: InspireWire, fault: LineFault) -> None:
+def test_a_reading_survives_it_and_a_write_is_carried_out(inspire: InspireWire, fault: LineFault) -> None:
     with line_to(inspire) as line:
         asked = line.counts.requests
         for _ in range(3):
@@ -48,15 +48,10 @@ def test_a_reading_survives_it(inspire: InspireWire, fault: LineFault) -> None:
             assert angles(line) == (1000,) * 6
             assert angles(line) == (1000,) * 6
         assert line.counts.requests - asked <= 18
-
-
-@pytest.mark.parametrize("fault", LineFault)
-def test_a_write_is_carried_out_and_known_to_be(inspire: InspireWire, fault: LineFault) -> None:
-    with line_to(inspire) as line:
         for force in (300, 400, 500):
             inspire.faults.upcoming(fault)
             write(line, FORCE_SET, force)
-            assert line.numbers(FORCE_SET) == (force,) * 6
+            assert line.numbers(FORCE_SET) == (force,) * 6, "known to be carried out"
 
 
 def test_a_late_reply_is_never_taken_for_a_newer_one(inspire: InspireWire) -> None:
