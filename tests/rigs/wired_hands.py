@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
+from toolee_robot.hal import Hand, HandState
 from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.sim_backend.hands.kit import HandEmulator
 from toolee_robot.station import HandConfig
@@ -106,3 +108,16 @@ def emulated(hand: WiredHand) -> Iterator[tuple[HandConfig, HandEmulator[Any]]]:
             yield replace(hand.config, port=emulator.port), emulator
     finally:
         sys.setswitchinterval(interval)
+
+
+def eventually(condition: Callable[[], bool], within: float = 5.0) -> None:
+    """Wait until something is so."""
+    end = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def told(hand: Hand) -> HandState:
+    """A hand's state, however busy this machine is."""
+    return hand.state(max_age=2.0)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from tests.errors import raises
+from tests.rigs.wired_hands import eventually, told
 from toolee_robot.devices.hands.ability import AbilityHand
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.frames import Array
-from toolee_robot.hal import HandState
 from toolee_robot.robots import HandModel
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hands.ability import AbilityEmulator, Hand
@@ -23,18 +22,6 @@ pytestmark = pytest.mark.realtime(light=True)
 
 HANDLE = 55.0
 """Angle at which the fingers meet a handle [deg]."""
-
-
-def eventually(condition: Callable[[], bool], within: float = 4.0) -> None:
-    end = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
-def told(hand: AbilityHand) -> HandState:
-    """Its state, however busy this machine is."""
-    return hand.state(max_age=1.0)
 
 
 def in_api(emulator: AbilityEmulator) -> bool:

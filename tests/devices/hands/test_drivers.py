@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from tests.rigs.wired_hands import HANDS, emulated
+from tests.rigs.wired_hands import HANDS, emulated, eventually
 from toolee_robot.devices.hands import open_hand
 from toolee_robot.devices.hands.polled import PolledHand
 from toolee_robot.doctor.devices import check_hand
@@ -51,13 +51,6 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     station, hand = load_station(EXAMPLES / "inspire.yaml"), HANDS[request.param]
     with emulated(hand) as (config, emulator):
         yield Rig(replace(station, hand=config), emulator, hand.heats)
-
-
-def eventually(condition: Callable[[], bool], within: float = 5.0) -> None:
-    end = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def moves(rig: Rig, before: Array) -> None:

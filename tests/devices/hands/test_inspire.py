@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -11,9 +10,9 @@ import pytest
 
 from tests.devices.hands.conftest import InspireWire as Emulator
 from tests.errors import raises
+from tests.rigs.wired_hands import eventually, told
 from toolee_robot.devices.hands.inspire import GRIP_FORCE, UNTAKEN, InspireHand
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
-from toolee_robot.hal import HandState
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hands.inspire import Hand
 from toolee_robot.sim_backend.hands.kit import happen
@@ -22,18 +21,6 @@ pytestmark = pytest.mark.realtime(light=True)
 
 HANDLE = 400
 """Angle at which the fingers meet a handle [counts]."""
-
-
-def eventually(condition: Callable[[], bool], within: float = 3.0) -> None:
-    end = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
-def told(hand: InspireHand) -> HandState:
-    """Its state, however busy this machine is."""
-    return hand.state(max_age=1.0)
 
 
 def forces(hand: InspireHand) -> tuple[float, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +11,9 @@ import pytest
 from websockets.sync.client import connect
 
 from tests.errors import raises
-from tests.rigs.wired_hands import EFFORTS
+from tests.rigs.wired_hands import EFFORTS, eventually, told
 from toolee_robot.devices.hands.shadow import ShadowHand
 from toolee_robot.errors import ConfigError, DeviceError, NoAnswerError, ProtocolError, StaleDataError
-from toolee_robot.hal import HandState
 from toolee_robot.robots import HandModel
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hands.kit import LineFault, happen
@@ -27,18 +25,6 @@ HANDLE = 55.0
 """Angle at which the knuckles meet a handle [deg]."""
 KNUCKLES = [0, 3, 6, 9]
 """Of the emulated motors."""
-
-
-def eventually(condition: Callable[[], bool], within: float = 5.0) -> None:
-    end = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
-def told(hand: ShadowHand) -> HandState:
-    """Its state, however busy this machine is."""
-    return hand.state(max_age=2.0)
 
 
 def held(emulator: ShadowEmulator, hand: ShadowHand) -> None:
