@@ -93,7 +93,7 @@ def tool_bodies(envelope: ToolEnvelope, X_flange_ee: Array, X_joint6_flange: Arr
 def arm_bodies(robot: RobotModel) -> tuple[Body, ...]:
     """Build the convex hulls of the arm's collision meshes, with the margin of the arm's model around them."""
     description = robot.description
-    geometry = pin.buildGeomFromUrdf(robot.model, str(description.urdf_path), pin.GeometryType.COLLISION)
+    geometry = pin.buildGeomFromUrdfString(robot.model, description.urdf, pin.GeometryType.COLLISION)
     margin = SHAPE_MARGIN[description.model]
     joints: dict[str, int] = {}
     vertices: dict[str, list[Array]] = {}

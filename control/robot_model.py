@@ -38,9 +38,11 @@ class RobotModel:
     def __init__(self, description: RobotDescription, up: tuple[float, float, float] = UPRIGHT) -> None:
         self.description = description
         try:
-            self.model = pin.buildModelFromUrdf(str(description.urdf_path))
+            self.model = pin.buildModelFromXML(description.urdf)
         except ValueError as error:
-            raise AssetError(f"Pinocchio cannot read {description.urdf_path}: {error}", code="asset.urdf") from error
+            raise AssetError(
+                f"Pinocchio cannot read the {description.hand.label} on the arm: {error}", code="asset.urdf"
+            ) from error
         self.model.gravity.linear = gravity_below(up)
         self._data = self.model.createData()
         self._flange = self.model.getFrameId(description.flange_frame)

@@ -122,7 +122,7 @@ class RobotBody:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "robot.urdf"
             fused = fuse_links(robot.tree.with_fixed(fixed), robot.finger_links if rigid else ())
-            file.write_text(write_urdf(robot.urdf_path.stem, fused.tree))
+            file.write_text(write_urdf("robot", fused.tree))
             flags = pb.URDF_USE_INERTIA_FROM_FILE
             self.body = int(pb.loadURDF(str(file), useFixedBase=True, flags=flags, physicsClientId=client))
         infos = [pb.getJointInfo(self.body, i, physicsClientId=client) for i in range(self._joint_count())]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -40,7 +41,7 @@ def client() -> Iterator[int]:
 
 def test_forward_kinematics_agree_with_pinocchio() -> None:
     robot = load_robot()
-    model = pin.buildModelFromUrdf(str(robot.urdf_path))
+    model = pin.buildModelFromXML(robot.urdf)
     data = model.createData()
     names = (*robot.arm_joints, *robot.hand_joints)
     index = [model.joints[model.getJointId(name)].idx_q for name in names]
@@ -52,11 +53,11 @@ def test_forward_kinematics_agree_with_pinocchio() -> None:
             np.testing.assert_allclose(data.oMf[model.getFrameId(name)].homogeneous, X, atol=1e-9)
 
 
-def test_forward_kinematics_agree_with_pybullet(client: int) -> None:
+def test_forward_kinematics_agree_with_pybullet(client: int, tmp_path: Path) -> None:
     robot = load_robot()
-    body = p.loadURDF(
-        str(robot.urdf_path), useFixedBase=True, flags=p.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
-    )
+    (tmp_path / "robot.urdf").write_text(robot.urdf)
+    file, flags = str(tmp_path / "robot.urdf"), p.URDF_USE_INERTIA_FROM_FILE
+    body = p.loadURDF(file, useFixedBase=True, flags=flags, physicsClientId=client)
     infos = [
         p.getJointInfo(body, i, physicsClientId=client) for i in range(p.getNumJoints(body, physicsClientId=client))
     ]
@@ -74,12 +75,12 @@ def test_forward_kinematics_agree_with_pybullet(client: int) -> None:
             np.testing.assert_allclose(R, X[:3, :3], atol=1e-6)
 
 
-def test_masses_agree(client: int) -> None:
+def test_masses_agree(client: int, tmp_path: Path) -> None:
     robot = load_robot()
-    model = pin.buildModelFromUrdf(str(robot.urdf_path))
-    body = p.loadURDF(
-        str(robot.urdf_path), useFixedBase=True, flags=p.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
-    )
+    model = pin.buildModelFromXML(robot.urdf)
+    (tmp_path / "robot.urdf").write_text(robot.urdf)
+    file, flags = str(tmp_path / "robot.urdf"), p.URDF_USE_INERTIA_FROM_FILE
+    body = p.loadURDF(file, useFixedBase=True, flags=flags, physicsClientId=client)
     links = range(p.getNumJoints(body, physicsClientId=client))
     inertial = {link.name: link.inertial.mass if link.inertial else 0.0 for link in robot.tree.links}
     for i in links:
@@ -90,8 +91,8 @@ def test_masses_agree(client: int) -> None:
 
 def test_every_collision_shape_reaches_pinocchio() -> None:
     robot = load_robot()
-    model = pin.buildModelFromUrdf(str(robot.urdf_path))
-    geometry = pin.buildGeomFromUrdf(model, str(robot.urdf_path), pin.GeometryType.COLLISION)
+    model = pin.buildModelFromXML(robot.urdf)
+    geometry = pin.buildGeomFromUrdfString(model, robot.urdf, pin.GeometryType.COLLISION)
     assert len(geometry.geometryObjects) == sum(len(link.collisions) for link in robot.tree.links)
 
 

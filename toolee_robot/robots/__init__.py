@@ -1,7 +1,7 @@
 """The robot: a UR10 or UR10e with a hand, built from the model files in `models`.
 
     from toolee_robot.robots import SHADOW_HAND, load_robot
-    robot = load_robot()                  # robot.urdf_path works in Pinocchio and in pybullet
+    robot = load_robot()                  # robot.urdf is for Pinocchio and pybullet
     X_flange_hand = robot.X_flange_hand(q_hand)
     SHADOW_HAND.grasp.X_hand_tool(0.016)  # nominal pose of a handle of this radius [m]
     SHADOW_HAND.link_poses(q_hand)        # plain numpy, link -> X_hand_link

@@ -1,23 +1,14 @@
-"""Files of the models, the meshes of their links, and the robots in the cache: URDF and meshes, named by content.
-
-Robots that differ in their calibration share the meshes.
-"""
+"""Files of the models, and the meshes of their links in metres, simplified for rendering."""
 
 from __future__ import annotations
 
-import hashlib
-import os
-import shutil
-import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from toolee_robot.errors import AssetError, words_of
-from toolee_robot.robots.tree import Link, Shape, Tree
-from toolee_robot.robots.urdf import write_urdf
+from toolee_robot.robots.tree import Link, Shape
 
 MODELS = Path(__file__).parent / "models"
 """Model files and licences of arms and hands, one folder each."""
@@ -25,76 +16,6 @@ UR10_URDF = MODELS / "ur10" / "ur10_robot.urdf"
 SHADOW_HAND_URDF = MODELS / "shadow_hand" / "shadow_hand.urdf"
 INSPIRE_RH56_URDF = MODELS / "inspire_rh56" / "inspire_rh56.urdf"
 ABILITY_HAND_URDF = MODELS / "ability_hand" / "ability_hand.urdf"
-
-
-def cache_folder() -> Path:
-    """The cache folder; it is created if it does not exist.
-
-    Returns:
-        $XDG_CACHE_HOME/toolee_robot or, if the variable is not set, ~/.cache/toolee_robot; a folder in the temporary
-        directory if that is not writable.
-    """
-    base = os.environ.get("XDG_CACHE_HOME")
-    folder = (Path(base) if base else Path.home() / ".cache") / "toolee_robot"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return folder
-    except OSError:
-        folder = Path(tempfile.gettempdir()) / f"toolee_robot-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-        folder.mkdir(parents=True, exist_ok=True)
-        return folder
-
-
-def install_urdf(name: str, tree: Tree) -> Path:
-    """Write a robot's URDF and meshes into the cache, unless they are there.
-
-    Args:
-        name: Name of the robot and of the file.
-        tree: Its links.
-
-    Returns:
-        The URDF's path.
-    """
-    text = write_urdf(name, tree, _install_meshes(tree).__getitem__)
-    folder = cache_folder() / f"robot-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
-
-    def write(scratch: Path) -> None:
-        (scratch / f"{name}.urdf").write_text(text)
-
-    _install_folder(folder, write)
-    return folder / f"{name}.urdf"
-
-
-def _install_meshes(tree: Tree) -> dict[Path, Path]:
-    """Copy the meshes of a robot into the cache and return where each one lies."""
-    owners = {shape.mesh: link for link in tree.links for shape in (*link.visuals, *link.collisions) if shape.mesh}
-    names = {file: f"{link.name}_{file.name}" for file, link in owners.items()}
-    probe = hashlib.sha256()
-    for file, name in names.items():
-        probe.update(name.encode() + file.read_bytes())
-    folder = cache_folder() / f"meshes-{probe.hexdigest()[:16]}"
-
-    def copy(scratch: Path) -> None:
-        for file, name in names.items():
-            shutil.copyfile(file, scratch / name)
-
-    _install_folder(folder, copy)
-    return {file: folder / name for file, name in names.items()}
-
-
-def _install_folder(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Make a folder of the cache, whole or not at all, unless it is there."""
-    if folder.is_dir():
-        return
-    scratch = Path(tempfile.mkdtemp(dir=folder.parent))
-    try:
-        fill(scratch)
-        scratch.replace(folder)
-    except OSError:  # another process installed it meanwhile
-        shutil.rmtree(scratch, ignore_errors=True)
-        if not folder.is_dir():
-            raise
 
 
 def cluster_vertices(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -12,11 +11,11 @@ import trimesh
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform
-from toolee_robot.robots.assets import UR10_URDF, install_urdf, link_mesh
+from toolee_robot.robots.assets import UR10_URDF, link_mesh
 from toolee_robot.robots.dh import DhParameters, joint_origins
 from toolee_robot.robots.hands import SHADOW_HAND, HandChoice, HandModel, hand_model
 from toolee_robot.robots.tree import FLANGE_FRAME, Inertial, Link, Shape, Tree
-from toolee_robot.robots.urdf import read_urdf
+from toolee_robot.robots.urdf import read_urdf, write_urdf
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 ARM_JOINTS = (
@@ -55,7 +54,7 @@ class RobotDescription:
     """Whether the kinematics are factory-calibrated; the nominal ones err by 1 to 2 mm at the flange."""
     hand: HandModel
     """Model of the hand on the flange."""
-    urdf_path: Path
+    urdf: str
     """The merged URDF, with absolute mesh paths."""
     tree: Tree
     """All links, those of the arm first."""
@@ -226,7 +225,7 @@ def load_robot(
     calibration: DhCalibration | None = None,
     hand: str | HandChoice = SHADOW_HAND.name,
 ) -> RobotDescription:
-    """Build the merged robot, or load it from the cache.
+    """Build the merged robot.
 
     Args:
         model: The arm.
@@ -246,14 +245,13 @@ def load_robot(
 @lru_cache(maxsize=8)
 def _load_robot(model: ArmModel, calibration: DhCalibration | None, hand: HandModel) -> RobotDescription:
     tree = robot_tree(model, calibration, hand)
-    urdf = install_urdf(f"{model.lower()}_{hand.name}", tree)
     lower, upper = tree.limits()
     movable = [link for link in tree.links if link.axis is not None]
     return RobotDescription(
         model=model,
         calibrated=calibration is not None,
         hand=hand,
-        urdf_path=urdf,
+        urdf=write_urdf(f"{model.lower()}_{hand.name}", tree),
         tree=tree,
         arm_joints=ARM_JOINTS,
         flange_frame=FLANGE_FRAME,

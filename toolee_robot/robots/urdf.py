@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -181,7 +180,7 @@ def _text(values: Array) -> str:
     return " ".join(f"{v:.12g}" for v in values)
 
 
-def _add_shape(parent: Element, tag: str, shape: Shape, mesh_path: Callable[[Path], Path]) -> None:
+def _add_shape(parent: Element, tag: str, shape: Shape) -> None:
     element = SubElement(parent, tag)
     _add_origin(element, shape.X_link_shape)
     geometry = SubElement(element, "geometry")
@@ -194,7 +193,7 @@ def _add_shape(parent: Element, tag: str, shape: Shape, mesh_path: Callable[[Pat
     elif shape.mesh is None:
         raise ValueError("a mesh shape without a file")
     else:
-        SubElement(geometry, "mesh", filename=str(mesh_path(shape.mesh)), scale=" ".join([f"{shape.scale:g}"] * 3))
+        SubElement(geometry, "mesh", filename=str(shape.mesh), scale=" ".join([f"{shape.scale:g}"] * 3))
 
 
 def _add_inertial(parent: Element, inertial: Inertial) -> None:
@@ -205,13 +204,12 @@ def _add_inertial(parent: Element, inertial: Inertial) -> None:
     SubElement(element, "inertia", ixx=xx, ixy="0", ixz="0", iyy=yy, iyz="0", izz=zz)
 
 
-def write_urdf(name: str, tree: Tree, mesh_path: Callable[[Path], Path] = lambda file: file) -> str:
+def write_urdf(name: str, tree: Tree) -> str:
     """Write a tree as URDF.
 
     Args:
         name: Name of the robot.
         tree: The tree.
-        mesh_path: Returns the file name to write for that of a mesh; itself if left out.
 
     Returns:
         The URDF as text.
@@ -222,9 +220,9 @@ def write_urdf(name: str, tree: Tree, mesh_path: Callable[[Path], Path] = lambda
         if link.inertial is not None:
             _add_inertial(element, link.inertial)
         for shape in link.visuals:
-            _add_shape(element, "visual", shape, mesh_path)
+            _add_shape(element, "visual", shape)
         for shape in link.collisions:
-            _add_shape(element, "collision", shape, mesh_path)
+            _add_shape(element, "collision", shape)
         if link.parent is None:
             continue
         joint = SubElement(root, "joint", name=link.joint, type="fixed" if link.axis is None else "revolute")
