@@ -145,5 +145,7 @@ def test_one_frame_gives_a_list_a_table_and_a_picture(
     for record in records:
         _check(record)
     assert cv2.imread(str(picture)) is not None
+    assert run([*args, "--json", "--picture", str(tmp_path / "no" / "such.png")]) == 2
+    assert json.loads(capsys.readouterr().out.splitlines()[0]) == records, "a bad place does not cost the estimates"
     assert run(args) == code
     assert "hammer head" in capsys.readouterr().out

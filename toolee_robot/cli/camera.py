@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -222,7 +223,7 @@ class Record(CameraOptions):
         from toolee_robot.devices.cameras.recording import RecordingWriter
         from toolee_robot.runtime.clock import HostClock
 
-        if self.seconds <= 0:
+        if not 0.0 < self.seconds < inf:
             raise UserError(f"--seconds {self.seconds:g}: give a time above 0", code="user.option")
         if self.every < 0:
             raise UserError(f"--every {self.every:g}: give a time above 0, or leave it out", code="user.option")
@@ -280,7 +281,7 @@ class CheckCamera(CameraOptions):
         from toolee_robot.runtime.clock import HostClock
         from toolee_robot.station import load_station
 
-        if self.seconds <= 0:
+        if not 0.0 < self.seconds < inf:
             raise UserError(f"--seconds {self.seconds:g}: give a time above 0", code="user.option")
         console = self.console
         config, clock = self.camera(), HostClock()

@@ -45,6 +45,10 @@ def _known(material: str) -> str:
 _Material = Annotated[str, AfterValidator(_known)]
 
 
+MOST_FACES = 250_000
+"""Of a tool's mesh: more take seconds in every check, and show nothing more to the camera."""
+
+
 @dataclass(frozen=True)
 class EeConfig:
     """An end effector; its frame is that of the category (`EndEffectorSpec.frame`).
@@ -147,6 +151,10 @@ def _read_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:
         raise ConfigError(f"cannot read the mesh {path}: {words_of(error)}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.all(np.isfinite(mesh.vertices)):
         raise ConfigError(f"{path} holds no triangles: give a surface, not a cloud of points")
+    if not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
+        raise ConfigError(f"{path} is damaged: a triangle has a vertex that is not there")
+    if len(mesh.faces) > MOST_FACES:
+        raise ConfigError(f"{path} has {len(mesh.faces):,} triangles: simplify it to {MOST_FACES:,} or fewer")
     if mesh.volume < 0:
         mesh.invert()
     return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)

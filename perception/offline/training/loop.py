@@ -8,12 +8,13 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from toolee_robot.errors import TooleeError
+from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.offline.training.distributed import Distributed
 from toolee_robot.perception.offline.training.options import TrainingOptions
 from toolee_robot.runtime.files import written_whole
@@ -200,11 +201,19 @@ class TrainingRun(ABC):
         self.write()
 
     def _restore(self) -> None:
-        state = torch.load(self.checkpoint_path, map_location=self.distributed.device, weights_only=True)
-        self.network.load_state_dict(state["model"])
-        self.average = state["average"]
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
+        path = self.checkpoint_path
+        try:
+            state = torch.load(path, map_location=self.distributed.device, weights_only=True)
+            self.network.load_state_dict(state["model"])
+            self.average = state["average"]
+            self.optimizer.load_state_dict(state["optimizer"])
+            self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
+        except (OSError, EOFError, RuntimeError, KeyError, TypeError, ValueError, UnpicklingError) as error:
+            raise UserError(
+                f"cannot go on from {path}, which is damaged or of another network ({type(error).__name__}): give "
+                "another --out, or delete it to begin again",
+                code="user.checkpoint",
+            ) from error
         self.reseed()
 
 

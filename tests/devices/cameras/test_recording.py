@@ -45,6 +45,15 @@ def test_a_recording_that_is_interrupted_is_kept(tmp_path: Path) -> None:
     assert len(open_recording(tmp_path / "r").stamps) == 1
 
 
+def test_a_recording_that_is_killed_can_be_read(tmp_path: Path) -> None:
+    """Up to a second is lost, and what it lost is in nobody's way."""
+    writer = RecordingWriter(tmp_path / "r", "toy", SERIAL, 30.0, INTRINSICS).__enter__()
+    for frame in toy_frames(33):
+        writer.add(frame)
+    assert len(open_recording(tmp_path / "r").stamps) == 31
+    assert [image.im_id for image in bop_images(tmp_path / "r")] == list(range(31))
+
+
 def test_a_folder_is_not_written_over(tmp_path: Path) -> None:
     with raises(UserError, "user.not_writable"), RecordingWriter(tmp_path, "toy", SERIAL, 30.0, INTRINSICS):
         pass

@@ -26,6 +26,8 @@ from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 RECORDING = "recording.json"
 """The file that says which camera it was."""
+WRITTEN_EVERY = 30
+"""Frames after which a recording that goes on can be read up to here, also after a kill."""
 DEPTH_UNIT = 1e-4
 """Unit of recorded depths [m]; 16 bits then reach to 6.55 m, and what is farther is unknown."""
 
@@ -114,10 +116,13 @@ class RecordingWriter:
         except OSError as error:
             message = f"cannot record into {self._folder}: {words_of(error)}; name a new folder"
             raise UserError(message, code="user.not_writable") from error
+        write_atomic(self._folder / RECORDING, json.dumps(self._camera, indent=1).encode())
         return self
 
     def __exit__(self, *_: object) -> None:
-        write_atomic(self._folder / RECORDING, json.dumps(self._camera, indent=1).encode())
+        self._write_frames()
+
+    def _write_frames(self) -> None:
         write_atomic(self._folder / "scene_camera.json", json.dumps(self._frames, indent=1).encode())
 
     def add(self, frame: RgbdFrame) -> None:
@@ -140,6 +145,8 @@ class RecordingWriter:
             "depth_scale": DEPTH_UNIT * 1e3,
             "stamp": frame.stamp,
         }
+        if number % WRITTEN_EVERY == 0:
+            self._write_frames()
 
 
 def open_recording(folder: Path) -> Recording:

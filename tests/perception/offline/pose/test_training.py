@@ -222,6 +222,14 @@ def test_training_writes_weights_that_load_to_the_same_network(
     trainer = Trainer(trained, small(0.03), (samples, samples), hands, DefaultRecipe(TINY, draws=2), CPU)
     trainer.run()
     assert shard.read_bytes() == before
+    checkpoint = trained / trainer.checkpoint_path.name
+    sound = checkpoint.read_bytes()
+    for damaged in (b"", sound[: len(sound) // 2], bytes(len(sound))):
+        checkpoint.write_bytes(damaged)
+        with raises(UserError, code="user.checkpoint") as refused:
+            Trainer(trained, small(0.03), (samples, samples), hands, DefaultRecipe(TINY, draws=2), CPU).run()
+        assert str(checkpoint) in str(refused.value)
+    checkpoint.write_bytes(sound)
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
     a = PoseEstimator.load(trained).estimate(points, Category.HAMMER_HEAD, seed=1)
     b = PoseEstimator.load(trained).estimate(points, Category.HAMMER_HEAD, seed=1)

@@ -25,7 +25,7 @@ from toolee_robot.perception.offline.dataset.files import read_json
 from toolee_robot.perception.offline.dataset.instances import read_ply
 from toolee_robot.perception.offline.dataset.spec import catalogue_of
 from toolee_robot.perception.offline.evaluation.records import ee_shape
-from toolee_robot.perception.offline.synthesis.custom_tool_reader import read_custom_tools
+from toolee_robot.perception.offline.synthesis.custom_tool_reader import MOST_FACES, read_custom_tools
 
 pytestmark = pytest.mark.sim
 
@@ -59,6 +59,24 @@ def bring(folder: Path, X: np.ndarray | None = None, **change: Any) -> None:
         "materials": {"handle": "wood", "head": "rubber"},
     }
     (folder / "tool.yaml").write_text(yaml.safe_dump(description | change))
+
+
+def test_a_mesh_that_is_damaged_or_too_fine_is_named(tmp_path: Path) -> None:
+    bring(tmp_path / "mallet")
+    path = tmp_path / "mallet" / "mallet.stl"
+    sound: Any = trimesh.load(path)
+    config = tmp_path / "mallet" / "tool.yaml"
+    config.write_text(config.read_text().replace("mallet.stl", "mallet.off"))
+    lines = sound.export(file_type="off").split("\n")
+    vertices = int(lines[1].split()[0])
+    lines[2 + vertices] = f"3 0 1 {vertices + 7}"
+    finer = sound.subdivide().subdivide().subdivide().subdivide().subdivide()
+    assert len(finer.faces) > MOST_FACES
+    for text, said in (("\n".join(lines), "mallet.off"), (finer.export(file_type="off"), "simplify")):
+        config.with_name("mallet.off").write_text(text)
+        with pytest.raises(ConfigError) as refused:
+            read_custom_tools(tmp_path)
+        assert said in str(refused.value)
 
 
 @pytest.fixture(scope="module")
