@@ -30,7 +30,7 @@ from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import StationConfig, sim_station
-from toolee_robot.tasks.common.held_region import held_region
+from toolee_robot.tasks.common.held_tool import held_region
 from toolee_robot.tasks.common.look import largest_displacement
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.hammering.grasp import Grasp, nominal_grasp

@@ -21,7 +21,7 @@ from toolee_robot.calibration.nail import combine, see_nail
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import angle_between
 from toolee_robot.station import sim_station
-from toolee_robot.stations.simulated_nail import simulated_nail_board
+from toolee_robot.stations.simulated import simulated_nail_board
 from toolee_robot.tasks.calibration.collect import mean_frame
 
 ASKED = {"beside [mm]": 1.0, "height [mm]": 0.3, "tilt [deg]": 1.0}

@@ -16,7 +16,7 @@ from toolee_robot.calibration.hand_eye.solve import calibrate
 from toolee_robot.calibration.session import observe
 from toolee_robot.control import RobotModel
 from toolee_robot.station import sim_station
-from toolee_robot.stations.simulated_board import simulated_board
+from toolee_robot.stations.simulated import simulated_board
 from toolee_robot.tasks.calibration.collect import Collector, save, session_of
 from toolee_robot.tasks.calibration.views import plan_views
 

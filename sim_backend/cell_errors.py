@@ -19,7 +19,7 @@ from toolee_robot.frames import Array, transform
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.station import StationConfig, ToolData
-from toolee_robot.station.values import STRICT, NotNegative
+from toolee_robot.station.schema import STRICT, NotNegative
 from toolee_robot.tools import Tool
 from toolee_robot.types import DhCalibration, HandWeight
 from toolee_robot.types.arm import Six

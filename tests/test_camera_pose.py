@@ -22,7 +22,7 @@ from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.sim_backend.cell_errors import NOMINAL, draw_errors
 from toolee_robot.station import StationConfig, load_lab_station, load_station, sim_station, unmeasured
 from toolee_robot.stations.open_fields import open_fields, told
-from toolee_robot.stations.simulated_board import TAPE, simulated_board
+from toolee_robot.stations.simulated import TAPE, simulated_board
 from toolee_robot.stations.template import contradiction, open_questions
 
 LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"

@@ -22,7 +22,6 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.app.run_folder import run_folder
 from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, read_intrinsics
 from toolee_robot.calibration.signed import read_signed, write_signed
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
@@ -30,7 +29,7 @@ from toolee_robot.perception.image_files import read_depth, read_rgb
 from toolee_robot.perception.io import bop_images, parse_intrinsics, read_pose
 from toolee_robot.perception.offline.annotation.clicks import ClicksFile, read_clicks, write_clicks
 from toolee_robot.perception.weight_files import load_weights, save_weights
-from toolee_robot.runtime.files import claimed, from_json, read_text
+from toolee_robot.runtime.files import claimed, from_json, read_text, run_folder
 from toolee_robot.station import load_station
 from toolee_robot.trials import TrialPlan, load_plan
 from toolee_robot.trials.results import RESULTS, Happened, Results, read_results

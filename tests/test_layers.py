@@ -71,7 +71,7 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import load_lab_station, load_station
 from toolee_robot.stations.lab import LabStation
 from toolee_robot.devices.hands import open_hand
-from toolee_robot.stations.ur import ur_driver
+from toolee_robot.stations.lab import ur_driver
 
 config, clock = load_lab_station(Path(sys.argv[1])), HostClock()
 with suppress(TooleeError), LabStation(config, print):  # its first device is not there

@@ -14,7 +14,7 @@ from tests.errors import raises
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import inverse
 from toolee_robot.station import ToolData, load_lab_station, load_station, sim_station, with_setup
-from toolee_robot.station.tool import check_enclosed
+from toolee_robot.station.job import check_enclosed
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 TOOL = """

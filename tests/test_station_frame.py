@@ -28,8 +28,8 @@ from toolee_robot.station import (
     load_station,
     sim_station,
 )
+from toolee_robot.station.head import BOX, OBSTACLES, POINTS, POSE
 from toolee_robot.station.schema import field_docs
-from toolee_robot.station.station_frame import BOX, OBSTACLES, POINTS, POSE
 
 SECTIONS = {"arm": ArmLimits, "camera": CameraConfig, "work": WorkConfig, "scene": SceneConfig}
 _coordinate = st.floats(-1.5, 1.5)

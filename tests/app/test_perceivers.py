@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
-from toolee_robot.app.perceivers import OtherPoses, job_perceiver
+from toolee_robot.app.perceivers import AlteredPoses, job_perceiver
 from toolee_robot.app.variant import Variant
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import UserError
@@ -101,7 +101,7 @@ def test_another_estimator_gets_the_nominal_pose_and_replaces_the_networks() -> 
     shift = transform(p=[0.0, 0.0, 0.01])
     depth = np.ones((2, 2), np.float32)
     frame = RgbdFrame(np.zeros((2, 2, 3), np.uint8), depth, CameraIntrinsics(2.0, 2.0, 1.0, 1.0, 2, 2), 0.0)
-    perceiver = OtherPoses(SeesTwo(), NOMINAL, lambda _, __, nominal: nominal @ shift)
+    perceiver = AlteredPoses(SeesTwo(), NOMINAL, lambda _, __, nominal: nominal @ shift)
     posed, unposed = perceiver.estimate(frame, HoldingHand(X_camera_hand, np.eye(3)))
     np.testing.assert_allclose(posed.X_camera_ee, X_camera_hand @ NOMINAL @ shift)
     assert posed.detection.score == 0.9

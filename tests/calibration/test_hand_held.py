@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA, picture
 from toolee_robot.frames import transform
-from toolee_robot.tasks.calibration.hand_held import HandHeldViews, Offered
+from toolee_robot.tasks.calibration.collect import HandHeldViews, Offered
 
 SIZE = (CAMERA.width, CAMERA.height)
 

@@ -20,7 +20,7 @@ from toolee_robot.frames import angle_between
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.station import SIMULATED_CALIBRATION, sim_station
-from toolee_robot.stations.simulated_nail import SimulatedNailBoard, place_board, simulated_nail_board
+from toolee_robot.stations.simulated import SimulatedNailBoard, place_board, simulated_nail_board
 from toolee_robot.tasks.calibration.collect import mean_frame
 
 CONFIG = sim_station()

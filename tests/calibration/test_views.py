@@ -9,7 +9,7 @@ from toolee_robot.calibration.board import SHEETS
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import inverse
 from toolee_robot.station import sim_station
-from toolee_robot.stations.simulated_board import simulated_board
+from toolee_robot.stations.simulated import simulated_board
 from toolee_robot.tasks.calibration.views import plan_views
 
 

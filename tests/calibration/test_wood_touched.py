@@ -17,8 +17,7 @@ from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.frames import angle_between, inverse, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.station import load_station, sim_station
-from toolee_robot.tasks.bring_up.caps import SlowStation
-from toolee_robot.tasks.bring_up.jog import MotionFrame, plan_line
+from toolee_robot.tasks.bring_up.slow_motions import MotionFrame, SlowStation, plan_line
 from toolee_robot.tasks.bring_up.touch import approach, measured_settings
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 

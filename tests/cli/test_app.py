@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from toolee_robot.cli.app import command_paths, run
-from toolee_robot.cli.sim import SimHammer
+from toolee_robot.cli.jobs import SimHammer
 
 pytestmark = pytest.mark.sim
 
@@ -93,7 +93,7 @@ def _frame_args(
         (_frame_args(scale="-1"), "--depth-scale"),
         (_frame_args(k="365.5,365.5"), "four"),
         (_frame_args(k="a,b,c,d"), "four numbers"),
-        (_frame_args(k="365.5,365.5,5000,205"), "outside"),
+        (_frame_args(k="365.5,365.5,5000,205"), "far from the middle of 512 px"),
         ([*_frame_args(), "--hand-pose", "no_pose.txt"], "16"),
         (["estimate", "--bop", "nowhere"], "nowhere is not a folder"),
         (["estimate", "--bop", "scene"], "scene_camera.json"),

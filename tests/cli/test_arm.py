@@ -28,7 +28,7 @@ from toolee_robot.errors import PersonNearError, UserError
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import sim_station
-from toolee_robot.tasks.bring_up.caps import ACCELERATION, SPEED
+from toolee_robot.tasks.bring_up.slow_motions import ACCELERATION, SPEED
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.35"

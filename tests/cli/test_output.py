@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from toolee_robot.app.run_folder import run_folder
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
-from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.json_line import json_line
+from toolee_robot.runtime.files import json_line, run_folder, write_atomic
 from toolee_robot.runtime.pose_text import pose_text, sigma_text
 
 

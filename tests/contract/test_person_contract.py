@@ -18,9 +18,9 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.world import Sample
 from toolee_robot.station import PersonConfig, StationConfig, sim_station
-from toolee_robot.stations.ur import ur_driver
+from toolee_robot.stations.lab import ur_driver
 from toolee_robot.tasks.common.motions import HOLD_SWITCH
-from toolee_robot.tasks.common.person_proof import PersonProof
+from toolee_robot.tasks.common.watches import PersonProof
 
 LATE = 1.0  # [s] that a slow person takes
 

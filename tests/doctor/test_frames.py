@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.examples import examples
 from toolee_robot.devices.ur.report import UrState
-from toolee_robot.doctor.force import check_force, force_at_rest
 from toolee_robot.doctor.frames import check_frames, parse_point
+from toolee_robot.doctor.robot import check_force, force_at_rest
 from toolee_robot.findings import Finding, Level
 from toolee_robot.frames import HALF_TURN, Array, transform
 from toolee_robot.robots.dh import DhParameters

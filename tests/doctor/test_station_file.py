@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_sides
+from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_reach, check_sides
 from toolee_robot.doctor.machine import check_weights
-from toolee_robot.doctor.reach import check_reach
 from toolee_robot.findings import Finding, Level, worst
 from toolee_robot.station import (
     SIMULATED,

@@ -61,7 +61,7 @@ def test_no_document_or_example_moves_an_arm_without_the_supervisor() -> None:
     shown = [*blocks("python"), *((path, path.read_text()) for path in (ROOT / "examples").glob("*.py"))]
     assert len(shown) > 5
     for path, text in shown:
-        assert "UnsupervisedUrArm" not in text, f"{path} shows the driver alone: use stations.ur.open_arm"
+        assert "UnsupervisedUrArm" not in text, f"{path} shows the driver alone: use stations.lab.open_arm"
 
 
 def test_every_file_that_a_document_names_exists() -> None:

@@ -13,7 +13,7 @@ from tests.faults.rows.hands import FAULTS, ROWS, HandFault, hand_row
 from tests.rigs.hand_rig import HANDS, DriverHand
 from tests.rigs.job_rig import Bench
 from tests.rigs.wired_hands import WiredHand
-from toolee_robot.tasks.common import hand_watch
+from toolee_robot.tasks.common import watches
 from toolee_robot.tasks.common.motions import Motions
 
 pytestmark = pytest.mark.realtime
@@ -98,7 +98,7 @@ def _not_handled(row: FaultRow, why: str) -> None:
 @pytest.mark.nightly
 def test_without_the_watch_of_the_hand(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Motions, "check_hand", lambda _: None)
-    monkeypatch.setattr(hand_watch, "_check_fault", lambda _: None)
+    monkeypatch.setattr(watches, "_check_fault", lambda _: None)
     _not_handled(hand_row(_fault("hand too hot", Phase.REST), HANDS[1], bench), "1 strikes were swung, 0 may be")
 
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 
-from toolee_robot.runtime.cpu_load import _family, _ticks, load_of_others
+from toolee_robot.runtime.latency_monitor import _family, _ticks, load_of_others
 
 BUSY = "import time\nend = time.monotonic() + {seconds}\nwhile time.monotonic() < end: pass"
 

@@ -18,7 +18,7 @@ from toolee_robot.app import calibrate_camera
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.session import read_session
 from toolee_robot.cli.app import EXIT_USER, run
-from toolee_robot.stations.simulated_board import SimulatedBoard, simulated_board
+from toolee_robot.stations.simulated import SimulatedBoard, simulated_board
 from toolee_robot.tasks.calibration.collect import UNSEEN
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from toolee_robot.station import NailConfig, sim_station
-from toolee_robot.tasks.hammering.bare_wood import ASIDE, EDGE, way_to_bare_wood
+from toolee_robot.tasks.hammering.nail_gauge import ASIDE, EDGE, way_to_bare_wood
 
 WORK = sim_station().work
 

@@ -11,8 +11,7 @@ from toolee_robot.hal import ArmStatus
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.world import SimWorld
-from toolee_robot.tasks.common.outcome import Outcome, Stage
-from toolee_robot.tasks.common.recovery import RESUME
+from toolee_robot.tasks.common.outcome import RESUME, Outcome, Stage
 
 pytestmark = pytest.mark.sim(seconds=30)
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from tests.errors import raises
 from toolee_robot.errors import DeviceError, GripError
 from toolee_robot.hal import HandState
-from toolee_robot.tasks.common.hand_watch import ASKED_FOR, HOLDS_FOR, PERIOD, check_held
+from toolee_robot.tasks.common.watches import ASKED_FOR, GRIP_PERIOD, HOLDS_FOR, check_held
 from toolee_robot.types import JointState
 
-STEADY = round(HOLDS_FOR / PERIOD)
+STEADY = round(HOLDS_FOR / GRIP_PERIOD)
 
 
 @dataclass
@@ -66,14 +66,14 @@ def test_one_bad_reading_is_not_believed() -> None:
     """LAB.md, defect 10."""
     clock = Clock()
     check_held(Readings(False, True), clock)
-    assert HOLDS_FOR <= clock.time <= HOLDS_FOR + 2 * PERIOD
+    assert HOLDS_FOR <= clock.time <= HOLDS_FOR + 2 * GRIP_PERIOD
 
 
 def test_a_hand_that_holds_nothing_has_lost_the_tool() -> None:
     clock = Clock()
     with raises(GripError, "grip"):
         check_held(Readings(False), clock)
-    assert clock.time == pytest.approx(ASKED_FOR, abs=2 * PERIOD)
+    assert clock.time == pytest.approx(ASKED_FOR, abs=2 * GRIP_PERIOD)
 
 
 def test_a_grip_that_flickers_is_lost() -> None:
@@ -91,7 +91,7 @@ def test_a_fault_is_not_waited_out() -> None:
 @given(st.lists(st.booleans(), min_size=1, max_size=80))
 def test_it_is_held_exactly_if_it_is_so_for_its_time(grips: list[bool]) -> None:
     """At once, or after a doubt for HOLDS_FOR on end within ASKED_FOR."""
-    readings = [*grips, *repeat(grips[-1], 80)][: round(ASKED_FOR / PERIOD)]
+    readings = [*grips, *repeat(grips[-1], 80)][: round(ASKED_FOR / GRIP_PERIOD)]
     steady = "".join("x" if grip else "." for grip in readings)
     held = readings[0] or "x" * (STEADY + 2) in steady
     surely_not = not readings[0] and "x" * STEADY not in steady

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.bench import Log
 from toolee_robot.tasks.common.outcome import Outcome
-from toolee_robot.tasks.hammering.nail_stall import FEWEST, MOST, NailStall
+from toolee_robot.tasks.hammering.nail_forecast import FEWEST, MOST, NailStall
 
 LEAST, LARGE = 0.0002, 0.00033
 TOUCHES = 0.00027

@@ -9,13 +9,12 @@ import pytest
 from tests.errors import raises
 from tests.rigs.job_rig import Bench, at_rest, grip_kept
 from tests.tasks.bench import Log, soon
+from toolee_robot.app.job import after_stop
 from toolee_robot.app.observer import JobObserver
-from toolee_robot.app.stops import after_stop
 from toolee_robot.control import StrikePlan
 from toolee_robot.errors import DeviceError, NotReadyError
-from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
-from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
-from toolee_robot.tasks.common.recovery import MAX_STOPS, RESUME, TAKE_OUT
+from toolee_robot.tasks.common.outcome import MAX_STOPS, RESUME, TAKE_OUT, HammerResult, Outcome, Stage
+from toolee_robot.tasks.common.watches import MAX_DOUBTS
 from toolee_robot.tasks.hammering.task import HammeringTask
 
 pytestmark = pytest.mark.sim(seconds=60)

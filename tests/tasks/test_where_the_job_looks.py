@@ -20,7 +20,7 @@ from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.station import sim_station
 from toolee_robot.station.calibration import SIMULATED_CALIBRATION
-from toolee_robot.tasks.common.held_region import POSE_ERRORS, held_region
+from toolee_robot.tasks.common.held_tool import POSE_ERRORS, held_region
 from toolee_robot.tasks.common.look import largest_displacement
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.hammering.grasp import nominal_grasp

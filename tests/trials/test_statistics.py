@@ -6,8 +6,7 @@ import pytest
 
 from toolee_robot.app.variant import Variant
 from toolee_robot.trials import Record, Trial
-from toolee_robot.trials.by_size import by_size
-from toolee_robot.trials.statistics import compare, median, share
+from toolee_robot.trials.statistics import by_size, compare, median, share
 
 
 def records(successes: str, arm: Variant = Variant.FULL) -> list[Record]:

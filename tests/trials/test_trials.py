@@ -26,9 +26,9 @@ from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.sim_backend.cell_errors import NOMINAL, CellErrors, draw_errors
 from toolee_robot.trials import Trial, TrialPlan, load_plan, run_trials, write_report
-from toolee_robot.trials.by_size import ERRORS
 from toolee_robot.trials.plan import InSimulation
 from toolee_robot.trials.results import RESULTS, Happened, Record, read_results, read_results_file
+from toolee_robot.trials.statistics import ERRORS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLAN = TrialPlan("three hammers", 40, 3, (Variant.FULL, Variant.NO_CORRECTION), {"camera_position": 0.004})

@@ -148,7 +148,7 @@ def test_a_job_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
         "from pathlib import Path\nfrom toolee_robot.app.job import JobSpec\n"
         "from toolee_robot.app.variant import Variant\n"
         "from toolee_robot.app.simulated import Simulated, simulated_station\n"
-        "from toolee_robot.trials.process import run_apart\n"
+        "from toolee_robot.trials.run import run_apart\n"
         "run_apart(JobSpec(Simulated(simulated_station(), 101), Variant.NO_CORRECTION), Path('runs'))"
     )
     owner = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path)

@@ -12,11 +12,9 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, Person
 from toolee_robot.station import StationConfig
-from toolee_robot.stations.ur import open_arm
-from toolee_robot.tasks.bring_up.caps import Caps, SlowStation
-from toolee_robot.tasks.bring_up.jog import MotionFrame, plan_line
-from toolee_robot.tasks.bring_up.lag_motion import lag_motion
-from toolee_robot.tasks.bring_up.servo_tuning import PAIRS, Trial, tune
+from toolee_robot.stations.lab import open_arm
+from toolee_robot.tasks.bring_up.lag import PAIRS, Trial, lag_motion, tune
+from toolee_robot.tasks.bring_up.slow_motions import Caps, MotionFrame, SlowStation, plan_line
 from toolee_robot.tasks.bring_up.touch import Touch, approach, measured_settings
 from toolee_robot.types import Trajectory
 

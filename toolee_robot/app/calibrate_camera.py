@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import toolee_robot
-from toolee_robot.app.listener import Listener
+from toolee_robot.app.observer import Listener
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import camera_board
@@ -28,10 +28,9 @@ from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.station import StationConfig
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import Cell, EmulatedLab
-from toolee_robot.stations.simulated_board import SimulatedBoard, simulated_board
+from toolee_robot.stations.simulated import SimulatedBoard, simulated_board
 from toolee_robot.tasks.calibration.collect import Collector, save, session_of
-from toolee_robot.tasks.calibration.plate import Plate
-from toolee_robot.tasks.calibration.views import missing, plan_views
+from toolee_robot.tasks.calibration.views import Plate, missing, plan_views
 
 RECORD, REPORT = "camera.json", "report.html"
 """Files of a calibration's folder."""

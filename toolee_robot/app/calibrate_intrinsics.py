@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import toolee_robot
-from toolee_robot.app.listener import Listener, Waiting
+from toolee_robot.app.observer import Listener, Waiting
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.intrinsics import calibrate_intrinsics, read_views
 from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, read_intrinsics
@@ -24,11 +24,11 @@ from toolee_robot.hal import Clock
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.station import SIMULATED, CameraConfig, read_station, write_measured
-from toolee_robot.station.intrinsics_record import FIELD, PINHOLE, SECTION
+from toolee_robot.station.camera_files import CAMERA, INTRINSICS, PINHOLE
 from toolee_robot.stations.camera import WITH_MODE, open_camera
 from toolee_robot.stations.rehearsal.camera import emulated_stream, lens_of
 from toolee_robot.stations.rehearsal.held_board import HeldBoard, drawn_camera
-from toolee_robot.tasks.calibration.hand_held import HandHeldViews, Offered
+from toolee_robot.tasks.calibration.collect import HandHeldViews, Offered
 
 PATIENCE = 120.0
 """Time without a new view after which nobody is taken to hold the board [s]."""
@@ -215,12 +215,12 @@ def camera_of(path: Path) -> CameraConfig:
     camera = _camera(path)
     kept = {name: camera[name] for name in ("device", *PINHOLE) if camera.get(name) is not None}
     lost = ""
-    if isinstance(name := camera.get(FIELD), str):
+    if isinstance(name := camera.get(INTRINSICS), str):
         try:
             known = read_intrinsics(path.parent / name).intrinsics
             kept = {**{field: getattr(known, field) for field in PINHOLE}, **kept}
         except ConfigError as error:
-            lost = f"; the record in camera.{FIELD} does not give them any more ({error})"
+            lost = f"; the record in camera.{INTRINSICS} does not give them any more ({error})"
     if not isinstance(device := kept.get("device"), dict):
         raise ConfigError(
             f"{path}: camera.device is missing: give camera.device.driver, .serial and .least_range; `toolee camera "
@@ -261,7 +261,7 @@ def check_entry(path: Path, *, rehearsed: bool) -> None:
             code="user.calibration_is_older",
         )
     camera = _camera(path)
-    name = camera.get(FIELD)
+    name = camera.get(INTRINSICS)
     if rehearsed and (typed := [number for number in NUMBERS if camera.get(number) is not None]):
         raise UserError(
             f"{path} gives {', '.join(f'camera.{number}' for number in typed)}: a rehearsal's would take their place. "
@@ -286,7 +286,7 @@ def enter(path: Path, record_file: Path) -> None:
     Raises:
         ConfigError: The station would be refused with it; nothing was written.
     """
-    write_measured(path, camera={FIELD: os.path.relpath(record_file, path.parent)})
+    write_measured(path, camera={INTRINSICS: os.path.relpath(record_file, path.parent)})
 
 
 def _rehearsed(record_file: Path) -> bool:
@@ -298,5 +298,5 @@ def _rehearsed(record_file: Path) -> bool:
 
 def _camera(path: Path) -> dict[str, Any]:
     data = read_station(path)
-    camera = data.get(SECTION) if isinstance(data, dict) else None
+    camera = data.get(CAMERA) if isinstance(data, dict) else None
     return camera if isinstance(camera, dict) else {}

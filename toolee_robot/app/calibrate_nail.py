@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.app.listener import Listener
+from toolee_robot.app.observer import Listener
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.board_sight import KnownCamera
 from toolee_robot.calibration.nail import (
@@ -34,7 +34,7 @@ from toolee_robot.station.work import LARGEST_TILT
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.stations.rehearsal.emulated_lab import camera_covariance
-from toolee_robot.stations.simulated_nail import print_on_wood, simulated_nail_board
+from toolee_robot.stations.simulated import print_on_wood, simulated_nail_board
 from toolee_robot.tasks.calibration.collect import mean_frame
 
 PIXEL_NOISE = 0.3
@@ -42,9 +42,6 @@ PIXEL_NOISE = 0.3
 FARTHEST = 0.050
 """Largest distance of the nail from the circle around the touches of the wood [m]: a rise that is known to 0.5 degrees
 is worth 0.4 mm of height there."""
-
-Entries = list[tuple[tuple[str, str] | None, dict[str, Any]]]
-"""Values by field, of `work` itself first (None), then of the nail among `work.nails`, with its name."""
 
 
 @dataclass(frozen=True)
@@ -169,8 +166,8 @@ class Located:
             figures |= {"head": self.touched.head.tolist(), "spread": self.touched.spread}
         return {**figures, "height_off": float(self.entry[2] - self.config.work.p_base_entry[2])}
 
-    def entries(self, path: Path | None) -> Entries:
-        """What the station file takes of it; None: no file, and so no frame but `base`."""
+    def entries(self, path: Path | None) -> dict[str, Any]:
+        """Fields of `work` that the station file takes of it; None: no file, and so no frame but `base`."""
         return nail_fields(self.config.work, self.name, self.entry, self.rise, path, with_nail=self.with_nail)
 
     def write(self, path: Path) -> None:
@@ -182,10 +179,8 @@ class Located:
         Raises:
             ConfigError: The station would be refused with it; nothing was written.
         """
-        entries = self.entries(None)
-        nails = [{"name": item[1], **values} for item, values in entries if item]
         try:
-            write_measured(path, work=entries[0][1] | ({"nails": nails} if nails else {}))
+            write_measured(path, work=self.entries(None))
         except ConfigError as error:
             if why := mistake(self.entry, self.config.work.p_base_entry):
                 raise ConfigError(f"{error} ({why})", code=error.code) from error
@@ -449,7 +444,7 @@ def mistake(entry: Array, by_file: Array) -> str:
 
 def nail_fields(
     work: WorkConfig, name: str, entry: Array, rise: Array | None, path: Path | None, *, with_nail: bool
-) -> list[tuple[tuple[str, str] | None, dict[str, Any]]]:
+) -> dict[str, Any]:
     """Compute the fields of `work` that say where a nail and the wood are.
 
     Args:
@@ -461,7 +456,7 @@ def nail_fields(
         with_nail: Whether the nail's place was located, and not the wood alone.
 
     Returns:
-        Values by field, of `work` itself first (None), then of the nail among `work.nails`, with its name.
+        Values by field; of several `nails`, name and place of the one that was located.
         With a rise there is always a `block_xy`, here or in the file: the plane hangs on the middle of the block, and
         must not move with the next nail.
     """
@@ -476,9 +471,9 @@ def nail_fields(
         if work.block_xy is None:
             fields["block_xy"] = _rounded(R @ np.array([*center, 0.0]))
         fields["wood_rise"] = _rounded(R @ np.array([*rise, 0.0]))
-    if with_nail and work.nails:
-        return [(None, fields), (("nails", name), {"xy": xy})]
-    return [(None, fields | ({"nail_xy": xy} if with_nail else {}))]
+    if with_nail:
+        fields |= {"nails": [{"name": name, "xy": xy}]} if work.nails else {"nail_xy": xy}
+    return fields
 
 
 def _rounded(v: Array) -> list[float]:

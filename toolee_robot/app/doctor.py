@@ -17,12 +17,12 @@ from toolee_robot.doctor.configuration import (
     check_contacts,
     check_limits,
     check_measured,
+    check_reach,
     check_sides,
 )
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
+from toolee_robot.doctor.frames import check_base
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time, check_weights
-from toolee_robot.doctor.mounting import check_base
-from toolee_robot.doctor.reach import check_reach
 from toolee_robot.doctor.robot import examine_robot
 from toolee_robot.errors import ConfigError, DeviceError, UserError
 from toolee_robot.findings import Finding, warn
@@ -34,7 +34,7 @@ from toolee_robot.sim_backend.remote.world import RemoteWorld, remote_station
 from toolee_robot.sim_backend.station import SimStation, draw_handover
 from toolee_robot.station import UPRIGHT_WITHIN, StationConfig
 from toolee_robot.stations.camera import open_camera
-from toolee_robot.stations.ur import ur_driver
+from toolee_robot.stations.lab import ur_driver
 
 Section = tuple[str, list[Finding]]
 _SEED = 0

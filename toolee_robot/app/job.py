@@ -1,4 +1,4 @@
-"""One hammering job: its setup, its run, and what it leaves."""
+"""One hammering job: its setup, its run, what a person decides after a stop with the tool in the hand, its records."""
 
 from __future__ import annotations
 
@@ -12,28 +12,73 @@ from typing import TYPE_CHECKING, Any
 from toolee_robot.app.figures import Ran, job_figures, job_summary
 from toolee_robot.app.observer import JobObserver
 from toolee_robot.app.perceivers import job_networks, job_perceiver
-from toolee_robot.app.run_folder import run_folder
 from toolee_robot.app.sources import Opened, Source
-from toolee_robot.app.stops import after_stop
 from toolee_robot.app.variant import Variant
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import UserError
+from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.recording import PICTURE, RECORDING
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.recording.tool_file import tool_model
-from toolee_robot.runtime.code_version import code_version
-from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.files import json_line, run_folder, write_atomic
 from toolee_robot.runtime.gc_pause import gc_settled
-from toolee_robot.runtime.json_line import json_line
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
+from toolee_robot.runtime.process_environment import code_version
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.task import HammeringTask
 
 if TYPE_CHECKING:
     from toolee_robot.sim_backend.truth import Verdict  # a real station loads no simulation
+
+QUESTION = "Look at the robot. r: resume the job, t: take the hammer out of the hand, q: quit? "
+QUESTION_LAST = "The job cannot go on. t: take the hammer out of the hand, q: quit? "
+FIRM = "Is somebody holding the hammer firmly? The hand opens. y: yes, n: no? "
+"""The questions."""
+ASKED_AFTER = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR, Outcome.TOOL_LOST, Outcome.WEIGHT_UNKNOWN)
+"""Outcomes that leave the arm where it stopped, or at the handover with a tool whose weight is not known."""
+
+
+def after_stop(task: HammeringTask, result: HammerResult, observer: JobObserver) -> HammerResult:
+    """Ask a person what to do about a job that stopped with the tool in the hand, until it is out or the job has ended.
+
+    Args:
+        task: The job.
+        result: Its result so far.
+        observer: Asks the person; where nobody answers, the job has ended.
+
+    Returns:
+        The job's last result.
+    """
+    while task.holds_tool and result.outcome in ASKED_AFTER:
+        answer = _answer(observer, f"{result.reason}\n{QUESTION if task.resumable else QUESTION_LAST}")
+        if answer == "r" and task.resumable:
+            with observer.live():
+                result = task.resume(confirmed=True)
+        elif answer == "t" and _answer(observer, FIRM) == "y":
+            _take_out(task, observer)
+        elif answer == "q":
+            break
+    return result
+
+
+def _take_out(task: HammeringTask, observer: JobObserver) -> None:
+    try:
+        opened = task.give_back()
+    except DeviceError as error:
+        observer.message(f"the hand did not open: {error}")
+        return
+    observer.message("the hand is open" if opened else "nobody confirmed that they hold the hammer: it stays closed")
+
+
+def _answer(observer: JobObserver, question: str) -> str:
+    try:
+        answer = observer.ask(question)
+    except EOFError:
+        answer = None
+    return "q" if answer is None else answer.strip().lower()[:1]
+
 
 STALLED = 0.8
 """Share of what the driver bears at most that a stall of the machine must have taken to excuse a job."""

@@ -28,47 +28,45 @@ PoseOf = Callable[[RgbdFrame, Detection, Array], Array | None]
 """Estimates X_camera_ee, (4, 4), of a detection in a frame, from its nominal one; None where it cannot."""
 
 
-class Wrapped:
-    """A perceiver that does what another one does.
+class AlteredPoses:
+    """A perceiver that does what another one does, but for poses that are estimated otherwise, or partly believed.
+
+    Which estimates are usable, and their weights in the fusion, stay those of the other one.
 
     Args:
         perceiver: The other one.
         X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
+        pose_of: Estimates the pose of a detection; None for the other one's.
+        position: Whether the fused position is kept; else it is the nominal one.
+        orientation: Whether the fused orientation is kept; else it is the nominal one.
     """
 
-    def __init__(self, perceiver: Perceiver, X_hand_ee: Array) -> None:
-        self._perceiver, self._nominal = perceiver, X_hand_ee
+    def __init__(
+        self,
+        perceiver: Perceiver,
+        X_hand_ee: Array,
+        pose_of: PoseOf | None = None,
+        *,
+        position: bool = True,
+        orientation: bool = True,
+    ) -> None:
+        self._perceiver, self._nominal, self._pose_of = perceiver, X_hand_ee, pose_of
+        self._position, self._orientation = position, orientation
 
     def estimate(
         self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
     ) -> list[ToolEstimate]:
-        """See `Perceiver`."""
-        return self._perceiver.estimate(frame, hand, categories)
-
-    def fuse(
-        self,
-        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
-        Xs_camera_hand: Sequence[Array],
-        category: Category | None = None,
-        camera: CameraError | None = None,
-    ) -> InHandEstimate:
-        """See `Perceiver`."""
-        return self._perceiver.fuse(estimates_per_frame, Xs_camera_hand, category, camera)
-
-
-class PartlyNominal(Wrapped):
-    """A perceiver whose fused pose is in part, or wholly, one that was believed before it looked.
-
-    Args:
-        perceiver: The whole perception.
-        X_hand_ee: The believed pose of the end effector in the hand, (4, 4).
-        position: Whether the estimated position is kept.
-        orientation: Whether the estimated orientation is kept.
-    """
-
-    def __init__(self, perceiver: Perceiver, X_hand_ee: Array, *, position: bool, orientation: bool) -> None:
-        super().__init__(perceiver, X_hand_ee)
-        self._position, self._orientation = position, orientation
+        """See `Perceiver`; the hand is given, as a task does."""
+        estimates = self._perceiver.estimate(frame, hand, categories)
+        if self._pose_of is None:
+            return estimates
+        assert hand is not None, "a task tells where the hand is"
+        nominal = hand.X_camera_hand @ self._nominal
+        poses = [self._pose_of(frame, estimate.detection, nominal) for estimate in estimates]
+        return [
+            estimate if X is None or not np.isfinite(estimate.X_camera_ee).all() else replace(estimate, X_camera_ee=X)
+            for estimate, X in zip(estimates, poses, strict=True)
+        ]
 
     def fuse(
         self,
@@ -78,39 +76,10 @@ class PartlyNominal(Wrapped):
         camera: CameraError | None = None,
     ) -> InHandEstimate:
         """See `Perceiver`; what is not kept is the believed pose's."""
-        fused = super().fuse(estimates_per_frame, Xs_camera_hand, category, camera)
+        fused = self._perceiver.fuse(estimates_per_frame, Xs_camera_hand, category, camera)
         place = fused.X_hand_ee if self._position else self._nominal
         turn = fused.X_hand_ee if self._orientation else self._nominal
         return replace(fused, X_hand_ee=transform(turn[:3, :3], place[:3, 3]))
-
-
-class OtherPoses(Wrapped):
-    """A perceiver that detects what another one does, and estimates each pose in another way.
-
-    Which estimates are usable, and their weights in the fusion, stay those of the other one.
-
-    Args:
-        perceiver: The whole perception.
-        X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
-        pose_of: Estimates a pose.
-    """
-
-    def __init__(self, perceiver: Perceiver, X_hand_ee: Array, pose_of: PoseOf) -> None:
-        super().__init__(perceiver, X_hand_ee)
-        self._pose_of = pose_of
-
-    def estimate(
-        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
-    ) -> list[ToolEstimate]:
-        """See `Perceiver`; the hand is given, as a task does."""
-        assert hand is not None, "a task tells where the hand is"
-        nominal = hand.X_camera_hand @ self._nominal
-        estimates = super().estimate(frame, hand, categories)
-        poses = [self._pose_of(frame, estimate.detection, nominal) for estimate in estimates]
-        return [
-            estimate if X is None or not np.isfinite(estimate.X_camera_ee).all() else replace(estimate, X_camera_ee=X)
-            for estimate, X in zip(estimates, poses, strict=True)
-        ]
 
 
 def job_networks(paper_weights: Path | None = None, device: str = "cpu") -> ToolPerception:
@@ -163,13 +132,13 @@ def job_perceiver(variant: Variant, networks: Perceiver | None, opened: Opened) 
         return networks, replace(config, task=replace(config.task, views=1, views_again=1))
     if variant in (Variant.POSITION_ONLY, Variant.NORMAL_ONLY):
         position = variant is Variant.POSITION_ONLY
-        return PartlyNominal(networks, nominal, position=position, orientation=not position), config
+        return AlteredPoses(networks, nominal, position=position, orientation=not position), config
     if variant in (Variant.MASK_CENTROID, Variant.ICP):
         from toolee_robot.perception.offline.research import classical
 
         centroid = variant is Variant.MASK_CENTROID
         pose = classical.centroid_pose if centroid else classical.registration(_surface(opened))
-        return OtherPoses(networks, nominal, partial(classical.pose_of, pose)), config
+        return AlteredPoses(networks, nominal, partial(classical.pose_of, pose)), config
     return networks, config
 
 

@@ -2,9 +2,9 @@
 
 Exit codes: 0 done; 1 the job failed; 2 invalid input (an option, a file); 130 interrupted (the arm was stopped).
 
-`toolee --help` imports no command, and `toolee GROUP ...` only the group's module. Such a module has `COMMANDS`: the
-class of each command by its name; a group that is itself a command is named as the group, or with an empty name. The
-module's docstring is the group's help, the class's docstring the command's.
+`toolee --help` imports no command, and `toolee GROUP ...` only the group's module. Such a module has `COMMANDS`: by the
+group's name the class of each of its commands by name, or the class of a group that is itself a command. The module's
+docstring is the group's help, the class's docstring the command's.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from toolee_robot.errors import TooleeError, UserError
 EXIT_FAILED, EXIT_USER = 1, 2
 
 GROUPS: dict[str, tuple[str, str]] = {
-    "sim": ("sim", "Do a job in simulation; nothing real moves"),
-    "rehearse": ("rehearse", "Do a job with your station file on emulated devices"),
-    "run": ("run", "Do a job with the real robot; the arm moves"),
+    "sim": ("jobs", "Do a job in simulation; nothing real moves"),
+    "rehearse": ("jobs", "Do a job with your station file on emulated devices"),
+    "run": ("jobs", "Do a job with the real robot; the arm moves"),
     "station": ("station", "Write, check, show and upgrade the station file of a lab"),
     "doctor": ("doctor", "Check a station before any motion: robot, devices, computer"),
     "arm": ("arm", "Move a UR arm slowly, for its bring-up"),
@@ -37,11 +37,11 @@ GROUPS: dict[str, tuple[str, str]] = {
     "replay": ("replay", "Show a recorded run"),
     "runs": ("replay", "List recorded runs"),
     "estimate": ("estimate", "Find tools and their poses in your own RGB-D files"),
-    "annotate": ("annotate", "Click the tools in your own frames, to test on them"),
+    "annotate": ("estimate", "Click the tools in your own frames, to test on them"),
     "dataset": ("dataset", "Make a synthetic data set, look at it, check it"),
     "train": ("train", "Train the perception's networks"),
     "evaluate": ("evaluate", "Measure the perception on a data set"),
-    "devices": ("devices", "List the drivers that a station file may name"),
+    "devices": ("doctor", "List the drivers that a station file may name"),
     "emulate": ("emulate", "Emulate a UR controller, or a hand, for a driver to talk to"),
 }
 """Name of a group -> its module in this package, and one line for `toolee --help`."""
@@ -114,14 +114,12 @@ def parse(words: Sequence[str]) -> Command:
     name, *rest = words
     if name not in GROUPS:
         raise _unknown(name, GROUPS, ())
-    module = _module(name)
-    commands: Mapping[str, type[Command]] = module.COMMANDS
-    alone = commands.get(name, commands.get(""))
-    if alone is not None:
-        return _parse_options(alone, (name,), rest)
+    commands = _commands(name)
+    if not isinstance(commands, Mapping):
+        return _parse_options(commands, (name,), rest)
     if not rest or rest[0] in ("-h", "--help"):
         summaries = {name: _joined(command.__doc__).split("\n")[0] for name, command in commands.items()}
-        _list((name,), _joined(module.__doc__), summaries, asked=bool(rest))
+        _list((name,), _joined(_module(name).__doc__), summaries, asked=bool(rest))
     if rest[0] not in commands:
         raise _unknown(rest[0], commands, (name,))
     return _parse_options(commands[rest[0]], (name, rest[0]), rest[1:])
@@ -130,9 +128,16 @@ def parse(words: Sequence[str]) -> Command:
 def command_paths() -> Iterator[tuple[str, ...]]:
     """The words of each command, in the order of the help."""
     for group in GROUPS:
-        commands = _module(group).COMMANDS
-        for name in [group] if group in commands else commands:
-            yield (group, name) if name not in (group, "") else (group,)
+        commands = _commands(group)
+        if isinstance(commands, Mapping):
+            yield from ((group, name) for name in commands)
+        else:
+            yield (group,)
+
+
+def _commands(group: str) -> type[Command] | Mapping[str, type[Command]]:
+    found: type[Command] | Mapping[str, type[Command]] = _module(group).COMMANDS[group]
+    return found
 
 
 def _module(group: str) -> ModuleType:
@@ -180,7 +185,7 @@ def _unknown(name: str, known: Mapping[str, object], path: tuple[str, ...]) -> U
     words = " or ".join(f"`toolee {' '.join(other)}`" for other in meant)
     call = " ".join(("toolee", *path))
     hint = f"did you mean {words}?" if meant else f"`{call} --help` lists the commands"
-    return UserError(f"`{call} {name}` is no command: {hint}", code="user.command")
+    return UserError(f"`{call} {name}` is no command: {hint}")
 
 
 def _of_other_package(error: ModuleNotFoundError) -> bool:

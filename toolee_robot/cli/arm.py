@@ -21,7 +21,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from toolee_robot.cli.options import Flag, JsonOption
+from toolee_robot.cli.output import Flag, JsonOption
 from toolee_robot.cli.terminal import TerminalPerson
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import is_loopback
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from toolee_robot.app.bring_up import BringUp
     from toolee_robot.frames import Array
     from toolee_robot.station import StationConfig
-    from toolee_robot.tasks.bring_up.caps import Caps
-    from toolee_robot.tasks.bring_up.servo_tuning import Trial
+    from toolee_robot.tasks.bring_up.lag import Trial
+    from toolee_robot.tasks.bring_up.slow_motions import Caps
     from toolee_robot.types import Trajectory
 
 _JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
@@ -65,17 +65,11 @@ class ArmOptions(JsonOption):
         station = sim_station() if self.config is None else load_station(self.config)
         host = self.robot_host or station.arm.host
         if host is None:
-            raise UserError(
-                "no robot: give --config with a station file that names arm.host, or --robot-host",
-                code="user.no_robot_host",
-            )
+            raise UserError("no robot: give --config with a station file that names arm.host, or --robot-host")
         if is_loopback(host):
             return station, host
         if self.yes:
-            raise UserError(
-                f"--yes for {host}, which may be a robot: a person confirms each of its motions",
-                code="user.unattended_robot",
-            )
+            raise UserError(f"--yes for {host}, which may be a robot: a person confirms each of its motions")
         if self.config is None:
             raise UserError(
                 f"--robot-host {host} without --config: a robot moves in its own station only", code="user.no_station"
@@ -84,7 +78,7 @@ class ArmOptions(JsonOption):
 
     def caps(self) -> Caps:
         """How fast the arm may move."""
-        from toolee_robot.tasks.bring_up.caps import Caps
+        from toolee_robot.tasks.bring_up.slow_motions import Caps
 
         return Caps()
 
@@ -111,7 +105,7 @@ class MotionOptions(ArmOptions):
 
     def caps(self) -> Caps:
         """See `ArmOptions`."""
-        from toolee_robot.tasks.bring_up.caps import Caps
+        from toolee_robot.tasks.bring_up.slow_motions import Caps
 
         return Caps(self.max_speed, self.max_acceleration)
 
@@ -164,7 +158,7 @@ class Move(MotionOptions):
         return self.move("move", self._plan)
 
     def _plan(self, robot: BringUp) -> Trajectory:
-        from toolee_robot.tasks.bring_up.jog import MotionFrame, jog_joint, plan_joints, plan_line
+        from toolee_robot.tasks.bring_up.slow_motions import MotionFrame, jog_joint, plan_joints, plan_line
 
         if self.along is not None and self.frame is not None:
             return plan_line(robot.slow, robot.q, np.array(self.along), MotionFrame(self.frame))
@@ -193,7 +187,7 @@ class Transfer(MotionOptions):
         return self.move(f"to {self.to}", self._plan)
 
     def _plan(self, robot: BringUp) -> Trajectory:
-        from toolee_robot.tasks.bring_up.places import Place, plan_to_place
+        from toolee_robot.tasks.bring_up.slow_motions import Place, plan_to_place
 
         return plan_to_place(robot.slow, robot.q, Place(self.to), self.view)
 
@@ -225,7 +219,7 @@ class Touch(MotionOptions):
     def run(self) -> int:
         console = self.console
         from toolee_robot.calibration.tip import add_touch, read_touches
-        from toolee_robot.tasks.bring_up.jog import MotionFrame
+        from toolee_robot.tasks.bring_up.slow_motions import MotionFrame
 
         if self.touches is not None and self.touches.exists():
             read_touches(self.touches)  # refuses what is no such list before anything moves
@@ -279,7 +273,7 @@ class Lag(MotionOptions):
         console = self.console
         station, host = self.load()
         from toolee_robot.app.bring_up import tune_servo
-        from toolee_robot.tasks.bring_up.servo_tuning import PAIRS, SHARES, recommend
+        from toolee_robot.tasks.bring_up.lag import PAIRS, SHARES, recommend
 
         def show(robot: BringUp, largest: Trajectory, reach: float) -> None:
             _show(console, robot, f"lag of joint {self.joint}: up to {len(PAIRS) * len(SHARES)} times", largest)
@@ -341,7 +335,7 @@ class Freedrive(ArmOptions):
         return 0
 
 
-COMMANDS = {"move": Move, "transfer": Transfer, "touch": Touch, "lag": Lag, "freedrive": Freedrive}
+COMMANDS = {"arm": {"move": Move, "transfer": Transfer, "touch": Touch, "lag": Lag, "freedrive": Freedrive}}
 
 
 def _show(console: Console, robot: BringUp, what: str, trajectory: Trajectory) -> None:

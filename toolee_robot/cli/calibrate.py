@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.panel import Panel
 
-from toolee_robot.cli.options import Flag, JsonOption
+from toolee_robot.cli.output import Flag, JsonOption
 from toolee_robot.cli.terminal import ConsoleListener
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.runtime.clock import check_real_time_factor
@@ -73,7 +73,33 @@ class PrintBoard:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Camera(JsonOption):
+class BoardOptions(JsonOption):
+    """Options of what a camera sees of a printed board: on your own station, rehearsed, or simulated."""
+
+    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """Your own station file, whose devices are opened."""
+    rehearse: Flag = False
+    """With --station: emulate every device, and what a person does."""
+    sheet: Literal["a4", "a3"] = "a3"
+    """The board, as `toolee calibrate board` drew it. An A4 is too small for a camera of 512 pixels at 0.95 m."""
+    bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
+    """Lengths of the board's two scale bars, measured on the print. A simulated or rehearsed lab measures its own."""
+    seed: int = 0
+    """Seed of all that is drawn: the planned views; simulated or rehearsed also the cell, the lens, the print, how it
+    lies or is held, the room and the noise."""
+    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
+    """With --rehearse: rate of the station's time relative to wall-clock time."""
+    write: Flag = False
+    """Enter the result in `measured.yaml` beside the station file."""
+
+    def refuse(self, *rules: Rule) -> None:
+        """Raise the first rule that the options break, of the command's own and of those of all."""
+        _refuse(*rules, _option(self.seed < 0, f"--seed {self.seed}: give 0 or more"))
+        check_real_time_factor(self.real_time_factor, "127.0.0.1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera(BoardOptions):
     """Measure where the fixed camera stands, by a board on the flange.
 
     Example: toolee calibrate camera
@@ -92,30 +118,16 @@ class Camera(JsonOption):
 
     images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder with images and poses.json, see docs/how-to/calibrate.md."""
-    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """Your own station: its arm moves."""
-    rehearse: Flag = False
-    """With --station: emulate every device, in front of a simulated cell."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """The station file without --station: the arm's kinematics, and where the camera was measured by hand."""
-    sheet: Literal["a4", "a3"] = "a3"
-    """The board, as `toolee calibrate board` drew it."""
-    bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
-    """Lengths of the two scale bars, measured on the print. A simulated lab measures its own."""
     poses: Annotated[int, tyro.conf.arg(metavar="N")] = 20
     """Number of poses to drive to."""
     plate_distance: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="(simulated: 0.12)")] = None
     """Distance of the print from the flange."""
     plate_mass: Annotated[float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="(simulated: 1.2)")] = None
     """Mass of plate and holder."""
-    seed: int = 0
-    """Seed of the planned views; simulated: also of the print, its place on the flange, the room and the noise."""
-    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
-    """With --rehearse: rate of the station's time relative to wall-clock time."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("calibrations")
     """Parent of the calibration's folder, which holds camera.json, the record, report.html and the images."""
-    write: Flag = False
-    """Enter the record in `measured.yaml` beside the station file."""
 
     def run(self) -> int:
         self._check()
@@ -127,8 +139,8 @@ class Camera(JsonOption):
         else:
             config = sim_station() if self.config is None else load_station(self.config)
         from toolee_robot.app.calibrate_camera import RECORD
-        from toolee_robot.app.run_folder import run_folder
         from toolee_robot.calibration.session import FILE
+        from toolee_robot.runtime.files import run_folder
         from toolee_robot.station import write_measured
 
         listener = ConsoleListener(self.console)
@@ -213,7 +225,7 @@ class Camera(JsonOption):
         real = self.images is not None or moves
         plate = self.plate_distance, self.plate_mass
         where = "with --rehearse" if self.rehearse else "without --images or --station"
-        _refuse(
+        self.refuse(
             _option(
                 self.images is not None and self.station is not None,
                 "--images with --station: images that were taken, or a station that takes them",
@@ -234,9 +246,8 @@ class Camera(JsonOption):
                 "user.plate_unmeasured",
             ),
             _option(self.write and self.station is None, "--write needs --station: the station file to write to"),
-            _option(not 8 <= self.poses <= 100 or self.seed < 0, "give --poses 8 to 100, and --seed 0 or more"),
+            _option(not 8 <= self.poses <= 100, "give --poses 8 to 100"),
         )
-        check_real_time_factor(self.real_time_factor, "127.0.0.1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,7 +321,7 @@ class Check(JsonOption):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Intrinsics(JsonOption):
+class Intrinsics(BoardOptions):
     """Measure a camera's intrinsics by a board that is held before it.
 
     Example: toolee calibrate intrinsics --station lab.yaml --bars-mm 361.3 258.1 --write
@@ -331,26 +342,12 @@ class Intrinsics(JsonOption):
 
     images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder of images, all of one size."""
-    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """Your own station: its camera.device is opened, or, with --images, tells the serial number."""
-    rehearse: Flag = False
-    """With --station: emulate the camera, and the person with the board."""
-    bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
-    """Lengths of the board's two scale bars, measured on the print. A rehearsal measures its own."""
     camera_serial: Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")] = None
     """Serial number of the camera, without --station."""
-    sheet: Literal["a4", "a3"] = "a3"
-    """The board."""
     views: Annotated[int, tyro.conf.arg(metavar="N")] = 30
     """Number of images that are taken with --station."""
-    seed: int = 0
-    """With --rehearse: seed of the lens, the print and how it is held."""
-    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
-    """With --rehearse: rate of the station's time relative to wall-clock time."""
     out: Annotated[Path, tyro.conf.arg(metavar="JSON")] = Path("intrinsics.json")
     """The record."""
-    write: Flag = False
-    """Enter the record in `measured.yaml` beside the station file."""
 
     def run(self) -> int:
         self._check()
@@ -409,7 +406,7 @@ class Intrinsics(JsonOption):
 
     def _check(self) -> None:
         serial = self.camera_serial is not None
-        _refuse(
+        self.refuse(
             _option(
                 self.images is None and self.station is None,
                 "give --station, whose camera takes the images, or --images, a folder of them",
@@ -430,12 +427,8 @@ class Intrinsics(JsonOption):
             ),
             (not self.rehearse and self.bars_mm is None, _BARS_MISSING, "user.board_scale_unknown"),
             _option(self.write and self.station is None, "--write needs --station: the station file to write to"),
-            _option(
-                not _MIN_VIEWS <= self.views <= 200 or self.seed < 0,
-                f"give --views {_MIN_VIEWS} to 200, and --seed 0 or more",
-            ),
+            _option(not _MIN_VIEWS <= self.views <= 200, f"give --views {_MIN_VIEWS} to 200"),
         )
-        check_real_time_factor(self.real_time_factor, "127.0.0.1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -475,7 +468,7 @@ class Mount(JsonOption):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Nail(JsonOption):
+class Nail(BoardOptions):
     """Locate a nail and the wood, by the camera or by touches.
 
     Example: toolee calibrate nail --camera
@@ -497,18 +490,10 @@ class Nail(JsonOption):
 
     camera: Flag = False
     """Locate it by the camera."""
-    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """With --camera: your own station. Its camera takes the images, and its calibration must hold."""
-    rehearse: Flag = False
-    """With --station: emulate every device, in front of a simulated cell."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """The station file without --station: the arm's kinematics, and where it has the nail."""
     nail: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Which of several nails (work.nails)."""
-    sheet: Literal["a4", "a3"] = "a3"
-    """The board, as `toolee calibrate board` drew it. An A4 is too small for a camera of 512 pixels at 0.95 m."""
-    bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
-    """Lengths of the two scale bars, measured on the print. A simulated lab measures its own."""
     thickness_mm: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
     """Height of the printed side over the wood: paper and plate."""
     at_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
@@ -526,12 +511,6 @@ class Nail(JsonOption):
     """The joint positions of touches of the wood around the nail."""
     repeat_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.2
     """With --wood: standard deviation of one touch from the next: force, kinematics over the block, grain."""
-    seed: int = 0
-    """Simulated: seed of the cell, the print, how it lies, the room and the noise."""
-    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
-    """With --rehearse: rate of the station's time relative to wall-clock time."""
-    write: Flag = False
-    """Enter the place in `measured.yaml` beside the station file. Not of a simulated nail."""
 
     def run(self) -> int:
         self._check()
@@ -600,8 +579,8 @@ class Nail(JsonOption):
         entries = located.entries(None if self.write else path)  # measured.yaml is in base_link
         where = f"Entered in {_measured(path)}, in base_link:" if self.write else "In the station file:"
         lines = [where, "work:"]
-        lines += [f"  {name}: {value}" for item, values in entries if not item for name, value in values.items()]
-        lines += [f"  nails, {item[1]}: xy: {values['xy']}" for item, values in entries if item]
+        lines += [f"  {name}: {value}" for name, value in entries.items() if name != "nails"]
+        lines += [f"  nails, {nail['name']}: xy: {nail['xy']}" for nail in entries.get("nails", ())]
         if true:
             lines += ["", "[dim]* measured by the simulation; whoever looks cannot see it[/dim]"]
         _panel(self.console, f"the {'nail' if located.with_nail else 'wood'} is located", rows, lines)
@@ -611,7 +590,7 @@ class Nail(JsonOption):
         file = self.station or self.config
         real = self.station is not None and not self.rehearse
         deviations = self.placing_mm, self.touch_mm, self.repeat_mm
-        _refuse(
+        self.refuse(
             (
                 not self.camera and not touches,
                 "nothing tells where the nail is: give --camera, --touches or --wood",
@@ -642,11 +621,10 @@ class Nail(JsonOption):
                 "--write with a simulated camera: a simulated nail would take the place of yours; leave --write out",
             ),
             _option(
-                not all(0.01 <= value <= 10.0 for value in deviations) or self.seed < 0,
-                "give --placing-mm, --touch-mm and --repeat-mm 0.01 to 10, and --seed 0 or more",
+                not all(0.01 <= value <= 10.0 for value in deviations),
+                "give --placing-mm, --touch-mm and --repeat-mm 0.01 to 10",
             ),
         )
-        check_real_time_factor(self.real_time_factor, "127.0.0.1")
 
     def _print_rules(self, real: bool) -> tuple[Rule, ...]:
         given = self.bars_mm is not None, self.thickness_mm is not None
@@ -666,12 +644,14 @@ class Nail(JsonOption):
 
 
 COMMANDS = {
-    "board": PrintBoard,
-    "camera": Camera,
-    "check": Check,
-    "intrinsics": Intrinsics,
-    "mount": Mount,
-    "nail": Nail,
+    "calibrate": {
+        "board": PrintBoard,
+        "camera": Camera,
+        "check": Check,
+        "intrinsics": Intrinsics,
+        "mount": Mount,
+        "nail": Nail,
+    }
 }
 
 

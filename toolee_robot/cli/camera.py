@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from toolee_robot.cli.doctor import findings_table
-from toolee_robot.cli.options import Flag, JsonOption
+from toolee_robot.cli.output import Flag, JsonOption
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.findings import Finding, Level, warn, worst
 
@@ -309,7 +309,7 @@ class CheckCamera(CameraOptions):
         return int(level is Level.FAIL)
 
 
-COMMANDS = {"list": ListCameras, "show": Show, "record": Record, "doctor": CheckCamera}
+COMMANDS = {"camera": {"list": ListCameras, "show": Show, "record": Record, "doctor": CheckCamera}}
 
 
 def _registered(profile: CameraProfile, chosen: ChosenLens) -> str:

@@ -14,14 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from toolee_robot.cli.options import Flag
-from toolee_robot.cli.progress import progress_bars
+from toolee_robot.cli.output import Flag, JsonOption, progress_bars
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.json_line import json_line
 from toolee_robot.sensor_kinds import SensorKind
 
 if TYPE_CHECKING:
@@ -32,7 +29,7 @@ _Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 
 
 @dataclass(frozen=True)
-class Generate:
+class Generate(JsonOption):
     """Generate RGB-D examples with masks, poses and clouds.
 
     They are BOP scenes and COCO files.
@@ -70,8 +67,6 @@ class Generate:
     """Depth camera of `hard`: docs/dataset.md. mixed draws one for each image."""
     kinds: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """Draw from the first N kinds of tools: 13 for a data set whose dataset.json does not say from how many."""
-    json: Flag = False
-    """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def custom_tools(self) -> tuple[CustomMesh, ...]:
         """The tools of `--tools`; none without it.
@@ -121,7 +116,7 @@ class Generate:
         custom_tools = self.custom_tools()
         spec = self.spec(custom_tools)
         workers = _cores() if self.workers is None else self.workers
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         began = time.monotonic()
         counts: list[int] = []
         with progress_bars(console) as report:
@@ -142,14 +137,13 @@ class Generate:
                 )
         else:
             console.print(f"{escape(str(self.out))} holds these {spec.size} examples already", soft_wrap=True)
-        if self.json:
-            record = {"out": str(self.out), "spec": spec.to_json(), "made": made, "seconds": seconds}
-            print(json_line({**record, "workers": workers, "cost": cost and asdict(cost)}), flush=True)
+        record = {"out": str(self.out), "spec": spec.to_json(), "made": made, "seconds": seconds}
+        self.tell({**record, "workers": workers, "cost": cost and asdict(cost)})
         return 0
 
 
 @dataclass(frozen=True)
-class Inspect:
+class Inspect(JsonOption):
     """Draw a montage, and how alike the tools are.
 
     The measure is that of the paper's Fig. 3.
@@ -168,16 +162,14 @@ class Inspect:
     """Images of each split in the montage."""
     pairs: Annotated[int, tyro.conf.arg(metavar="N")] = 100
     """Pairs of instances a category in Fig. 3."""
-    json: Flag = False
-    """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
         if self.count < 1 or self.pairs < 1:
-            raise UserError("--count and --pairs must be 1 or more", code="user.count")
+            raise UserError("--count and --pairs must be 1 or more")
         from toolee_robot.perception.offline.dataset.figures import inspect
 
         out = self.folder.with_name(f"{self.folder.resolve().name}-inspection") if self.out is None else self.out
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         with console.status("drawing"):
             record = inspect(self.folder, out, self.count, self.pairs)
         found = record["shape_distances"]
@@ -186,13 +178,12 @@ class Inspect:
         else:
             console.print("no category has two instances to compare: shapes.png is left out")
         console.print(f"pictures in {escape(str(out))}", soft_wrap=True)
-        if self.json:
-            print(json_line({"out": str(out), **record}), flush=True)
+        self.tell({"out": str(out), **record})
         return 0
 
 
 @dataclass(frozen=True)
-class Validate:
+class Validate(JsonOption):
     """Check every file of a data set.
 
     It finds files that are broken, missing, changed, or contradict another.
@@ -206,30 +197,29 @@ class Validate:
     """A data set made by `toolee dataset generate`."""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
     """Processes."""
-    json: Flag = False
-    """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
         from toolee_robot.perception.offline.dataset.validate import validate
 
         if self.workers < 1:
             raise UserError(f"--workers {self.workers}: give 1 or more", code="user.workers")
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         with progress_bars(console) as report:
             faults = validate(self.folder, self.workers, partial(report, "checking"))
         for fault in faults:
             console.print(f"[red]{escape(fault.file)}[/red]: {escape(fault.problem)}", soft_wrap=True)
         verdict = f"[bold red]{len(faults)} faults[/bold red]" if faults else "[green]sound[/green]"
         console.print(f"{escape(str(self.folder))}: {verdict}", soft_wrap=True)
-        if self.json:
-            print(json_line({"sound": not faults, "faults": [asdict(fault) for fault in faults]}), flush=True)
+        self.tell({"sound": not faults, "faults": [asdict(fault) for fault in faults]})
         return 1 if faults else 0
 
 
 COMMANDS = {
-    "generate": Generate,
-    "inspect": Inspect,
-    "validate": Validate,
+    "dataset": {
+        "generate": Generate,
+        "inspect": Inspect,
+        "validate": Validate,
+    }
 }
 
 

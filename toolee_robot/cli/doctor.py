@@ -1,4 +1,4 @@
-"""`toolee doctor`: checks a station before any motion."""
+"""`toolee doctor` checks a station before any motion; `toolee devices` lists the drivers that its file may name."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from toolee_robot.cli.options import Flag, JsonOption
+from toolee_robot.cli.output import Flag, JsonOption
 from toolee_robot.errors import UserError
 from toolee_robot.findings import Finding, Level, worst
 
@@ -70,8 +70,7 @@ class Doctor(JsonOption):
             if host is None and given:
                 raise UserError(
                     f"{option} needs --robot-host, or arm.host in the station file: the controller's address, as on "
-                    "its About page",
-                    code="user.no_robot_host",
+                    "its About page"
                 )
         if self.inputs and self.world:
             raise UserError(
@@ -169,4 +168,30 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}{'' if n == 1 else 's'}"
 
 
-COMMANDS = {"": Doctor}
+@dataclass(frozen=True)
+class Devices(JsonOption):
+    """List the drivers that a station file may name, and where each is from.
+
+    Example: toolee devices list
+
+    A lab adds drivers in a package of its own: docs/how-to/add_a_camera.md.
+    """
+
+    action: Annotated[Literal["list"], tyro.conf.Positional]
+    """What to do."""
+
+    def run(self) -> int:
+        from toolee_robot.devices.hands import hand_drivers
+        from toolee_robot.stations.camera import camera_drivers
+
+        found = {"camera": camera_drivers(), "hand": hand_drivers()}
+        table = Table("device", "driver", "from", box=None, pad_edge=False)
+        for kind, drivers in found.items():
+            for name, source in drivers.items():
+                table.add_row(kind, name, source)
+        self.console.print(table)
+        self.tell(found)
+        return 0
+
+
+COMMANDS = {"doctor": Doctor, "devices": Devices}

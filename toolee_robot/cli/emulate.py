@@ -20,7 +20,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import Flag
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 
@@ -234,4 +234,4 @@ class EmulateUr:
         return 0
 
 
-COMMANDS = {"ur": EmulateUr, "hand": EmulateHand}
+COMMANDS = {"emulate": {"ur": EmulateUr, "hand": EmulateHand}}

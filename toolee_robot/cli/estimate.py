@@ -1,4 +1,4 @@
-"""`toolee estimate`: pose estimation on the files of any RGB-D camera."""
+"""`toolee estimate` and `toolee annotate`: poses in the files of any RGB-D camera, and tests made of them by clicks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import Flag, JsonOption, serve, text_table
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.json_line import json_line
 from toolee_robot.runtime.pose_text import pose_text, sigma_text
 from toolee_robot.station import sim_station
 from toolee_robot.types import HoldingHand, RgbdFrame, ToolEstimate
@@ -28,7 +27,7 @@ _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint=
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(JsonOption):
     """Find the tools' end effectors in your own RGB-D files and estimate their 6D poses.
 
     Example: toolee estimate --rgb 7.png --depth 7d.png --depth-scale 0.001 --intrinsics 365.5,365.5,254.9,205.4
@@ -60,7 +59,7 @@ class Estimate:
     """Print JSON only: a list of estimates, or with --bop one line a frame."""
 
     def run(self) -> int:
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         if self.bop is not None:
             given = [
                 n for n in ("rgb", "depth", "depth_scale", "intrinsics", "hand_pose", "picture") if getattr(self, n)
@@ -76,10 +75,7 @@ class Estimate:
     def _run_frame(self, console: Console) -> int:
         missing = [n for n in ("rgb", "depth", "depth_scale", "intrinsics") if getattr(self, n) is None]
         if self.rgb is None or self.depth is None or self.depth_scale is None or self.intrinsics is None:
-            raise UserError(
-                f"also give {', '.join('--' + n.replace('_', '-') for n in missing)} (or --bop DIR)",
-                code="user.missing_option",
-            )
+            raise UserError(f"also give {', '.join('--' + n.replace('_', '-') for n in missing)} (or --bop DIR)")
         from toolee_robot.perception import ToolPerception
         from toolee_robot.perception.io import as_record, read_frame, read_pose
 
@@ -90,9 +86,8 @@ class Estimate:
 
             hand = HoldingHand(read_pose(self.hand_pose), hand_model(self.hand).grasp.R_hand_tool)
         estimates, elapsed_ms = _timed(ToolPerception.load(), frame, hand)
-        if self.json:
-            print(json_line([as_record(e) for e in estimates]), flush=True)
-        else:
+        self.tell([as_record(e) for e in estimates])
+        if not self.json:
             console.print(_table(estimates, f"{self.rgb.name}: {elapsed_ms:.0f} ms"))
         if self.picture is not None:  # after the estimates: a place that cannot be written does not cost them
             from toolee_robot.recording.picture import draw
@@ -122,8 +117,7 @@ class Estimate:
                 line |= {"time_ms": round(elapsed_ms, 1), "estimates": [as_record(e) for e in estimates]}
                 if not self.json:
                     console.print(_table(estimates, f"image {image.im_id}: {elapsed_ms:.0f} ms"))
-            if self.json:
-                print(json_line(line), flush=True)
+            self.tell(line)
         console.print(f"{usable} of {len(images)} frames have a pose that may be used")
         if unreadable:
             raise UserError(
@@ -174,4 +168,54 @@ def _table(estimates: list[ToolEstimate], title: str) -> Table:
     return table
 
 
-COMMANDS = {"": Estimate}
+@dataclass(frozen=True)
+class Annotate(JsonOption):
+    """Make a test of your own RGB-D frames: click the tools' end effectors, get their poses with their uncertainty.
+
+    Example: toolee annotate my_frames
+
+    Example: toolee annotate my_frames --clicks my_frames/clicks.yaml
+
+    Opens a page on this computer; Ctrl-C ends it and writes frames.json, which `toolee evaluate photographs my_frames`
+    scores. Clicks are saved in clicks.yaml at once, and a later call goes on with them. docs/how-to/own_test.md says
+    how to take the frames and what to click. Exit code 0: every end that was clicked has a pose; 1: not every one.
+    """
+
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    """A recording by `toolee camera record`, or another folder in the BOP layout."""
+    clicks: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Fit the clicks of this file, without the page."""
+    port: Annotated[int, tyro.conf.arg(metavar="N")] = 8080
+    """Port of the page."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.offline.annotation.frame_set import FrameSet, Session, end_record
+
+        console = self.console
+        frames = FrameSet(self.folder, self.clicks)
+        if self.clicks is None:
+            from toolee_robot.viewer.annotation_page import AnnotationPage
+
+            page = AnnotationPage(Session(frames), self.port)
+            serve(page, console, "Ctrl-C ends it and writes the test.")
+        with console.status("fitting the clicks"):
+            written = frames.write()
+        rows = [end_record(f.name, end) for f in written for end in f.ends]
+        columns = ("frame", "end", "position [mm]", "rotation [deg]", "residuals", "checks")
+        if rows:
+            console.print(text_table("Standard deviations of the clicked poses", columns, [r["cells"] for r in rows]))
+        refused = [r for r in rows if r["problem"] is not None]
+        for row in refused:
+            console.print(f"[bold]{row['frame']}[/bold]: {escape(row['problem'])}", soft_wrap=True)
+        complete = [f for f in written if f.complete]
+        console.print(
+            f"{len(complete)} of {len(frames.names)} frames in {escape(str(self.folder / 'frames.json'))}: "
+            f"{sum(bool(f.ends) for f in complete)} with a tool, {sum(not f.ends for f in complete)} without",
+            soft_wrap=True,
+        )
+        record = [{k: v for k, v in row.items() if k != "cells"} for row in rows]
+        self.tell({"frames": len(complete), "ends": record})
+        return 1 if any(r["problem"] is not None or not r["known"] for r in rows) else 0
+
+
+COMMANDS = {"estimate": Estimate, "annotate": Annotate}

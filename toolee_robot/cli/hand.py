@@ -21,7 +21,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from toolee_robot.cli.options import Flag, JsonOption
+from toolee_robot.cli.output import Flag, JsonOption
 from toolee_robot.cli.terminal import confirm_typed, require_terminal
 from toolee_robot.errors import DeviceError, UserError
 
@@ -58,8 +58,7 @@ class HandOptions(JsonOption):
         if hand.model == MOUNT:
             raise UserError(
                 f"the hand of {self.station} is a tool mount, which has neither motors nor sensors: fix a tool in it, "
-                "and take it out, by hand",
-                code="user.no_fingers",
+                "and take it out, by hand"
             )
         return hand if self.port is None else replace(hand, port=self.port)
 
@@ -273,7 +272,7 @@ class Efforts(HandOptions):
         return 0
 
 
-COMMANDS = {"state": State, "open": Open, "close": Close, "clear-faults": ClearFaults, "efforts": Efforts}
+COMMANDS = {"hand": {"state": State, "open": Open, "close": Close, "clear-faults": ClearFaults, "efforts": Efforts}}
 
 
 def _effort_table(motors: tuple[str, ...], now: Array, largest: Array) -> Table:

@@ -1,15 +1,15 @@
-"""Console output of a running job, stage by stage."""
-# ruff: noqa: ARG002 - an observer receives more than it shows
+"""Console output of a job: stage by stage while it runs, and at its end what the robot measured and what is true."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
+from rich.panel import Panel
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from toolee_robot.app.observer import JobObserver
@@ -24,6 +24,9 @@ from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 if TYPE_CHECKING:
     from toolee_robot.viewer.live_page import LivePage  # needs the extra `viewer`
+
+# ruff: noqa: ARG002 - an observer receives more than it shows
+
 
 _PHASES = {
     Stage.HANDOVER: "Handover",
@@ -209,3 +212,82 @@ def plan_text(plan: StrikePlan) -> str:
         f"{plan.speed:.2f} m/s{lowered} at contact, spin {np.rad2deg(plan.theta):+.0f}°, "
         f"clearance {plan.clearance.distance * 1e3:.0f} mm  [dim]({plan.planning_time * 1e3:.0f} ms)[/dim]"
     )
+
+
+Rows = list[tuple[str, str]]
+
+
+def job_panel(f: Mapping[str, Any]) -> Panel:
+    """Format what came of a job.
+
+    Args:
+        f: Its figures.
+
+    Returns:
+        The panel.
+    """
+    stages = ", ".join(f"{name} {s:.1f}" for name, s in f["stage_seconds"].items())
+    rows = [("strikes", str(f["strikes"])), *_nails(f, "measured_protrusion_mm"), *_weight(f), *_load(f)]
+    rows += [
+        ("robot's time", f"{f['robot_seconds']:.0f} s, {f['nail_seconds']:.0f} s of it for the nail"),
+        ("time", f"{f['seconds']:.1f} s  [dim]({stages})[/dim]"),
+        ("files", escape(f["run_folder"])),
+    ]
+    lines = [f"[bold]{escape(f['reason'])}[/bold]", "", *_lines(rows)]
+    if f["nail"] is not None:
+        lines += ["", "[dim]true values, known to the simulation alone[/dim]", *_lines(_true(f))]
+    flush = "the nail is flush" if len(f["nails"]) < 2 else "the nails are flush"
+    stage = f" (stage: {f['stage']})" if f["stage"] else ""
+    title = flush if f["success"] else str(f["outcome"]).replace("_", " ") + stage
+    colour = "green" if f["success"] else "red"
+    return Panel("\n".join(lines), title=f"[bold]{title}[/bold]", border_style=colour, expand=False, padding=(1, 2))
+
+
+def _lines(rows: Rows) -> list[str]:
+    return [f"{name:<22}{value}" for name, value in rows]
+
+
+def _weight(f: Mapping[str, Any]) -> Rows:
+    weighed = f["weighed"]
+    if weighed is None:
+        return []
+    return [("tool's mass", f"{weighed['mass']:.2f} ± {weighed['mass_sigma']:.2f} kg, by the arm")]
+
+
+def _load(f: Mapping[str, Any]) -> Rows:
+    if f["largest_impulse"] is None:
+        return []
+    return [
+        ("most at the flange", f"{_figure(f['largest_impulse'], ' N s')}, {f['largest_flange_force']:.0f} N"),
+        ("most in a joint", f"{100 * f['largest_torque_share']:.0f} % of its largest torque"),
+    ]
+
+
+def _nails(f: Mapping[str, Any], height: str) -> Rows:
+    if len(f["nails"]) < 2:
+        return [("nail over the wood", _figure(f[height], " mm"))]
+    return [
+        (
+            f"nail {nail['name']}",
+            f"{str(nail['outcome'] or 'not begun').replace('_', ' ')}, {nail['strikes']} strikes, "
+            f"{_figure(nail[height], ' mm')} over the wood",
+        )
+        for nail in f["nails"]
+    ]
+
+
+def _true(f: Mapping[str, Any]) -> Rows:
+    weighed = f["weighed"] or {"true_mass": None}
+    off = f["off_face_strikes"]
+    nail = f"{f['nail']}, leans by {_figure(f['nail_lean_deg'], '°')}, bent by {_figure(f['nail_bend_deg'], '°')}"
+    return [
+        ("pose error", f"{_figure(f['pose_error_mm'], ' mm')}, {_figure(f['pose_error_deg'], '°')}"),
+        ("strike offset, tilt", f"{_figure(f['strike_offset_mm'], ' mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
+        *_nails(f, "protrusion_mm"),
+        ("nail", f"{nail}; {off} strike{'' if off == 1 else 's'} not with the face" if off else nail),
+        *([] if weighed["true_mass"] is None else [("tool's mass", f"{weighed['true_mass']:.2f} kg")]),
+    ]
+
+
+def _figure(value: float | None, unit: str) -> str:
+    return "unknown" if value is None else f"{value:.1f}{unit}"

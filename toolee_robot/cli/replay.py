@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,11 +12,8 @@ from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
-from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import text_table
-from toolee_robot.cli.serving import serve
+from toolee_robot.cli.output import Flag, JsonOption, serve, text_table
 from toolee_robot.recording.runs import list_runs, recording_of
-from toolee_robot.runtime.json_line import json_line
 
 if TYPE_CHECKING:
     from toolee_robot.recording.history import RunHistory
@@ -25,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Replay:
+class Replay(JsonOption):
     """Show a run in the browser: what the robot did, saw, believed and decided.
 
     Example: toolee replay runs/20261124-101500-seed100
@@ -43,7 +40,7 @@ class Replay:
     """Port of the page; the next free one where it is in use."""
     rerun_perception: Flag = False
     """Let today's networks look at the recorded frames, and show what changed."""
-    json: Flag = False
+    json: Flag = field(default=False, kw_only=True)
     """Print what today's networks find as one line of JSON, and open no page."""
     gif: Annotated[Path | None, tyro.conf.arg(metavar="GIF", help_behavior_hint="")] = None
     """Write the run as a GIF of ten seconds, and open no page."""
@@ -53,7 +50,7 @@ class Replay:
     def run(self) -> int:
         from toolee_robot.recording.reading import finish_copy, read_history
 
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         path = recording_of(self.recording)
         if self.finish is not None:
             count = finish_copy(path, self.finish)
@@ -67,10 +64,9 @@ class Replay:
             _write_gif(self.gif, history, config, console)
             return 0
         looks = _look_again(history, config, console) if self.rerun_perception or self.json else []
-        if self.json:
-            print(json_line([look.figures() for look in looks]), flush=True)
-            return 0
-        self._show(history, config, looks, console)
+        self.tell([look.figures() for look in looks])
+        if not self.json:
+            self._show(history, config, looks, console)
         return 0
 
     def _show(self, history: RunHistory, config: StationConfig, looks: list[LookAgain], console: Console) -> None:
@@ -89,25 +85,24 @@ class Replay:
 
 
 @dataclass(frozen=True)
-class Runs:
+class Runs(JsonOption):
     """List the runs in a folder: date, station and seed, outcome, strikes, duration, size.
 
     Example: toolee runs
 
-    A run without an outcome goes on, or was killed; `toolee replay` shows it up to its last written second.
+    A run without an outcome goes on, or was killed; `toolee replay` shows it up to its last written second. --json
+    prints a list, the oldest run first.
     """
 
     folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DIR")]] = Path("runs")
     """The folder: what a job's --out names."""
-    json: Flag = False
-    """Print one line of JSON on standard output: a list, the oldest run first."""
 
     def run(self) -> int:
         runs = list_runs(self.folder)
+        self.tell(runs)
         if self.json:
-            print(json_line(runs))
             return 0
-        console = Console(highlight=False)
+        console = self.console
         if not runs:
             console.print(f"no runs in {self.folder}")
             return 0

@@ -15,7 +15,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import Flag, JsonOption
 from toolee_robot.errors import ConfigError, TooleeError, UserError
 from toolee_robot.runtime.files import write_atomic
 
@@ -60,12 +60,11 @@ class New:
         if self.file.exists():
             data = read_typed(self.file)
             if not self.ask or not isinstance(data, dict):
-                raise UserError(f"{self.file} is there already: give another name, or --ask", code="user.file_exists")
+                raise UserError(f"{self.file} is there already: give another name, or --ask")
             if template(data) != self.file.read_text(encoding="utf-8"):
                 raise UserError(
                     f"{self.file} was edited by hand, and no command edits it: fill in the rest there; `toolee station "
-                    f"check {self.file}` lists it",
-                    code="user.edited_file",
+                    f"check {self.file}` lists it"
                 )
         given = {"arm.model": self.arm, "hand.model": self.hand, "camera.device.driver": self.camera}
         for name, value in given.items():
@@ -214,7 +213,7 @@ def _told_by_the_camera(data: dict[str, Any], console: Console) -> bool:
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(JsonOption):
     """Check a lab's station file, then its devices.
 
     The devices are checked as `toolee doctor` does. Nothing is moved.
@@ -226,8 +225,6 @@ class Check:
 
     file: tyro.conf.Positional[Path]
     """The station file."""
-    json: Flag = False
-    """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
         from toolee_robot.cli.doctor import Doctor
@@ -236,7 +233,7 @@ class Check:
         from toolee_robot.stations.lab import check_purpose
         from toolee_robot.stations.open_fields import open_fields, told
 
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         data = read_station(self.file)
         check_current(data, self.file)
         fields = open_fields(data, self.file)
@@ -274,7 +271,7 @@ class Show:
     """Port of the page."""
 
     def run(self) -> int:
-        from toolee_robot.cli.serving import serve
+        from toolee_robot.cli.output import serve
         from toolee_robot.station import load_station
 
         load_station(self.file)  # before Rerun is imported
@@ -317,8 +314,10 @@ class Upgrade:
 
 
 COMMANDS = {
-    "new": New,
-    "check": Check,
-    "show": Show,
-    "upgrade": Upgrade,
+    "station": {
+        "new": New,
+        "check": Check,
+        "show": Show,
+        "upgrade": Upgrade,
+    }
 }

@@ -117,7 +117,7 @@ class TerminalPerson:
 
 @dataclass(frozen=True)
 class ConsoleListener:
-    """An `app.listener.Listener` at the terminal. Of what it shows, only `say` and `waiting` take markup."""
+    """An `app.observer.Listener` at the terminal. Of what it shows, only `say` and `waiting` take markup."""
 
     console: Console
     """Where it prints."""

@@ -11,12 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
 
-from toolee_robot.cli.options import Flag
-from toolee_robot.cli.progress import progress_bars
+from toolee_robot.cli.output import Flag, JsonOption, progress_bars
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.json_line import json_line
 
 OutDir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
@@ -26,7 +23,7 @@ Count = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
 
 
 @dataclass(frozen=True)
-class _Training:
+class _Training(JsonOption):
     """Options of every training."""
 
     out: OutDir
@@ -49,8 +46,6 @@ class _Training:
     """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
     init: Folder = None
     """Start from the weights exported there."""
-    json: Flag = False
-    """Print one line of JSON last on standard output."""
 
     def _given(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}
@@ -59,8 +54,8 @@ class _Training:
         """Print the result if --json is given; return the exit code."""
         from toolee_robot.perception.offline.training.options import is_first
 
-        if self.json and is_first():
-            print(json_line({"out": str(self.out), "resumed": resumed, **more}), flush=True)
+        if is_first():
+            self.tell({"out": str(self.out), "resumed": resumed, **more})
         return 0
 
 
@@ -136,7 +131,7 @@ class Refinement(_Training, _Data):
 
 
 @dataclass(frozen=True)
-class Clouds:
+class Clouds(JsonOption):
     """Keep a data set's clouds for the pose network.
 
     They are the clouds under true masks and under the detector's.
@@ -164,11 +159,9 @@ class Clouds:
     """Processes at a time."""
     device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "cpu"
     """Where the detector runs: cpu, cuda:1, or cuda: spread over all GPUs."""
-    json: Flag = False
-    """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         from toolee_robot.perception.offline.rendered_clouds import rendered_clouds
         from toolee_robot.perception.offline.training.options import make_folder
 
@@ -194,8 +187,7 @@ class Clouds:
         kind = "whole tools" if clouds.of_tool.any() else "end effectors"
         negatives = f" and {len(clouds) - shown} of other things" if of_detector else ""
         console.print(f"{shown} clouds of {kind}{negatives} in {self.out}")
-        if self.json:
-            print(json_line({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown}), flush=True)
+        self.tell({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown})
         return 0
 
 
@@ -245,7 +237,7 @@ class Pose(_Training):
 
 
 @dataclass(frozen=True)
-class Paper:
+class Paper(JsonOption):
     """Train a column of the paper's Table I.
 
     It trains as the published code does: 2,000 epochs, batches of 600.
@@ -268,8 +260,6 @@ class Paper:
     """Stop after this time; the same command goes on."""
     device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
-    json: Flag = False
-    """Print one line of JSON last on standard output."""
 
     def run(self) -> int:
         from toolee_robot.perception.offline.research.tooleenet.training import PaperOptions, train_column
@@ -281,13 +271,12 @@ class Paper:
         about = {f.name: getattr(options, f.name) for f in fields(PaperOptions)}
         remember(self.out, resumed, {**about, "column": self.column, "clouds": [str(path) for path in self.clouds]})
         done = train_column(self.out, options, self.column, self.clouds)
-        if self.json:
-            print(json_line({"out": str(self.out), "resumed": resumed, **done}), flush=True)
+        self.tell({"out": str(self.out), "resumed": resumed, **done})
         return 0
 
 
 @dataclass(frozen=True)
-class Trust:
+class Trust(JsonOption):
     """Fit how far a pose is to be trusted.
 
     It is the pose under the detector's mask, once both networks are trained.
@@ -307,11 +296,9 @@ class Trust:
     """Of these frames."""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
     """Processes at a time."""
-    json: Flag = False
-    """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         from toolee_robot.perception.offline.fit_trust import fit_trust
 
         with progress_bars(console) as report_progress:
@@ -329,16 +316,17 @@ class Trust:
             f"{report['right_usable']:.3f} of the right ones usable; {report['quiet']:.3f} of the frames without a "
             "tool give none"
         )
-        if self.json:
-            print(json_line(report), flush=True)
+        self.tell(report)
         return 0
 
 
 COMMANDS = {
-    "segmentation": Segmentation,
-    "refinement": Refinement,
-    "clouds": Clouds,
-    "pose": Pose,
-    "paper": Paper,
-    "trust": Trust,
+    "train": {
+        "segmentation": Segmentation,
+        "refinement": Refinement,
+        "clouds": Clouds,
+        "pose": Pose,
+        "paper": Paper,
+        "trust": Trust,
+    }
 }

@@ -13,10 +13,9 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.cli.job_options import console_observer
-from toolee_robot.cli.options import Flag
+from toolee_robot.cli.jobs import console_observer
+from toolee_robot.cli.output import Flag, JsonOption
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.json_line import json_line
 
 if TYPE_CHECKING:
     from toolee_robot.app.job import JobSpec
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Trials:
+class Trials(JsonOption):
     """Run the jobs of a plan, and write their report.
 
     Example: toolee trials examples/trials.yaml --out trials
@@ -55,11 +54,9 @@ class Trials:
     results: Annotated[Path | None, tyro.conf.arg(metavar="JSONL", help_behavior_hint="")] = None
     """Run nothing: write the report of the results in this file, such as those of the site's tables, to --out, which
     must be given. A report there is replaced; trials there stay, whatever their plan."""
-    json: Flag = False
-    """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        console = Console(stderr=self.json, highlight=False)
+        console = self.console
         from toolee_robot.trials import load_plan, write_report
         from toolee_robot.trials.report import FIGURES
         from toolee_robot.trials.results import read_results
@@ -91,8 +88,7 @@ class Trials:
         if plan.led and made["finished"] < made["of"]:
             console.print(f"{made['finished']} of {made['of']} trials are done: the same command goes on")
         console.print(f"report: {escape(str(page))}")
-        if self.json:
-            print(json_line(made), flush=True)
+        self.tell(made)
         return 0
 
     def _workers(self) -> Workers | None:
@@ -132,4 +128,4 @@ def _job(console: Console, spec: JobSpec, out: Path) -> dict[str, Any]:
     return run_job(spec, out, console_observer(spec, console, asked=True)).figures
 
 
-COMMANDS = {"": Trials}
+COMMANDS = {"trials": Trials}

@@ -59,8 +59,7 @@ def check_real_time_factor(real_time_factor: float, host: str) -> None:
         raise UserError(
             f"real-time factor {real_time_factor} for {host!r}: a real robot runs in real time; only a stand-in on a "
             "loopback address "
-            "(127.0.0.2, ...) may run slower",
-            code="user.real_robot_slowed",
+            "(127.0.0.2, ...) may run slower"
         )
 
 

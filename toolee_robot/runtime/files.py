@@ -1,14 +1,17 @@
-"""Files: written whole or not at all; read with a limit, and with errors that can be told."""
+"""Files: written whole or not at all; read with a limit, and with errors that can be told; the folder of a run."""
 
 from __future__ import annotations
 
 import fcntl
 import hashlib
 import json
+import math
 import os
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any, NoReturn
@@ -201,3 +204,92 @@ def read_array(path: Path) -> NDArray[Any]:
 
 def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is no number of JSON")
+
+
+def json_line(value: Any) -> str:
+    """Format a value as one line of strict JSON; NaN and infinity become null."""
+    return json.dumps(_finite(value), allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value
+
+
+class RunFolder:
+    """Folder of a run; without `keep` it is removed at the end of the context.
+
+    Args:
+        path: Present folder.
+        final: Folder after `keep`.
+
+    Attributes:
+        path: Present folder.
+        final: Folder after `keep`.
+        kept: Whether `keep` was called.
+    """
+
+    def __init__(self, path: Path, final: Path) -> None:
+        self.path, self.final = path, final
+        self.kept = False
+
+    def keep(self) -> Path:
+        """Move the complete run to its final folder, with a number appended if that exists."""
+        target, n = self.final, 2
+        while target.exists():
+            target = self.final.with_name(f"{self.final.name}-{n}")
+            n += 1
+        self.path.rename(target)
+        self.path = self.final = target
+        self.kept = True
+        return target
+
+
+@contextmanager
+def run_folder(out: Path, name: str) -> Iterator[RunFolder]:
+    """Context with a folder `out/<time>-<name>` for a run.
+
+    Args:
+        out: Parent of the folder.
+        name: Name of the run.
+
+    Yields:
+        The folder.
+
+    Raises:
+        UserError: `out` cannot be written.
+    """
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    made_out = not out.exists()
+    final = out / f"{stamp}-{name}"
+    path, n = out / f".{final.name}.partial", 2
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        while path.exists():  # of another job that has begun in the same second
+            path, n = out / f".{final.name}-{n}.partial", n + 1
+        path.mkdir()
+    except OSError as error:
+        raise UserError(
+            f"cannot write runs to {out}: {words_of(error)}; choose another --out",
+            code="user.runs_not_writable",
+        ) from error
+    folder = RunFolder(path, final)
+    try:
+        yield folder
+    finally:
+        if not folder.kept:
+            shutil.rmtree(folder.path, ignore_errors=True)
+            if made_out:
+                _remove_if_empty(out)
+
+
+def _remove_if_empty(folder: Path) -> None:
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()

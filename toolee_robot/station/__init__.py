@@ -10,9 +10,10 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 """
 
 from toolee_robot.station.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
+from toolee_robot.station.camera_files import given_by_intrinsics
 from toolee_robot.station.cell import CameraConfig, CameraDevice, Obstacle, SceneConfig, ToolEnvelope
-from toolee_robot.station.intrinsics_record import given_by_intrinsics
-from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig
+from toolee_robot.station.head import VERSION, check_current, is_current
+from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig, ToolData
 from toolee_robot.station.measured import (
     MEASURED,
     given_by_nails,
@@ -33,10 +34,7 @@ from toolee_robot.station.robot import (
     gravity_below,
     servo_lag,
 )
-from toolee_robot.station.setup import JobSetup, with_setup
-from toolee_robot.station.station import StationConfig, load_station, read_station, sim_station
-from toolee_robot.station.tool import ToolData
-from toolee_robot.station.version import VERSION, check_current, is_current
+from toolee_robot.station.station import JobSetup, StationConfig, load_station, read_station, sim_station, with_setup
 from toolee_robot.station.work import ONLY_NAIL, NailConfig, WorkConfig
 
 __all__ = [

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.calibration.record import Rows
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.runtime.yaml_files import IN_FILE
-from toolee_robot.station.values import STRICT, Extent, JointAngle, JointAngles, Place, Point
+from toolee_robot.station.schema import STRICT, Extent, JointAngle, JointAngles, Place, Point
 from toolee_robot.types import CameraIntrinsics
 from toolee_robot.types.units import Direction, Metres, Number, Pixels, Seconds, Unit
 

@@ -12,19 +12,15 @@ import yaml
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import BaseFrame
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.yaml_lines import YamlLines
-from toolee_robot.station import intrinsics_record
-from toolee_robot.station.camera_pose import FIELD, LOOK_AT, SECTION
+from toolee_robot.runtime.yaml_files import YamlLines
+from toolee_robot.station.camera_files import CAMERA, INTRINSICS, LOOK_AT, POSE_FIELD, given_by_intrinsics
 from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
-from toolee_robot.station.intrinsics_record import given_by_intrinsics
-from toolee_robot.station.job import StrikeConfig
+from toolee_robot.station.head import FRAME, check_current
+from toolee_robot.station.job import StrikeConfig, check_enclosed
 from toolee_robot.station.measured_file import measured_path, read_measured, with_measured
 from toolee_robot.station.robot import ArmLimits, HandConfig
 from toolee_robot.station.schema import required
 from toolee_robot.station.station import StationConfig, read_station, read_typed, to_station
-from toolee_robot.station.station_frame import FIELD as FRAME
-from toolee_robot.station.tool import check_enclosed
-from toolee_robot.station.version import check_current
 from toolee_robot.station.work import SIZES, WorkConfig
 from toolee_robot.types import MOUNT
 
@@ -93,8 +89,8 @@ def _missing(data: Any) -> list[str]:
     missing = [f"{section}.{name}" for section, name in wanted if _field(data, section, name) is None]
     if _field(data, "hand", "model") == MOUNT and "hand.weighed" in missing:
         missing.remove("hand.weighed")  # a mount's data say what it weighs
-    unneeded = given_by_nails(_field(data, "work", "nails")) | given_by_pose(_field(data, SECTION, FIELD))
-    unneeded |= given_by_intrinsics(_field(data, SECTION, intrinsics_record.FIELD))
+    unneeded = given_by_nails(_field(data, "work", "nails")) | given_by_pose(_field(data, CAMERA, POSE_FIELD))
+    unneeded |= given_by_intrinsics(_field(data, CAMERA, INTRINSICS))
     return [name for name in missing if name not in unneeded]
 
 
@@ -133,7 +129,7 @@ def given_by_pose(pose: Any) -> set[str]:
     Returns:
         Names of the fields, such as `camera.position`.
     """
-    return set() if pose is None else {f"{SECTION}.{name}" for name in LOOK_AT}
+    return set() if pose is None else {f"{CAMERA}.{name}" for name in LOOK_AT}
 
 
 def _field(data: Any, section: str, name: str) -> Any:

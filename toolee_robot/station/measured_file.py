@@ -11,16 +11,12 @@ from pydantic import TypeAdapter, ValidationError
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import BaseFrame
-from toolee_robot.runtime.yaml_files import read_yaml
-from toolee_robot.runtime.yaml_lines import YamlLines
-from toolee_robot.station.camera_pose import SECTION as CAMERA
+from toolee_robot.runtime.yaml_files import YamlLines, read_yaml
+from toolee_robot.station.camera_files import CAMERA, INTRINSICS, PINHOLE
 from toolee_robot.station.cell import CameraConfig
-from toolee_robot.station.intrinsics_record import FIELD as INTRINSICS
-from toolee_robot.station.intrinsics_record import PINHOLE
+from toolee_robot.station.head import FRAME, to_base
 from toolee_robot.station.robot import ServoConfig
 from toolee_robot.station.schema import StationField, record_fields
-from toolee_robot.station.station_frame import FIELD as FRAME
-from toolee_robot.station.station_frame import to_base
 from toolee_robot.station.work import WorkConfig
 
 COMMANDS: Mapping[str, str] = {

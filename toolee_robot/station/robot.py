@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array
-from toolee_robot.station.values import STRICT, JointSpeeds
+from toolee_robot.station.schema import STRICT, JointSpeeds
 from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandEfforts, HandMounting, HandWeight, ToolMount
 from toolee_robot.types.units import (
     Direction,

@@ -1,31 +1,24 @@
-"""The record of a whole station, and its loader."""
+"""The record of a whole station, its loader, and what is set up for one job instead."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from toolee_robot.errors import ConfigError
-from toolee_robot.runtime.yaml_files import read_yaml, to_record
-from toolee_robot.runtime.yaml_lines import YamlLines
-from toolee_robot.station.calibration import CalibrationConfig
-from toolee_robot.station.calibration_record import check_place, check_record, take_record
-from toolee_robot.station.camera_pose import take_camera_pose
+from toolee_robot.runtime.yaml_files import YamlLines, read_yaml, to_record
+from toolee_robot.station.calibration import CalibrationConfig, check_place, check_record, take_record
+from toolee_robot.station.camera_files import take_camera_pose, take_intrinsics
 from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
-from toolee_robot.station.intrinsics_record import take_intrinsics
-from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig
+from toolee_robot.station.head import FRAME, VERSION_FIELD, is_current, take_frame, to_base
+from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig, ToolData, check_enclosed
 from toolee_robot.station.measured_file import read_measured, with_measured
 from toolee_robot.station.robot import ArmLimits, HandConfig, PersonConfig, ServoConfig
-from toolee_robot.station.schema import without_blanks
-from toolee_robot.station.station_frame import FIELD as FRAME
-from toolee_robot.station.station_frame import take_frame, to_base
-from toolee_robot.station.tool import ToolData
-from toolee_robot.station.values import STRICT
-from toolee_robot.station.version import FIELD, is_current
+from toolee_robot.station.schema import STRICT, Gravity, Hole, NailHead, Protrusion, Shank, ShankLength, without_blanks
 from toolee_robot.station.work import WorkConfig
 
 SIM = Path(__file__).with_name("sim.yaml")
@@ -147,7 +140,7 @@ def sim_station() -> StationConfig:
 def _sim_data() -> dict[str, Any]:
     """What the simulated station's file holds; its positions are in `base`."""
     data = read_yaml(SIM, "simulated station's file")
-    return {name: value for name, value in data.items() if name not in (FIELD, FRAME)}
+    return {name: value for name, value in data.items() if name not in (VERSION_FIELD, FRAME)}
 
 
 def _over_sim(data: dict[str, Any]) -> dict[str, Any]:
@@ -196,7 +189,7 @@ def to_station(data: Any, path: Path) -> StationConfig:
     if not isinstance(data, dict):
         return to_record(data, path, StationConfig, what)
     is_current(data, path)  # refuses an unknown one
-    data = without_blanks({name: value for name, value in data.items() if name != FIELD}, StationConfig)
+    data = without_blanks({name: value for name, value in data.items() if name != VERSION_FIELD}, StationConfig)
     frame = take_frame(data)
     data, record = take_record(_first_nail(data), path)
     data = take_intrinsics(data, path)
@@ -241,3 +234,73 @@ def _first_nail(data: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(first, dict) or "xy" not in first:
         return data
     return data | {"work": {"nail_xy": first["xy"], **work}}
+
+
+@dataclass(frozen=True)
+class WorkSetup:
+    """Fields of `work` that are of one job's nail and wood; null for the station file's."""
+
+    __pydantic_config__ = STRICT
+    nail_diameter: Shank | None = None
+    """Diameter of the nail's shank."""
+    nail_length: ShankLength | None = None
+    """Length of the nail's shank."""
+    nail_head_diameter: NailHead | None = None
+    """Diameter of the nail's head."""
+    nail_protrusion: Protrusion | None = None
+    """Height of the top of the nail's head over the wood before the first strike."""
+    pilot_hole_diameter: Hole | None = None
+    """Diameter of the predrilled hole, 0 for none."""
+    wood_specific_gravity: Gravity | None = None
+    """Specific gravity of the wood."""
+
+
+@dataclass(frozen=True)
+class JobSetup:
+    """What is set up for one job."""
+
+    __pydantic_config__ = STRICT
+    tool: ToolData | None = None
+    """The tool that is handed over; null for the station file's."""
+    tool_envelope: ToolEnvelope | None = None
+    """What encloses that tool in collision checks, where it differs from the station file's; null for that."""
+    work: WorkSetup = field(default_factory=WorkSetup)
+    """Nail and wood."""
+
+
+def with_setup(config: StationConfig, path: Path) -> StationConfig:
+    """Take what is set up for one job instead of what a station file says.
+
+    Args:
+        config: What the station file says.
+        path: YAML file with the fields of `JobSetup`.
+
+    Returns:
+        The configuration of the job.
+
+    Raises:
+        ConfigError: The file cannot be read, a field is wrong or in another unit, or the station lists several nails
+            and the file gives the sizes of one, or the tool does not fit into the station's `tool_envelope` and the
+            file gives none.
+    """
+    data = read_yaml(path, "job's setup's file") or {}
+    if isinstance(data, dict) and isinstance(envelope := data.get("tool_envelope"), dict):
+        data = {**data, "tool_envelope": {**asdict(config.tool_envelope), **envelope}}
+    setup = to_record(data, path, JobSetup, "job's setup")
+    work = {name: value for name, value in asdict(setup.work).items() if value is not None}
+    if config.work.nails and set(work) - {"wood_specific_gravity"}:
+        raise ConfigError(
+            f"{path} gives the sizes of a nail, and the station lists several (work.nails): give sizes there",
+            code="config.invalid",
+        )
+    try:
+        made = replace(
+            config,
+            tool=setup.tool or config.tool,
+            tool_envelope=setup.tool_envelope or config.tool_envelope,
+            work=replace(config.work, **work),
+        )
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}", code="config.invalid") from error
+    check_enclosed(made, path)
+    return made

@@ -13,10 +13,10 @@ import yaml
 
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.files import written_whole
+from toolee_robot.station.head import BEFORE, VERSION, VERSION_FIELD, check_current
 from toolee_robot.station.measured import write_measured
 from toolee_robot.station.measured_file import COMMANDS, measured_path
 from toolee_robot.station.station import read_station, read_typed, to_station
-from toolee_robot.station.version import BEFORE, FIELD, VERSION, check_current
 
 MOVED = [name for name in COMMANDS if not name.startswith("work.")]
 """What leaves the station file: of the nail's place nobody can tell whether it was typed or measured."""
@@ -49,10 +49,10 @@ def upgrade(path: Path) -> Upgraded:
         UserError: A copy of an earlier upgrade is there, or the folder cannot be written.
     """
     data = read_typed(path)
-    if not isinstance(data, dict) or data.get(FIELD) != BEFORE:
+    if not isinstance(data, dict) or data.get(VERSION_FIELD) != BEFORE:
         check_current(data, path)
         return Upgraded([f"{path} is of version {VERSION} already: nothing was changed."], data)
-    to_station({**data, FIELD: VERSION}, path)  # a file that is wrong is corrected before it is rewritten
+    to_station({**data, VERSION_FIELD: VERSION}, path)  # a file that is wrong is corrected before it is rewritten
     measured: dict[str, dict[str, Any]] = {}
     for section, name in (field.split(".") for field in MOVED):
         if isinstance(data.get(section), dict) and data[section].get(name) is not None:
@@ -60,10 +60,10 @@ def upgrade(path: Path) -> Upgraded:
     place = path.resolve()
     kept = place.with_name(f"{place.name}.v{BEFORE}")
     if kept.exists():
-        raise UserError(f"{kept} is there already: move it away, it is not overwritten", code="user.copy_exists")
+        raise UserError(f"{kept} is there already: move it away, it is not overwritten")
     text = place.read_text(encoding="utf-8")
-    text = re.sub(rf"^{FIELD}:(\s*){BEFORE}\b", rf"{FIELD}:\g<1>{VERSION}", text, flags=re.M)
-    wanted = {**data, FIELD: VERSION}
+    text = re.sub(rf"^{VERSION_FIELD}:(\s*){BEFORE}\b", rf"{VERSION_FIELD}:\g<1>{VERSION}", text, flags=re.M)
+    wanted = {**data, VERSION_FIELD: VERSION}
     for section, fields in measured.items():
         wanted[section] = {name: value for name, value in data[section].items() if name not in fields}
     shorter = "".join(_without(text, measured))

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from toolee_robot.frames import Array, angle_between, frame_from_axes
-from toolee_robot.station.values import (
+from toolee_robot.station.schema import (
     STRICT,
     Extent,
     Gravity,

@@ -2,6 +2,9 @@
 
 with LabStation(load_lab_station(Path("lab.yaml")), print) as lab:
     HammeringTask(lab.station, perception, lab.config, measured_grasp(lab.tool, lab.config)).run()
+
+with open_arm(load_station(Path("lab.yaml")), "192.168.1.10", person) as arm:
+    arm.execute(trajectory)
 """
 
 from __future__ import annotations
@@ -12,18 +15,65 @@ from datetime import date
 from enum import StrEnum
 from typing import Any, Self
 
+from toolee_robot.control import CollisionWorld, RobotModel, Supervisor
 from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.devices.cameras import CameraStream
 from toolee_robot.devices.cameras.lens_choice import UNKNOWN_LENS
 from toolee_robot.devices.hands import open_hand, wired_hand
 from toolee_robot.devices.person import open_person
+from toolee_robot.devices.ur.config import UrArmConfig
+from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import ConfigError, NotReadyError
-from toolee_robot.hal import Station
+from toolee_robot.hal import Person, Station
 from toolee_robot.robots import MOUNT, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import StationConfig, ToolData, check_upright
 from toolee_robot.stations.camera import RECORDED, open_camera
-from toolee_robot.stations.ur import ur_driver
+
+
+def ur_driver(config: StationConfig, host: str, *, real_time_factor: float = 1.0) -> UnsupervisedUrArm:
+    """Build the driver of a station's arm, for a `hal.Station`: a task puts it under a supervisor of its own.
+
+    Args:
+        config: Configuration of the station. The robot's installation must have the payload of the empty hand, and the
+            TCP at the flange.
+        host: Address of the controller.
+        real_time_factor: Real-time factor of a stand-in; 1 for a robot.
+
+    Returns:
+        The driver, not yet entered. By itself it checks neither speed nor collisions nor people.
+
+    Raises:
+        ConfigError: The hand is unknown, or a parameter of the servo is out of range.
+        UserError: The real-time factor is invalid for this host.
+    """
+    model = RobotModel.of_station(config).description
+    payload = model.hand_payload(model.hand_open)
+    settings = UrArmConfig(host, config.servo, payload=payload, tcp=(0.0,) * 6, real_time_factor=real_time_factor)
+    return UnsupervisedUrArm(settings, config.arm)
+
+
+def open_arm(config: StationConfig, host: str, person: Person, *, real_time_factor: float = 1.0) -> Supervisor:
+    """Build a station's arm under the supervisor, with the hand empty.
+
+    Args:
+        config: Configuration of the station, as for `ur_driver`.
+        host: Address of the controller.
+        person: The person at the station.
+        real_time_factor: Real-time factor of a stand-in; 1 for a robot.
+
+    Returns:
+        The supervisor, in HANDOVER mode, not yet entered. Entering it checks the robot and connects, which moves
+        nothing, and raises what `hal.Arm` and the driver raise; leaving it ends the robot's program.
+
+    Raises:
+        ConfigError: The hand is unknown, or a parameter of the servo is out of range.
+        UserError: The real-time factor is invalid for this host.
+    """
+    robot = RobotModel.of_station(config)
+    world = CollisionWorld(robot, config, robot.description.hand_open)
+    driver = ur_driver(config, host, real_time_factor=real_time_factor)
+    return Supervisor(driver, person, robot, config, lambda: world)
 
 
 class Purpose(StrEnum):

@@ -17,7 +17,7 @@ from toolee_robot.app.variant import SIMULATED_ONLY, Variant
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.station import ToolData
-from toolee_robot.station.values import STRICT, NotNegative, Positive
+from toolee_robot.station.schema import STRICT, NotNegative, Positive
 
 FIRST = frozenset({"name", "first_seed", "trials", "arms", "errors"})
 """Fields that count in the hash always; the others only where they say something, since published plans lack them."""

@@ -16,14 +16,11 @@ from markupsafe import Markup
 from toolee_robot.recording import PICTURE, RECORDING
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.html_page import Page
-from toolee_robot.tasks.common.outcome import Stage
-from toolee_robot.tasks.common.recovery import cause
-from toolee_robot.trials.by_size import curves
+from toolee_robot.tasks.common.outcome import Stage, cause
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.report_attended import agreement, attended_section
-from toolee_robot.trials.results import Event, Record, read_results, read_results_file
-from toolee_robot.trials.statistics import Share, by_conditions, compare, median, of_arm, share
-from toolee_robot.trials.table import TABLE, write_table
+from toolee_robot.trials.results import TABLE, Event, Record, read_results, read_results_file, write_table
+from toolee_robot.trials.statistics import Share, by_conditions, compare, curves, median, of_arm, share
 from toolee_robot.trials.tasks import out_of
 
 REPORT, FIGURES = "report.html", "report.json"

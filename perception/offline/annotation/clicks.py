@@ -12,7 +12,7 @@ from pydantic import TypeAdapter
 from toolee_robot.end_effectors import Category
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_record, to_record
-from toolee_robot.station.values import STRICT
+from toolee_robot.station.schema import STRICT
 
 CLICKS = "clicks.yaml"
 """Name of the file in the folder of the frames."""

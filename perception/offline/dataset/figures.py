@@ -30,8 +30,7 @@ from toolee_robot.perception.offline.dataset.instances import MODELS, model_path
 from toolee_robot.perception.offline.dataset.records import EeTable, FloatArray
 from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
-from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.json_line import json_line
+from toolee_robot.runtime.files import json_line, write_atomic
 from toolee_robot.types import CameraIntrinsics
 
 _AXIS = 0.04

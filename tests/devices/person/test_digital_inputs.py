@@ -19,7 +19,7 @@ from toolee_robot.findings import Level
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.station import PersonConfig, load_station, sim_station
-from toolee_robot.tasks.common.person_proof import PersonProof
+from toolee_robot.tasks.common.watches import PersonProof
 
 pytestmark = pytest.mark.realtime(light=True)
 

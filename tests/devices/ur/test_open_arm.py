@@ -17,7 +17,7 @@ from toolee_robot.errors import LimitError, NotReadyError, PersonNearError
 from toolee_robot.hal import Arm, MotionOutcome
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import sim_station
-from toolee_robot.stations.ur import open_arm
+from toolee_robot.stations.lab import open_arm
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.34"

@@ -21,7 +21,7 @@ from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
 from toolee_robot.tasks.common.motions import HOLD_SWITCH
-from toolee_robot.tasks.common.person_proof import PersonProof
+from toolee_robot.tasks.common.watches import PersonProof
 from toolee_robot.types import Trajectory
 
 BRAKES, REFUSED = "brakes on the path, latches", "no motion"

@@ -20,10 +20,19 @@ from toolee_robot.errors import DeviceError, LimitError, TooleeError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.station import sim_station
-from toolee_robot.tasks.bring_up.caps import ACCELERATION, SPEED, Caps, SlowStation
-from toolee_robot.tasks.bring_up.jog import MotionFrame, jog_joint, plan_joints, plan_line
-from toolee_robot.tasks.bring_up.lag_motion import lag_motion
-from toolee_robot.tasks.bring_up.places import Place, plan_to_place
+from toolee_robot.tasks.bring_up.lag import lag_motion
+from toolee_robot.tasks.bring_up.slow_motions import (
+    ACCELERATION,
+    SPEED,
+    Caps,
+    MotionFrame,
+    Place,
+    SlowStation,
+    jog_joint,
+    plan_joints,
+    plan_line,
+    plan_to_place,
+)
 from toolee_robot.tasks.bring_up.touch import SPEED as TOUCH_SPEED
 from toolee_robot.tasks.bring_up.touch import Touch, approach
 from toolee_robot.types import Trajectory

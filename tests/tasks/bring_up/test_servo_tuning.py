@@ -13,8 +13,8 @@ from toolee_robot.control import Supervisor
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, MotionWatch
 from toolee_robot.station import sim_station
-from toolee_robot.tasks.bring_up.caps import Caps, SlowStation
-from toolee_robot.tasks.bring_up.servo_tuning import PAIRS, SHARES, Trial, recommend, tune
+from toolee_robot.tasks.bring_up.lag import PAIRS, SHARES, Trial, recommend, tune
+from toolee_robot.tasks.bring_up.slow_motions import Caps, SlowStation
 from toolee_robot.types import Trajectory
 
 SLOW = SlowStation.of(sim_station(), Caps())

@@ -1,7 +1,7 @@
 """Driver of a UR10 or UR10e over ur_rtde: a `hal.Arm` whose servo loop runs in a process of its own.
 
 It checks that a motion starts where the arm is and stays within the joints' positions and velocities. It knows neither
-the station nor the people in it: `control.Supervisor` checks those and calls the driver, and `stations.ur.open_arm`
+the station nor the people in it: `control.Supervisor` checks those and calls the driver, and `stations.lab.open_arm`
 gives a lab both in one. The name says so, because whoever calls `execute` here moves an arm that may hit anything.
 
 Nothing here is a safety function: people are protected by the robot's own safety system, with its limits set for this

@@ -35,7 +35,7 @@ from toolee_robot.robots import MOUNT
 from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
-from toolee_robot.runtime.cpu_load import load_of_others
+from toolee_robot.runtime.latency_monitor import load_of_others
 from toolee_robot.sim_backend.cell_errors import NOMINAL, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.hands import emulated_hand, find_emulator

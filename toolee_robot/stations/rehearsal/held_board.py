@@ -16,7 +16,7 @@ from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals import BoardVisuals, VisualBody
 from toolee_robot.station import CameraConfig
 from toolee_robot.stations.rehearsal.camera import ColorAndDepth, EmulatedLens
-from toolee_robot.stations.simulated_board import PRINT_SCALE, RULE
+from toolee_robot.stations.simulated import PRINT_SCALE, RULE
 
 FOCAL, CENTER = 0.004, 3.0
 """Largest error of the told focal lengths, relative, and of the principal point [px]."""

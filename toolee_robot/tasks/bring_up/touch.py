@@ -20,8 +20,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, Clock, ContactGuard
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import StrikeConfig
-from toolee_robot.tasks.bring_up.caps import SlowStation
-from toolee_robot.tasks.bring_up.jog import SLOWEST, MotionFrame, plan_line
+from toolee_robot.tasks.bring_up.slow_motions import SLOWEST, MotionFrame, SlowStation, plan_line
 from toolee_robot.types import Trajectory
 
 SPEED = 0.01
@@ -69,7 +68,7 @@ def measured_settings(arm: Arm, strike: StrikeConfig, force: float, clock: Clock
         DeviceError: The force is too noisy for it.
     """
     if not force > 0:
-        raise UserError(f"a force of {force} N: give a positive number", code="user.force")
+        raise UserError(f"a force of {force} N: give a positive number")
     forces = forces_at_rest(arm, clock or HostClock(), NOISE_TIME)
     return touch_settings(forces, arm.rate, replace(strike, touch_force=force))
 
@@ -111,8 +110,7 @@ def approach(
     else:
         raise DeviceError(
             f"just zeroed, the arm feels {felt:.1f} N at rest, half of {settings.force:.1f} N or more: take away what "
-            "touches it, or raise the force",
-            code="device.force_at_rest",
+            "touches it, or raise the force"
         )
     fk = slow.robot.arm.fk
     begin, end = fk(trajectory.q[[0, -1]])[:, :3, 3]

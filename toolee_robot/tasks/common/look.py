@@ -16,8 +16,7 @@ from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, Us
 from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
 from toolee_robot.station import StationConfig
-from toolee_robot.tasks.common.held_region import held_region
-from toolee_robot.tasks.common.held_tool import HeldTool
+from toolee_robot.tasks.common.held_tool import HeldTool, held_region
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
@@ -177,7 +176,7 @@ class Views:
         try:
             estimates = self._perceiver.estimate(frame, hand, [self._category])
         except UserError as error:  # the frame is the camera's, not the user's
-            raise DeviceError(f"the camera's frame is unusable: {error}", code="device.camera_frame") from error
+            raise DeviceError(f"the camera's frame is unusable: {error}") from error
         self._observer.frame(frame, estimates, X_camera_hand)
         self.frames.append(frame)
         known = float(np.mean(frame.depth > 0.0))  # NaN included

@@ -23,11 +23,9 @@ from toolee_robot.errors import DeviceError, GripDoubtError, MotionFaultError, P
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, KeepsCourse, MotionOutcome, MotionReport, Station
 from toolee_robot.station import StationConfig, check_upright
-from toolee_robot.tasks.common.hand_watch import HandWatch, check_held
 from toolee_robot.tasks.common.held_tool import HeldTool
-from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.person_proof import PersonProof
-from toolee_robot.tasks.common.stages import Stages
+from toolee_robot.tasks.common.observer import Stages, TaskObserver
+from toolee_robot.tasks.common.watches import HandWatch, PersonProof, check_held
 from toolee_robot.types import Payload, Trajectory
 
 UP = (0.0, 0.0, 1.0)
@@ -123,6 +121,10 @@ class Motions:
     def carry(self, held: HeldTool | None) -> None:
         """Note what the hand holds from now on."""
         self.carried = held
+
+    def keep_clear_of(self, bodies: tuple[Body, ...]) -> None:
+        """Note which bodies of the work nothing may touch from now on, beside those of the station."""
+        self.in_the_way = bodies
 
     @property
     def held(self) -> HeldTool:
@@ -363,10 +365,7 @@ class Motions:
         check_held(hand, self.station.clock)
         state = hand.state()
         if state.temperature is not None and not state.temperature <= most:  # NaN included
-            raise DeviceError(
-                f"the hand is at {state.temperature:.0f} °C, {most:.0f} °C are allowed: let it cool down",
-                code="device.hand_temperature",
-            )
+            raise DeviceError(f"the hand is at {state.temperature:.0f} °C, {most:.0f} °C are allowed: let it cool down")
 
     def stand_still(self) -> None:
         """Stop arm and fingers, ignoring devices that have failed; the hand keeps its grip."""

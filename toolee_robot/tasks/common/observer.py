@@ -1,8 +1,12 @@
-"""Events of a task for its observers (terminal, recorder, tests). An observer never influences the job."""
+"""Events of a task for its observers (terminal, recorder, tests), which never influence it; durations of its stages."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import wraps
+from typing import Any
 
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import Array
@@ -97,50 +101,46 @@ class Observers(TaskObserver):
     def __init__(self, *observers: TaskObserver) -> None:
         self._observers = observers
 
-    def stage_started(self, stage: Stage) -> None:
-        for o in self._observers:
-            o.stage_started(stage)
 
-    def stage_ended(self, stage: Stage, seconds: float) -> None:
-        for o in self._observers:
-            o.stage_ended(stage, seconds)
+def _to_all(event: str) -> Callable[..., None]:
+    @wraps(getattr(TaskObserver, event))
+    def tell(self: Observers, *args: Any) -> None:
+        for observer in self._observers:
+            getattr(observer, event)(*args)
 
-    def message(self, text: str) -> None:
-        for o in self._observers:
-            o.message(text)
+    return tell
 
-    def frame(self, frame: RgbdFrame, estimates: list[ToolEstimate], X_camera_hand: Array) -> None:
-        for o in self._observers:
-            o.frame(frame, estimates, X_camera_hand)
 
-    def in_hand(self, stamp: float, estimate: InHandEstimate) -> None:
-        for o in self._observers:
-            o.in_hand(stamp, estimate)
+for _event in [name for name in vars(TaskObserver) if not name.startswith("_")]:
+    setattr(Observers, _event, _to_all(_event))
 
-    def planned(self, stamp: float, plan: StrikePlan) -> None:
-        for o in self._observers:
-            o.planned(stamp, plan)
 
-    def motion(self, name: str, report: MotionReport, hand: HandCourse) -> None:
-        for o in self._observers:
-            o.motion(name, report, hand)
+class Stages:
+    """Measures the duration of stages, each of which may occur several times.
 
-    def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
-        for o in self._observers:
-            o.contact(stamp, force, X_base_ee)
+    Args:
+        observer: Receives the start and the end of every stage.
 
-    def nail_started(self, name: str, protrusion: float) -> None:
-        for o in self._observers:
-            o.nail_started(name, protrusion)
+    Attributes:
+        seconds: Total wall-clock time of each stage [s].
+        latest: The stage that the job is in or was in last, before it parked the tool; None before the first one.
+    """
 
-    def nail_ended(self, result: NailResult) -> None:
-        for o in self._observers:
-            o.nail_ended(result)
+    def __init__(self, observer: TaskObserver) -> None:
+        self.seconds: dict[str, float] = {}
+        self.latest: Stage | None = None
+        self._observer = observer
 
-    def strike(self, strike: Strike) -> None:
-        for o in self._observers:
-            o.strike(strike)
-
-    def ended(self, result: HammerResult) -> None:
-        for o in self._observers:
-            o.ended(result)
+    @contextmanager
+    def __call__(self, stage: Stage) -> Iterator[None]:
+        """Context of one occurrence of a stage."""
+        began = time.perf_counter()
+        if stage is not Stage.PARK:
+            self.latest = stage
+        self._observer.stage_started(stage)
+        try:
+            yield
+        finally:
+            seconds = time.perf_counter() - began
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+            self._observer.stage_ended(stage, seconds)

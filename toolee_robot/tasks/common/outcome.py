@@ -1,8 +1,8 @@
-"""Outcomes of a hammering job, and the record of one."""
+"""Outcomes of a hammering job, the record of one, and stops with the tool in the hand: how many, and what then."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
 
 from toolee_robot.control.arm_dynamics import StrikeLoad
@@ -113,42 +113,114 @@ class NailResult:
 
 
 @dataclass(frozen=True)
-class HammerResult:
-    """Result of a job.
+class TaskResult:
+    """What every task returns.
 
     Attributes:
-        outcome: How the job ended; with several nails FLUSH where every one is flush, else what stopped the job, or how
-            the first that is not flush ended.
+        outcome: How the job ended.
         reason: Why it ended so, for a person.
-        strikes: The strikes in order, on all nails.
-        protrusion: Height of the head of the nail struck last over the wood as measured last [m]; None before the first
-            strike.
         stage: The stage in which it ended, before the tool was parked; None where it ended before the first one.
         estimates: Fused poses of the end effector in the hand, each with its time on the station's clock [s].
         stage_seconds: Wall-clock time spent in each stage [s], by the stage's name.
         robot_seconds: Time that the job took on the station's clock [s].
-        nail_seconds: Part of it in which nails were driven: with one, all after the first look at the tool [s].
-        nails: What became of each nail that was to be driven.
         stops: Number of times that the arm was stopped with the tool in the hand.
         fault: Error of a device, or of a person in the way, that ended it; None where none did.
-        weight: What the arm has weighed of the tool; None where it was told.
     """
 
     outcome: Outcome
     reason: str
-    strikes: tuple[Strike, ...]
-    protrusion: float | None
+    _: KW_ONLY
     stage: Stage | None = None
     estimates: tuple[tuple[float, InHandEstimate], ...] = ()
     stage_seconds: dict[str, float] = field(default_factory=dict)
     robot_seconds: float = 0.0
-    nail_seconds: float = 0.0
-    nails: tuple[NailResult, ...] = ()
     stops: int = 0
     fault: DeviceError | None = None
+
+
+@dataclass(frozen=True)
+class HammerResult(TaskResult):
+    """Result of a hammering job.
+
+    With several nails its outcome is FLUSH where every one is flush, else what stopped the job, or how the first that
+    is not flush ended.
+
+    Attributes:
+        strikes: The strikes in order, on all nails.
+        protrusion: Height of the head of the nail struck last over the wood as measured last [m]; None before the first
+            strike.
+        nail_seconds: Part of `robot_seconds` in which nails were driven: with one, all after the first look at the tool
+            [s].
+        nails: What became of each nail that was to be driven.
+        weight: What the arm has weighed of the tool; None where it was told.
+    """
+
+    strikes: tuple[Strike, ...]
+    protrusion: float | None
+    nail_seconds: float = 0.0
+    nails: tuple[NailResult, ...] = ()
     weight: ToolWeight | None = None
 
     @property
     def success(self) -> bool:
         """Whether every nail that was to be driven is flush."""
         return self.outcome is Outcome.FLUSH
+
+
+MAX_STOPS = 3
+"""Number of stops with the tool in the hand that end a session."""
+_STANDS = "the arm stands still"
+PUT_AWAY = f"{_STANDS}, put it away by hand"
+"""What to do about an arm that stands without a tool."""
+RESUME = (
+    f"{_STANDS} with the tool in the hand. Look at robot, hand and tool, and make the robot ready; then "
+    "resume the job, or take the tool out (take hold of it and have the hand opened), or put it away by hand"
+)
+"""What to do about a stop that can be cleared."""
+TAKE_OUT = (
+    f"{_STANDS} with the tool in the hand. Take hold of it and have the hand opened (`give_back` of the "
+    "task, or the hand's own software); nothing opens it by itself"
+)
+"""What to do about a stop that cannot be cleared, or that ends the session."""
+
+
+def cause(reason: str) -> str:
+    """What ended a job, without what a person is to do about the arm.
+
+    Args:
+        reason: Why it ended, as a result tells it.
+
+    Returns:
+        The cause.
+    """
+    return reason.partition(f"; {_STANDS}")[0]
+
+
+class Stops:
+    """Counts the stops of a session.
+
+    Attributes:
+        count: Number of stops with the tool in the hand so far.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    @property
+    def last(self) -> bool:
+        """Whether the session has ended because of its stops."""
+        return self.count >= MAX_STOPS
+
+    def add(self, reason: str) -> str:
+        """Count a stop with the tool in the hand.
+
+        Args:
+            reason: Why the arm was stopped.
+
+        Returns:
+            The reason, and what a person can do.
+        """
+        self.count += 1
+        if self.last:
+            return f"{reason}; stop {self.count} of {MAX_STOPS} ends the session: find the cause; {TAKE_OUT}"
+        return f"{reason}; {RESUME}"

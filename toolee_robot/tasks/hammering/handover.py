@@ -175,9 +175,7 @@ class Handover:
     def _see_out(self, prompt: str) -> None:
         self.person_clear = False
         if not self._motions.person.release(prompt, self._config.task.handover_timeout):
-            raise PersonNearError(
-                "nobody confirmed to be out of reach, or was seen there: no motion", code="person_near.not_released"
-            )
+            raise PersonNearError("nobody confirmed to be out of reach, or was seen there: no motion")
 
     def _once_reset(self, act: Callable[[], None]) -> bool:
         """Do something that the arm refuses after a stop: a person looks, makes the robot ready, and is seen out again.

@@ -15,9 +15,8 @@ from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.look import Look
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
-from toolee_robot.tasks.hammering.nail_forecast import NailForecast
+from toolee_robot.tasks.hammering.nail_forecast import FEWEST, NailForecast, NailStall
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge, Touches, deepest_strike
-from toolee_robot.tasks.hammering.nail_stall import FEWEST, NailStall
 from toolee_robot.tasks.hammering.nail_watch import NailWatch, nail_of
 from toolee_robot.tasks.hammering.striking import Striking
 

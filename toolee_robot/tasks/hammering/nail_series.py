@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from toolee_robot.control.collision_shapes import nail_bodies
 from toolee_robot.errors import GripDoubtError, PlanningError
-from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
 from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.look import Look
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.outcome import JobEnded, NailResult, Outcome, Strike
+from toolee_robot.tasks.common.watches import MAX_DOUBTS
 from toolee_robot.tasks.hammering.nail_driving import NailDriving
 
 LIFT = 0.020
@@ -75,7 +75,7 @@ class NailSeries:
             if not self._begun:
                 self._motions.observer.nail_started(name, self._work.only(name).nail_protrusion)
             self._begun = True
-            self._motions.in_the_way = nail_bodies(self._work, self._standing(name))
+            self._motions.keep_clear_of(nail_bodies(self._work, self._standing(name)))
             try:
                 outcome, reason = self._look_and_strike(driving, held, lift)
             except JobEnded as end:

@@ -34,8 +34,7 @@ from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.look import Look, Perceiver
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.outcome import HammerResult, JobEnded, Outcome, Stage
-from toolee_robot.tasks.common.recovery import PUT_AWAY, TAKE_OUT, Stops
+from toolee_robot.tasks.common.outcome import PUT_AWAY, TAKE_OUT, HammerResult, JobEnded, Outcome, Stage, Stops
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.hammering.handover import Handover
 from toolee_robot.tasks.hammering.nail_series import NailSeries
@@ -171,15 +170,15 @@ class HammeringTask:
             reason,
             self._nails.strikes,
             self._nails.protrusion,
-            self._motions.stages.latest,
-            () if self._look is None else tuple(self._look.estimates),
-            dict(self._motions.stages.seconds),
-            self._station.clock.now() - self._began,
-            self._nails.seconds,
-            self._nails.results(outcome, reason),
-            self._stops.count,
-            self._fault,
-            self._handover.weight,
+            stage=self._motions.stages.latest,
+            estimates=() if self._look is None else tuple(self._look.estimates),
+            stage_seconds=dict(self._motions.stages.seconds),
+            robot_seconds=self._station.clock.now() - self._began,
+            nail_seconds=self._nails.seconds,
+            nails=self._nails.results(outcome, reason),
+            stops=self._stops.count,
+            fault=self._fault,
+            weight=self._handover.weight,
         )
 
     def _end(self, job: Callable[[], tuple[Outcome, str]]) -> HammerResult:

@@ -15,9 +15,9 @@ from toolee_robot.control.planning.wrist_turns import plan_wrist_turns
 from toolee_robot.control.tool_weight import RestReading, ToolWeight, WeighingPrior, rest_reading, weigh
 from toolee_robot.errors import GripDoubtError, PlanningError, WeighingError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.tasks.common.hand_watch import MAX_DOUBTS
 from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
+from toolee_robot.tasks.common.watches import MAX_DOUBTS
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.types import ArmModel, Payload, Trajectory
 

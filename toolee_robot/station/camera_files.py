@@ -1,4 +1,4 @@
-"""The station file's `camera.X_base_camera`: the camera's pose as another calibration program tells it."""
+"""What a station file says of its camera as a whole: its pose by another program, and the record of its intrinsics."""
 
 from __future__ import annotations
 
@@ -8,12 +8,108 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.calibration.intrinsics_record import read_intrinsics, same_distortion
 from toolee_robot.calibration.record import rows
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, BaseFrame, transform
+from toolee_robot.station.calibration import SIMULATED
 
-SECTION, FIELD, HELD = "camera", "X_base_camera", "measured_pose"
-"""Section and field of the station file, and the field of `CameraConfig` that holds the pose."""
+CAMERA, INTRINSICS, HELD = "camera", "intrinsics", "intrinsics_record"
+"""Section and field that name the record, and the field of `CameraConfig` that holds the name."""
+SERIAL = "lens_serial"
+"""Field of `CameraConfig` that holds the serial number of the record."""
+PINHOLE = ("fx", "fy", "cx", "cy", "width", "height")
+"""Fields of the section that the record gives, beside `distortion`."""
+ROUNDED = 0.01
+"""Largest difference of a number that the file gives, too: digits that were rounded off [px]."""
+
+
+def take_intrinsics(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Read the record of the camera's intrinsics that a station file names.
+
+    Args:
+        data: What the file holds.
+        path: The file, in whose folder a relative path begins.
+
+    Returns:
+        The data with what the record gives; unchanged where the file names none.
+
+    Raises:
+        ConfigError: The record cannot be read or was altered; or the file gives other numbers than the record
+            (`config.intrinsics_twice`); or the record is of another camera than `camera.device.serial`
+            (`config.intrinsics_serial`); or the file gives by hand what only a record gives (`config.invalid`).
+    """
+    camera = data.get(CAMERA)
+    if not isinstance(camera, dict):
+        return data
+    if by_hand := [name for name in (HELD, SERIAL) if name in camera]:
+        raise ConfigError(
+            f"{path}: {CAMERA}.{by_hand[0]} is not given by hand: name a record of `toolee calibrate intrinsics` in "
+            f"{CAMERA}.{INTRINSICS}",
+            code="config.invalid",
+        )
+    if INTRINSICS not in camera:
+        return data
+    others = {name: value for name, value in camera.items() if name != INTRINSICS}
+    name = camera[INTRINSICS]
+    if not isinstance(name, str):
+        return {**data, CAMERA: {**others, HELD: name}}
+    record = read_intrinsics(path.parent / name)
+    pinhole = {field: getattr(record.intrinsics, field) for field in PINHOLE}
+    differing = [
+        f"{field} {pinhole[field]:.6g} (the file's: {others[field]!r})"
+        for field in PINHOLE
+        if others.get(field) is not None and not _same(others[field], pinhole[field])
+    ]
+    distortion = list(record.distortion)
+    if others.get("distortion") is not None and not _same_distortion(others["distortion"], distortion):
+        differing.append(f"distortion {[round(v, 5) for v in distortion]} (the file's: {others['distortion']})")
+    if differing:
+        raise ConfigError(
+            f"{path}: the record in {CAMERA}.{INTRINSICS} has {', '.join(differing)}: leave these out of the file, the "
+            "record gives them; or leave the record out",
+            code="config.intrinsics_twice",
+        )
+    device = others.get("device")
+    serial = device.get("serial") if isinstance(device, dict) else None
+    if isinstance(serial, str) and record.camera_serial not in (serial, SIMULATED):
+        raise ConfigError(
+            f"{path}: the record in {CAMERA}.{INTRINSICS} is of the camera {record.camera_serial!r}, the file's is "
+            f"{serial!r}: measure this one by `toolee calibrate intrinsics --station {path} --write`",
+            code="config.intrinsics_serial",
+        )
+    given = {**pinhole, "distortion": distortion, HELD: name, SERIAL: record.camera_serial}
+    return {**data, CAMERA: {**others, **given}}
+
+
+def given_by_intrinsics(record: Any) -> set[str]:
+    """Tell which measured fields a record of the intrinsics makes unnecessary.
+
+    Args:
+        record: The station file's `camera.intrinsics`; None for none.
+
+    Returns:
+        Names of the fields, such as `camera.fx`.
+    """
+    return set() if record is None else {f"{CAMERA}.{name}" for name in (*PINHOLE, "distortion")}
+
+
+def _same(given: Any, value: float) -> bool:
+    try:
+        return abs(float(given) - value) <= ROUNDED
+    except (TypeError, ValueError):
+        return False
+
+
+def _same_distortion(given: Any, value: list[float]) -> bool:
+    try:
+        return same_distortion([float(v) for v in given], value)
+    except (TypeError, ValueError):
+        return False
+
+
+POSE_FIELD, POSE_HELD = "X_base_camera", "measured_pose"
+"""Field of the section that gives the pose, and that of `CameraConfig` that holds it."""
 LOOK_AT = ("position", "target")
 """Fields that tell the pose otherwise."""
 TOLERANCE = 1e-3
@@ -46,17 +142,17 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
             (`config.camera_pose_reflection`), has another last row than 0 0 0 1 (`config.camera_pose_last_row`), or is
             in millimetres (`config.camera_pose_unit`).
     """
-    camera = data.get(SECTION)
-    if not isinstance(camera, dict) or camera.get(FIELD) is None:
+    camera = data.get(CAMERA)
+    if not isinstance(camera, dict) or camera.get(POSE_FIELD) is None:
         return data
-    if given := [f"{SECTION}.{name}" for name in LOOK_AT if camera.get(name) is not None]:
+    if given := [f"{CAMERA}.{name}" for name in LOOK_AT if camera.get(name) is not None]:
         raise ConfigError(
-            f"{path}: {SECTION}.{FIELD} is the camera's whole pose, and {' and '.join(given)} give it, too: leave out "
-            "one or the other",
+            f"{path}: {CAMERA}.{POSE_FIELD} is the camera's whole pose, and {' and '.join(given)} give it, too: leave "
+            "out one or the other",
             code="config.camera_pose_twice",
         )
-    named = f"{path}: {SECTION}.{FIELD}"
-    value = camera[FIELD]
+    named = f"{path}: {CAMERA}.{POSE_FIELD}"
+    value = camera[POSE_FIELD]
     X = _of_quaternion(value, named) if isinstance(value, dict) else _of_matrix(value, named)
     distance = float(np.linalg.norm(X[:3, 3]))
     if distance > FARTHEST:
@@ -64,8 +160,8 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
             f"{named}: the camera is {distance:.0f} m from the base, which looks like millimetres: give metres",
             code="config.camera_pose_unit",
         )
-    others = {name: field for name, field in camera.items() if name not in (FIELD, *LOOK_AT)}
-    return {**data, SECTION: {**others, HELD: rows(frame.X_base_this @ X), **dict.fromkeys(LOOK_AT)}}
+    others = {name: field for name, field in camera.items() if name not in (POSE_FIELD, *LOOK_AT)}
+    return {**data, CAMERA: {**others, POSE_HELD: rows(frame.X_base_this @ X), **dict.fromkeys(LOOK_AT)}}
 
 
 def _of_quaternion(value: dict[Any, Any], named: str) -> Array:
