@@ -12,11 +12,13 @@ from toolee_robot.frames import Array, cross
 from toolee_robot.hal import ZERO_TIME
 from toolee_robot.sim_backend.ur_controller.profile import profile
 from toolee_robot.sim_backend.ur_controller.robot.collision_detection import (
+    UPRIGHT,
+    ArmDynamics,
     CollisionDetection,
+    Dynamics,
     Measured,
     Planned,
 )
-from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT, ArmDynamics, Dynamics
 from toolee_robot.sim_backend.ur_controller.robot.error_codes import ErrorCode
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain
 from toolee_robot.sim_backend.ur_controller.robot.motion import Brake

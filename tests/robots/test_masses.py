@@ -11,8 +11,8 @@ from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control.arm_dynamics import ArmDynamics
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.robots.description import arm_tree
-from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT
-from toolee_robot.sim_backend.ur_controller.robot.dynamics import ArmDynamics as ControllerDynamics
+from toolee_robot.sim_backend.ur_controller.robot.collision_detection import UPRIGHT
+from toolee_robot.sim_backend.ur_controller.robot.collision_detection import ArmDynamics as ControllerDynamics
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.types import ArmModel, Payload
 

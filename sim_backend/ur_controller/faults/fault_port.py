@@ -9,10 +9,8 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from toolee_robot.sim_backend.ur_controller.faults.hooks import HookGroup, hook
-from toolee_robot.sim_backend.ur_controller.faults.measuring import MeasuringFaults
-from toolee_robot.sim_backend.ur_controller.faults.network import NetworkFaults, RtdeFaultHooks
-from toolee_robot.sim_backend.ur_controller.faults.robot import RobotFaults
+from toolee_robot.sim_backend.ur_controller.faults.network import HookGroup, NetworkFaults, RtdeFaultHooks, hook
+from toolee_robot.sim_backend.ur_controller.faults.robot import MeasuringFaults, RobotFaults
 from toolee_robot.sim_backend.ur_controller.robot.safety_system import RobotMode, SafetyMode
 from toolee_robot.sim_backend.ur_controller.server.port import Sink
 

@@ -15,7 +15,7 @@ from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import IDEAL, Profile
 from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.robot.cartesian import Compliance, tcp_twist
-from toolee_robot.sim_backend.ur_controller.robot.dynamics import UPRIGHT
+from toolee_robot.sim_backend.ur_controller.robot.collision_detection import UPRIGHT
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain, forward
 from toolee_robot.sim_backend.ur_controller.robot.motion import STANDSTILL, Brake, Motion, MotionError, Move
 from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel, Plant

@@ -10,7 +10,7 @@ import numpy as np
 
 from toolee_robot.frames import Array, cross
 from toolee_robot.sim_backend.ur_controller.profile import IDEAL, EncoderNoise, ForceErrors, Profile
-from toolee_robot.sim_backend.ur_controller.robot.dynamics import ArmDynamics, Dynamics
+from toolee_robot.sim_backend.ur_controller.robot.collision_detection import ArmDynamics, Dynamics
 from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel, Plant
 from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
 

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server import rtde_types as wire
 from toolee_robot.sim_backend.ur_controller.server.port import Sink
-from toolee_robot.sim_backend.ur_controller.server.rtde_inputs import Inputs
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import Recipe
-from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Outputs
+from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Inputs, Outputs
 
 MAX_RECIPES = 255  # an id is a byte, 0 means refused
 MAX_NAMES = 512  # names in a recipe, above which the client is dropped: more than exist, less than a packet can hold

@@ -13,7 +13,7 @@ from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import robot
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, Profile
-from toolee_robot.sim_backend.ur_controller.robot.dynamics import ArmDynamics
+from toolee_robot.sim_backend.ur_controller.robot.collision_detection import ArmDynamics
 from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import RtdeServer
-from toolee_robot.sim_backend.ur_controller.server.rtde_inputs import INPUTS
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import FORMATS, packet
-from toolee_robot.sim_backend.ur_controller.server.rtde_variables import OUTPUTS
+from toolee_robot.sim_backend.ur_controller.server.rtde_variables import INPUTS, OUTPUTS
 
 CONTROL_RECIPES = {  # of ur_rtde's control interface: integers, doubles, in their order on the wire
     1: ("I0", "D0-7", "I1"),

@@ -14,9 +14,8 @@ from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.rtde import RtdeFaults, RtdeSession
-from toolee_robot.sim_backend.ur_controller.server.rtde_inputs import Inputs
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import FORMATS, HEADER, packet
-from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Outputs
+from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Inputs, Outputs
 
 
 @dataclass

@@ -11,7 +11,7 @@ from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.plant import UR10E, ControllerModel, JointPlant
 from toolee_robot.sim_backend.ur_controller.robot.registers import Event, EventKind, Registers
-from toolee_robot.sim_backend.ur_controller.urscript.runtime import ScriptRuntime
+from toolee_robot.sim_backend.ur_controller.urscript.program import ScriptRuntime
 
 READY = (0.3, -1.4, 1.6, -1.8, -1.5, 0.2)
 """A posture far from every singularity [rad]."""

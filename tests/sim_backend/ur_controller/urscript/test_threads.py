@@ -8,7 +8,7 @@ from tests.sim_backend.ur_controller.urscript.script_robot import ScriptRobot
 from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
 from toolee_robot.sim_backend.ur_controller.robot.plant import UR10, UR10E, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.registers import EventKind
-from toolee_robot.sim_backend.ur_controller.urscript.runtime import ScriptRuntime
+from toolee_robot.sim_backend.ur_controller.urscript.program import ScriptRuntime
 
 both = pytest.mark.parametrize("model", [UR10, UR10E], ids=lambda m: m.name)
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.registers import Action, Event, EventKind
-from toolee_robot.sim_backend.ur_controller.urscript.functions.motion import MotionFunctions
-from toolee_robot.sim_backend.ur_controller.urscript.functions.state import StateFunctions
+from toolee_robot.sim_backend.ur_controller.urscript.functions_motion import MotionFunctions
+from toolee_robot.sim_backend.ur_controller.urscript.functions_state import StateFunctions
 from toolee_robot.sim_backend.ur_controller.urscript.values import fitting, numbers, text
 
 CONFIGURABLE, TOOL = 8, 16

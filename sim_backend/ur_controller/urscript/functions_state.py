@@ -11,7 +11,7 @@ from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward, inverse
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.motion import MotionError
-from toolee_robot.sim_backend.ur_controller.urscript.functions.library import as_pose, matrix, six
+from toolee_robot.sim_backend.ur_controller.urscript.functions_library import as_pose, matrix, six
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
 
 CONTACT = 20.0  # [N] against the direction above which there is contact

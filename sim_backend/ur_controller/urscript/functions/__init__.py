@@ -1,1 +1,0 @@
-"""Built-in functions of URScript: language library, inputs and outputs, motion, state."""
