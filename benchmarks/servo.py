@@ -187,7 +187,7 @@ class Measured:
 def run(model: ArmModel, seconds: float, host: str) -> Measured:
     """Measure the driver before a stand-in of this model, at a loopback address of its own."""
     # Only the servo loop is measured: delays of this process must not end it.
-    config = UrArmConfig(host, ServoConfig(heartbeat_timeout=5.0, hang_timeout=5.0), seconds + 10.0)
+    config = UrArmConfig(host, ServoConfig(heartbeat_timeout=1.0, hang_timeout=2.0), seconds + 10.0)
     with (
         closing(TraceMemory(round((seconds + _AROUND) / MODELS[model.value].period))) as memory,
         ControllerProcess(

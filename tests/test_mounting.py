@@ -19,7 +19,7 @@ from tests.examples import examples
 from toolee_robot.cli.app import run
 from toolee_robot.control import RobotModel
 from toolee_robot.control.arm_dynamics import ArmDynamics
-from toolee_robot.devices.ur.report import UrState
+from toolee_robot.devices.ur.probe import UrState
 from toolee_robot.doctor.frames import check_base, check_mounting
 from toolee_robot.errors import ConfigError
 from toolee_robot.findings import Finding, Level

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.examples import examples
-from toolee_robot.devices.ur.report import UrState
+from toolee_robot.devices.ur.probe import UrState
 from toolee_robot.doctor.frames import check_frames, parse_point
 from toolee_robot.doctor.robot import check_force, force_at_rest
 from toolee_robot.findings import Finding, Level

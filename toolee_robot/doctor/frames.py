@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from toolee_robot.devices.ur.report import UrState
+from toolee_robot.devices.ur.probe import UrState
 from toolee_robot.devices.ur.setup_checks import pose_matrix
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import HALF_TURN, Array, BaseFrame

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from toolee_robot.devices.ur.checks import UrExpected, check
+from toolee_robot.devices.ur.probe import PortState, RtdeQuality, UrReport, UrState
 from toolee_robot.devices.ur.protocols.primary import UrKinematics
-from toolee_robot.devices.ur.report import PortState, RtdeQuality, UrReport, UrState
 from toolee_robot.findings import Level, worst
 from toolee_robot.frames import Array
 from toolee_robot.robots.dh import DhParameters

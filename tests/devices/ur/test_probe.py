@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from toolee_robot.devices.ur.checks import UrExpected, check
-from toolee_robot.devices.ur.probe import probe
-from toolee_robot.devices.ur.report import UrReport
+from toolee_robot.devices.ur.probe import UrReport, probe
 from toolee_robot.devices.ur.setup_checks import calibration_of
 from toolee_robot.findings import Finding, Level
 from toolee_robot.robots.dh import DhParameters

@@ -20,10 +20,10 @@ import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control.motion.trajectory_checks import check_payload, check_trajectory
+from toolee_robot.devices.ur.checks import Identity, require_ready
 from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.error_log import ErrorLog
 from toolee_robot.devices.ur.probe import nominal_rate
-from toolee_robot.devices.ur.readiness import Identity, require_ready
 from toolee_robot.devices.ur.servo.client import ServoClient
 from toolee_robot.devices.ur.servo.clock import Realtime
 from toolee_robot.devices.ur.servo.messages import Cause, Freedrive, MotionRequest, SetPayload, ZeroWrench

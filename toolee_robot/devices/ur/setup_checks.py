@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.devices.ur.report import UrReport, UrState
+from toolee_robot.devices.ur.probe import UrReport, UrState
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import Array, transform
 from toolee_robot.robots.dh import DhParameters
