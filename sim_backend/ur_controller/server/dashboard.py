@@ -72,31 +72,9 @@ class DashboardSession:
 
     # -- program
 
-    def _load(self, argument: str) -> str:
-        return f"File not found: {argument}"
-
-    def _play(self, _: str) -> str:
-        return "Starting program" if self._robot.program.resume() else "Failed to execute: play"
-
     def _stop(self, _: str) -> str:
         self._robot.program.stop()
         return "Stopped"
-
-    def _pause(self, _: str) -> str:
-        return "Pausing program" if self._robot.program.pause() else "Failed to execute: pause"
-
-    def _running(self, _: str) -> str:
-        return f"Program running: {str(self._robot.program.state is RuntimeState.PLAYING).lower()}"
-
-    def _program_state(self, _: str) -> str:
-        program = self._robot.program
-        return f"{program.state.name} {program.name}".strip()
-
-    def _loaded(self, _: str) -> str:
-        return "No program loaded"
-
-    def _saved(self, _: str) -> str:
-        return "true"
 
     # -- screen
 
@@ -108,9 +86,6 @@ class DashboardSession:
         self._robot.popup = ""
         return "closing popup"
 
-    def _close_safety_popup(self, _: str) -> str:
-        return "closing safety popup"
-
     def _log(self, argument: str) -> str:
         self._robot.say(argument)
         return "Added log message"
@@ -121,13 +96,7 @@ class DashboardSession:
         self._role = argument
         return f"Setting user role: {argument}"
 
-    def _get_role(self, _: str) -> str:
-        return self._role.upper()
-
     # -- power and safety
-
-    def _power_on(self, _: str) -> str:
-        return "Powering on" if self._robot.safety.power_on() else "Failed to execute: power on"
 
     def _power_off(self, _: str) -> str:
         self._robot.safety.power_off()
@@ -136,36 +105,15 @@ class DashboardSession:
     def _brake_release(self, _: str) -> str:
         return "Brake releasing" if self._robot.safety.brake_release() else "Failed to execute: brake release"
 
-    def _unlock(self, _: str) -> str:
-        return self._robot.safety.unlock() or "Protective stop releasing"
-
     def _restart(self, _: str) -> str:
         self._robot.safety.restart()
         return "Restarting safety"
-
-    def _robot_mode(self, _: str) -> str:
-        return f"Robotmode: {RobotMode(self._robot.safety.robot_mode).name}"
-
-    def _safety_mode(self, _: str) -> str:
-        return f"Safetymode: {self._robot.safety.mode.name}"
-
-    def _safety_status(self, _: str) -> str:
-        return f"Safetystatus: {self._robot.safety.mode.name}"
 
     # -- identity
 
     def _version(self, _: str) -> str:
         version = ".".join(str(number) for number in self._robot.identity.version)
         return f"URSoftware {version}" if self._robot.model.e_series else version
-
-    def _model(self, _: str) -> str:
-        return self._robot.identity.model
-
-    def _serial(self, _: str) -> str:
-        return self._robot.identity.serial
-
-    def _remote(self, _: str) -> str:
-        return str(self._robot.safety.remote).lower()
 
     def _quit(self, _: str) -> str:
         self._ended = True
@@ -178,34 +126,34 @@ class DashboardSession:
 
 
 _COMMANDS: dict[str, Callable[[DashboardSession, str], str]] = {
-    "load": DashboardSession._load,
-    "load installation": DashboardSession._load,
-    "play": DashboardSession._play,
+    "load": lambda _, argument: f"File not found: {argument}",
+    "load installation": lambda _, argument: f"File not found: {argument}",
+    "play": lambda s, _: "Starting program" if s._robot.program.resume() else "Failed to execute: play",
     "stop": DashboardSession._stop,
-    "pause": DashboardSession._pause,
-    "running": DashboardSession._running,
-    "programstate": DashboardSession._program_state,
-    "get loaded program": DashboardSession._loaded,
-    "isprogramsaved": DashboardSession._saved,
+    "pause": lambda s, _: "Pausing program" if s._robot.program.pause() else "Failed to execute: pause",
+    "running": lambda s, _: f"Program running: {str(s._robot.program.state is RuntimeState.PLAYING).lower()}",
+    "programstate": lambda s, _: f"{s._robot.program.state.name} {s._robot.program.name}".strip(),
+    "get loaded program": lambda *_: "No program loaded",
+    "isprogramsaved": lambda *_: "true",
     "popup": DashboardSession._popup,
     "close popup": DashboardSession._close_popup,
-    "close safety popup": DashboardSession._close_safety_popup,
+    "close safety popup": lambda *_: "closing safety popup",
     "addtolog": DashboardSession._log,
     "setuserrole": DashboardSession._set_role,
-    "getuserrole": DashboardSession._get_role,
-    "power on": DashboardSession._power_on,
+    "getuserrole": lambda s, _: s._role.upper(),
+    "power on": lambda s, _: "Powering on" if s._robot.safety.power_on() else "Failed to execute: power on",
     "power off": DashboardSession._power_off,
     "brake release": DashboardSession._brake_release,
-    "unlock protective stop": DashboardSession._unlock,
+    "unlock protective stop": lambda s, _: s._robot.safety.unlock() or "Protective stop releasing",
     "restart safety": DashboardSession._restart,
-    "robotmode": DashboardSession._robot_mode,
-    "safetymode": DashboardSession._safety_mode,
-    "safetystatus": DashboardSession._safety_status,
+    "robotmode": lambda s, _: f"Robotmode: {RobotMode(s._robot.safety.robot_mode).name}",
+    "safetymode": lambda s, _: f"Safetymode: {s._robot.safety.mode.name}",
+    "safetystatus": lambda s, _: f"Safetystatus: {s._robot.safety.mode.name}",
     "polyscopeversion": DashboardSession._version,
     "version": DashboardSession._version,
-    "get robot model": DashboardSession._model,
-    "get serial number": DashboardSession._serial,
-    "is in remote control": DashboardSession._remote,
+    "get robot model": lambda s, _: s._robot.identity.model,
+    "get serial number": lambda s, _: s._robot.identity.serial,
+    "is in remote control": lambda s, _: str(s._robot.safety.remote).lower(),
     "quit": DashboardSession._quit,
     "shutdown": DashboardSession._shutdown,
 }

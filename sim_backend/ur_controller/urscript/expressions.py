@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -60,7 +61,8 @@ def assign(name: str, value: ast.expr) -> ast.Assign:
     return ast.Assign([ast.Name(name, ast.Store())], value)
 
 
-_ARITHMETIC = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "%": "modulo"}
+_ARITHMETIC = {"+": "add", "-": "sub", "*": "mul", "/": "truediv", "%": "mod"}
+"""Names in `operator`."""
 _COMPARE: dict[str, type[ast.cmpop]] = {
     "==": ast.Eq,
     "!=": ast.NotEq,
@@ -69,23 +71,12 @@ _COMPARE: dict[str, type[ast.cmpop]] = {
     ">": ast.Gt,
     ">=": ast.GtE,
 }
+_CHECKED = (values.negate, values.truth, values.item, values.set_item, values.pose, values.copied, values.flat)
 HELPERS: dict[str, Callable[..., Any]] = {
-    f"_{f.__name__}": f
-    for f in (
-        values.add,
-        values.subtract,
-        values.multiply,
-        values.divide,
-        values.modulo,
-        values.negate,
-        values.truth,
-        values.item,
-        values.set_item,
-        values.pose,
-        values.copied,
-        values.flat,
-    )
+    **{f"_{name}": values.of_numbers(getattr(operator, name)) for name in _ARITHMETIC.values()},
+    **{f"_{f.__name__}": f for f in _CHECKED},
 }
+"""Functions that compiled programs call."""
 
 
 @dataclass(frozen=True)
@@ -206,8 +197,8 @@ class ExpressionCompiler:
             case syntax.Unary():
                 return call("_negate", self._expression(e.operand))
             case syntax.Binary(operator="and" | "or"):
-                operator = ast.And() if e.operator == "and" else ast.Or()
-                return ast.BoolOp(operator, [self._condition(e.left), self._condition(e.right)])
+                joined = ast.And() if e.operator == "and" else ast.Or()
+                return ast.BoolOp(joined, [self._condition(e.left), self._condition(e.right)])
             case syntax.Binary(operator="xor"):
                 return ast.Compare(self._condition(e.left), [ast.NotEq()], [self._condition(e.right)])
             case syntax.Binary():

@@ -7,6 +7,7 @@ copies.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from toolee_robot.sim_backend.ur_controller.urscript.tokens import INT_MAX
@@ -47,89 +48,21 @@ def fitting(value: Any) -> Any:
     return value
 
 
-def add(a: Any, b: Any) -> Any:
-    """Sum of two numbers.
+def of_numbers(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """The operation on two values of a script.
 
     Args:
-        a: The first number.
-        b: The second number.
+        operation: The operation on Python's numbers.
 
     Returns:
-        a + b.
-
-    Raises:
-        TypeError: One of them is not a number.
+        The same; it raises TypeError for other values, and OverflowError for an integer that does not fit 32 bits.
     """
-    numbers(a, b)
-    return fitting(a + b)
 
+    def call(a: Any, b: Any) -> Any:
+        numbers(a, b)
+        return fitting(operation(a, b))
 
-def subtract(a: Any, b: Any) -> Any:
-    """Difference of two numbers.
-
-    Args:
-        a: The first number.
-        b: The second number.
-
-    Returns:
-        a - b.
-
-    Raises:
-        TypeError: One of them is not a number.
-    """
-    numbers(a, b)
-    return fitting(a - b)
-
-
-def multiply(a: Any, b: Any) -> Any:
-    """Product of two numbers.
-
-    Args:
-        a: The first number.
-        b: The second number.
-
-    Returns:
-        a * b.
-
-    Raises:
-        TypeError: One of them is not a number.
-    """
-    numbers(a, b)
-    return fitting(a * b)
-
-
-def divide(a: Any, b: Any) -> Any:
-    """Quotient of two numbers.
-
-    Args:
-        a: The dividend.
-        b: The divisor.
-
-    Returns:
-        a / b, always a float.
-
-    Raises:
-        TypeError: One of them is not a number.
-    """
-    numbers(a, b)
-    return a / b
-
-
-def modulo(a: Any, b: Any) -> Any:
-    """Remainder of a division.
-
-    Args:
-        a: The dividend.
-        b: The divisor.
-
-    Returns:
-        a % b, with the divisor's sign.
-
-    Raises:
-        TypeError: One of them is not a number.
-    """
-    numbers(a, b)
-    return a % b
+    return call
 
 
 def negate(a: Any) -> Any:
