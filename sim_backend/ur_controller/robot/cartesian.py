@@ -12,6 +12,7 @@ from math import acos, pi, sqrt
 
 import numpy as np
 
+from toolee_robot import frames
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
 from toolee_robot.sim_backend.ur_controller.robot import poses
@@ -258,7 +259,7 @@ class PathMove(Move):
         blend: float,
     ) -> None:
         super().__init__(model, X_flange_tcp, StopDecelerations().program, blend)
-        self._X_tcp_flange, self._path = poses.inverse(X_flange_tcp), path
+        self._X_tcp_flange, self._path = frames.inverse(X_flange_tcp), path
         self._acceleration, self._speed, self._duration = acceleration, speed, time
         self._pose: Callable[[float], Array] = lambda _s: X_flange_tcp
 

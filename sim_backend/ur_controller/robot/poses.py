@@ -66,14 +66,6 @@ def vector(X: Array) -> list[float]:
     return [*X[:3, 3].tolist(), *rotation_vector(X[:3, :3])]
 
 
-def inverse(X: Array) -> Array:
-    """The inverse X_BA, 4x4, of X_AB."""
-    Y = np.eye(4)
-    Y[:3, :3] = X[:3, :3].T
-    Y[:3, 3] = -X[:3, :3].T @ X[:3, 3]
-    return Y
-
-
 def moved(X: Array, twist: Vector) -> Array:
     """Displace a pose by a twist.
 

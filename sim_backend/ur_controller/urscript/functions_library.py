@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot import frames
 from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, fitting, numbers, text
 
@@ -116,9 +117,7 @@ def length(v: Any) -> int:
     return len(v)
 
 
-@_function
-def get_list_length(v: Any) -> int:
-    return length(v)
+LIBRARY["get_list_length"] = length
 
 
 @_function
@@ -139,13 +138,11 @@ def integer_to_binary_list(x: int) -> list[bool]:
 
 @_function
 def point_dist(p_from: Any, p_to: Any) -> float:
-    return math.dist(six(p_from, "pose")[:3], six(p_to, "pose")[:3])
-
-
-@_function
-def pose_dist(p_from: Any, p_to: Any) -> float:
     """Distance of the positions [m]."""
     return math.dist(six(p_from, "pose")[:3], six(p_to, "pose")[:3])
+
+
+LIBRARY["pose_dist"] = point_dist
 
 
 @_function
@@ -155,7 +152,7 @@ def pose_trans(p_from: Any, p_from_to: Any) -> Pose:
 
 @_function
 def pose_inv(p_from: Any) -> Pose:
-    return as_pose(poses.inverse(matrix(p_from)))
+    return as_pose(frames.inverse(matrix(p_from)))
 
 
 @_function

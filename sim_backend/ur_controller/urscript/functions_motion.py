@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot import frames
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.robot.cartesian import (
@@ -108,7 +109,7 @@ class MotionFunctions:
 
     def _reach(self, X_base_tcp: Array) -> list[float]:
         machine = self._machine
-        q = inverse(machine.model, X_base_tcp @ poses.inverse(machine.X_flange_tcp), machine.q_target)
+        q = inverse(machine.model, X_base_tcp @ frames.inverse(machine.X_flange_tcp), machine.q_target)
         if q is None:
             raise MotionError(f"no joints reach the pose {np.round(poses.vector(X_base_tcp), 4).tolist()}")
         return q

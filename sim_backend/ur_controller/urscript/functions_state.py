@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot import frames
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward, inverse
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.motion import MotionError
@@ -109,7 +109,7 @@ class StateFunctions:
 
     def _inverse(self, x: Any, qnear: Any, tcp: Any) -> list[float] | None:
         near = self._machine.q_target if isinstance(qnear, str) else six(qnear, "joint vector")
-        return inverse(self._machine.model, matrix(x) @ poses.inverse(self._offset(tcp)), near)
+        return inverse(self._machine.model, matrix(x) @ frames.inverse(self._offset(tcp)), near)
 
     def _offset(self, tcp: Any) -> Array:
         return self._machine.X_flange_tcp if isinstance(tcp, str) else matrix(tcp)
