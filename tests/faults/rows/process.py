@@ -41,7 +41,7 @@ class TaskFault:
 TASK_FAULTS = (
     # The interpreter handles a signal between two bytecodes.
     TaskFault("task gets Ctrl-C", signal.SIGINT, 0.02),
-    # The kernel reports it at once: `hardware/ur/servo/owner_watch.py`.
+    # The kernel reports it at once: `OwnerWatch`.
     TaskFault("task killed (SIGKILL)", signal.SIGKILL, 0.002),
     TaskFault("task stalls (SIGSTOP)", signal.SIGSTOP, HEARTBEAT + HEARTBEAT_PERIOD),
 )
