@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import signal
 import subprocess
 import sys
@@ -252,3 +253,13 @@ def test_ctrl_c_during_the_imports_is_no_traceback(delay: float, tmp_path: Path)
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert (process.returncode, said) == (130, "Interrupted.\n")
+
+
+@pytest.mark.parametrize(("to", "code", "said"), [("> /dev/full", 1, "No space left on device"), (">&-", 0, "")])
+def test_output_that_cannot_be_written_ends_nothing(to: str, code: int, said: str) -> None:
+    program = "from toolee_robot.cli import main; main()"
+    command = f"{shlex.quote(sys.executable)} -c {shlex.quote(program)} devices list {to}"
+    ended = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == code, ended.stderr
+    assert said in ended.stderr
+    assert "Traceback" not in ended.stderr

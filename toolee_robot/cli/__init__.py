@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
 import threading
 from collections.abc import Sequence
 from types import FrameType
+from typing import Any
 
 EXIT_INTERRUPTED = 130
 
@@ -23,19 +25,48 @@ def main(args: Sequence[str] | None = None) -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)
     _let_threads_sleep()
+    output = _patient_output()
     from toolee_robot.cli.app import EXIT_FAILED, run
 
     try:
         code = run(args, start=_may_move)
         sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader of the output has closed the pipe (`| head`): prevent an error in the interpreter's final flush.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = EXIT_FAILED
+        if output is not None and output.failure is not None:
+            code = code or EXIT_FAILED
+            if not isinstance(output.failure, BrokenPipeError):  # of `| head` nothing is said
+                print(f"error: part of the output is lost: {output.failure.strerror}", file=sys.stderr)
     finally:
         if signal.getsignal(signal.SIGINT) in (_leave, _interrupt):
             signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(code)
+
+
+class _Output(io.FileIO):
+    """A file descriptor whose failures end no job: what cannot be written is lost, and `failure` says why."""
+
+    failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:  # a full disk, or the reader of a pipe has gone
+            self.failure = error
+            return len(data)
+
+
+def _patient_output() -> _Output | None:
+    """Let standard output fail without an error; None where it is closed, or somebody else's."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the shell
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
+    old = sys.__stdout__
+    if old is None or sys.stdout is not old:
+        return None
+    output = _Output(old.fileno(), "wb", closefd=False)
+    sys.stdout = io.TextIOWrapper(
+        io.BufferedWriter(output), encoding=old.encoding, errors=old.errors, line_buffering=old.line_buffering
+    )
+    return output
 
 
 def _leave(_signum: int, _frame: FrameType | None) -> None:
