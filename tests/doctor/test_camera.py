@@ -11,7 +11,7 @@ import pytest
 from tests.devices.cameras.toy_recording import INTRINSICS, toy_frames, toy_recording
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.recording import RecordedStream
-from toolee_robot.doctor.camera import check_exposure, check_holes, check_range, check_stream, sample_stream
+from toolee_robot.doctor.devices import check_exposure, check_holes, check_range, check_stream, sample_stream
 from toolee_robot.findings import Level
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import CameraDevice, sim_station

@@ -109,6 +109,8 @@ def test_every_trial_is_led_and_the_persons_calipers_are_the_outcome(tmp_path: P
     assert "claw hammer, 0.5 kg" in text
     assert "ball peen, 0.6 kg" in text
     assert "2.2 x 30 mm, head 6 mm, 20 mm over the wood, pilot hole 1.5 mm" in text
+    x, y = load_lab_station(LAB).work.nail_xy
+    assert f"at x {-x:.3f} m, y {-y:.3f} m in the Base of the teach pendant" in text
     assert "specific gravity 0.35" in text
 
 

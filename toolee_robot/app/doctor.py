@@ -11,7 +11,6 @@ from typing import Any
 
 from toolee_robot.devices.hands import open_hand
 from toolee_robot.devices.person import check_inputs, open_person
-from toolee_robot.doctor.camera import check_lens, check_range
 from toolee_robot.doctor.configuration import (
     check_calibration,
     check_contacts,
@@ -20,7 +19,7 @@ from toolee_robot.doctor.configuration import (
     check_reach,
     check_sides,
 )
-from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
+from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_lens, check_person, check_range
 from toolee_robot.doctor.frames import check_base
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time, check_weights
 from toolee_robot.doctor.robot import examine_robot

@@ -270,7 +270,7 @@ class CheckCamera(CameraOptions):
     """Do not look for a tool, which takes the networks."""
 
     def run(self) -> int:
-        from toolee_robot.doctor.camera import (
+        from toolee_robot.doctor.devices import (
             check_exposure,
             check_holes,
             check_lens,

@@ -1,16 +1,22 @@
-"""Checks of arm, hand, camera and person through the hardware abstraction; nothing is moved."""
+"""Checks of arm, hand, camera and person through the hardware abstraction, and of a camera alone; nothing is moved."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.control import CollisionWorld, RobotModel
+from toolee_robot.control.planning.views import DISTANCE
+from toolee_robot.devices.cameras import StreamedCamera
+from toolee_robot.devices.cameras.lens_choice import UNKNOWN_LENS, LensSource
 from toolee_robot.errors import TooleeError
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hal import Arm, ArmStatus, Clock, Hand, Person, RgbdCamera
 from toolee_robot.station import StationConfig
+from toolee_robot.types import RgbdFrame
 
 DEPTH_KNOWN = 0.3
 """Least share of an image with known depth."""
@@ -133,3 +139,187 @@ def check_person(person: Person) -> Finding:
     if person.zone_occupied():
         return ok("person", "somebody is inside, or the station cannot tell: nothing fast will move")
     return ok("person", "nobody is inside")
+
+
+BRIGHT, DARK = 250, 5
+"""Values of the brightest and of the darkest channel of a pixel that is over- or underexposed [of 255]."""
+OVEREXPOSED, UNDEREXPOSED = 0.05, 0.30
+"""Shares of such pixels above which the exposure is warned of. Assumed: a lamp in the picture is under the first, dark
+surroundings under the second."""
+HOLES, TOO_MANY_HOLES = 0.3, 0.6
+"""Shares of the tool without depth that are warned of, and that are too many. Assumed: the networks were trained on
+tools that lack less than half."""
+RATE = 0.8
+"""Share of the stated rate below which frames are lost."""
+HEAD = 0.10
+"""Length of a tool's head that may be nearer to the camera than its face [m]; the views are of the face."""
+
+
+@dataclass(frozen=True)
+class StreamSample:
+    """What a camera gave over some time."""
+
+    frames: tuple[RgbdFrame, ...]
+    """The frames, in their order."""
+    ages: tuple[float, ...]
+    """Age of each when it was there [s]."""
+    duration: float
+    """How long it was listened to [s]."""
+
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
+        stamps = [frame.stamp for frame in self.frames]
+        return (len(stamps) - 1) / (stamps[-1] - stamps[0]) if len(stamps) > 1 else 0.0
+
+
+def sample_stream(camera: StreamedCamera, clock: Clock, duration: float) -> StreamSample:
+    """Take every frame that a camera gives for some time.
+
+    Args:
+        camera: The camera, open.
+        clock: The station's clock.
+        duration: How long [s].
+
+    Returns:
+        The frames.
+
+    Raises:
+        StaleDataError: It gives none.
+        DeviceError: It fails.
+    """
+    begin = clock.now()
+    frames, ages, stamp = [], [], -np.inf
+    while clock.now() < begin + duration:
+        frame = camera.newer(stamp)
+        stamp = frame.stamp
+        frames.append(frame)
+        ages.append(clock.now() - stamp)
+    return StreamSample(tuple(frames), tuple(ages), clock.now() - begin)
+
+
+def check_stream(sample: StreamSample, camera: StreamedCamera) -> Iterator[Finding]:
+    """Check rate and age of the frames, and whether any was refused.
+
+    Args:
+        sample: What the camera gave.
+        camera: The camera.
+
+    Yields:
+        The findings.
+    """
+    wanted = camera.profile.fps
+    message = f"{sample.rate:.1f} of {wanted:g} frames a second"
+    if sample.rate < RATE * wanted:
+        yield warn(
+            "rate", message, "look for load on this machine, and plug the camera into a port of USB 3 of its own"
+        )
+    else:
+        yield ok("rate", message)
+    spread = float(np.quantile(sample.ages, 0.95) - min(sample.ages))
+    message = f"frames are {np.median(sample.ages) * 1e3:.0f} ms old, 95 % within {spread * 1e3:.0f} ms of the least"
+    yield ok("clock", message) if spread < 0.1 else warn("clock", message, "look for load on this machine")
+    refused = {reason: count for reason, count in camera.refused.items() if reason.name != "WARMING_UP"}
+    if refused:
+        told = ", ".join(f"{reason} ({count} times)" for reason, count in refused.items())
+        yield warn("gate", told, "watch whether it grows; change the cable, then the port")
+    else:
+        yield ok("gate", "every pair of images was a new frame")
+
+
+def check_exposure(frames: Sequence[RgbdFrame], automatic: bool | None) -> Iterator[Finding]:
+    """Check the exposure of a camera's colour images.
+
+    Args:
+        frames: Frames of one scene.
+        automatic: Whether the camera chooses the exposure; None if unknown.
+
+    Yields:
+        The findings.
+    """
+    brightest = [float(np.mean(frame.rgb.max(axis=2) >= BRIGHT)) for frame in frames]
+    darkest = [float(np.mean(frame.rgb.max(axis=2) <= DARK)) for frame in frames]
+    over, under = float(np.mean(brightest)), float(np.mean(darkest))
+    message = f"{over:.1%} overexposed, {under:.1%} underexposed"
+    if over > OVEREXPOSED:
+        yield warn("exposure", message, "lower camera.device.exposure, or turn the lamp away")
+    elif under > UNDEREXPOSED:
+        yield warn("exposure", message, "raise camera.device.exposure, or add light")
+    else:
+        yield ok("exposure", message)
+    if automatic:
+        yield warn("auto-exposure", "the camera chooses the exposure of each view", "give camera.device.exposure")
+
+
+def check_lens(camera: StreamedCamera) -> Finding:
+    """Check whether the lens is known, and tell which one holds.
+
+    Args:
+        camera: The camera, open.
+
+    Returns:
+        OK with the lens and how far it displaces pixels; WARN where nobody knows it.
+    """
+    chosen = camera.lens
+    if camera.profile.undistorted is None and not chosen.lens.known:
+        return warn(
+            "lens",
+            chosen.words,
+            "the recording does not say whether its images are undistorted: record again, or add `undistorted: true` "
+            "or `false` to its recording.json",
+        )
+    if not chosen.lens.known:
+        return warn("lens", chosen.words, UNKNOWN_LENS)
+    if chosen.source is LensSource.RECORD and chosen.told.known:
+        off = chosen.told.largest_difference(chosen.lens)
+        return ok("lens", f"{chosen.words}; the camera's own is up to {off:.1f} px off")
+    return ok("lens", chosen.words)
+
+
+def check_holes(frame: RgbdFrame, tool: NDArray[np.bool_] | None) -> Finding:
+    """Check how much of the tool has a depth.
+
+    Args:
+        frame: A frame with a tool before the camera.
+        tool: Pixels of the tool, (H, W); None if none was found.
+
+    Returns:
+        The finding.
+    """
+    known = np.isfinite(frame.depth) & (frame.depth > 0)
+    everywhere = f"{1 - known.mean():.0%} of the image"
+    if tool is None or not tool.any():
+        return warn("holes", f"{everywhere} without depth; no tool was seen", "hold a tool before the camera, again")
+    holes = float(np.mean(~known[tool]))
+    message = f"{holes:.0%} of the tool and {everywhere} without depth"
+    near, far = DISTANCE
+    remedy = (
+        f"hold it {near:.2f} to {far:.2f} m away, as in a job's views, for nothing nearer than "
+        "camera.device.least_range has a depth; then matt spray or tape on chrome, and less direct light"
+    )
+    if holes > TOO_MANY_HOLES:
+        return fail("holes", message, remedy)
+    return warn("holes", message, remedy) if holes > HOLES else ok("holes", message)
+
+
+def check_range(config: StationConfig) -> Finding:
+    """Check the camera's least range against the views of the job, which the planner puts before it.
+
+    Args:
+        config: Configuration of the station.
+
+    Returns:
+        The finding.
+    """
+    device, (near, far) = config.camera.device, DISTANCE
+    if device is None:
+        return warn("range", "the station file names no camera", "give camera.device.least_range, of its data sheet")
+    least, nearest = device.least_range, near - HEAD
+    message = f"from {least:.2f} m on; views are {near:.2f} to {far:.2f} m away, a head there comes to {nearest:.2f} m"
+    if least > near:
+        lost = "no view" if least > far else f"no view nearer than {least:.2f} m"
+        remedy = f"take a smaller depth image or another camera: {lost} would have a depth of the tool's face"
+        return fail("range", message, remedy)
+    if least > nearest:
+        return warn("range", message, "parts of a tool will lack depth: take a smaller depth image, if it has one")
+    return ok("range", message)
