@@ -18,7 +18,8 @@ import numpy as np
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.arm_dynamics import ArmDynamics
-from toolee_robot.control.planning.swing import Face, SwingLimits, plan_swing
+from toolee_robot.control.planning.swing import plan_swing
+from toolee_robot.control.planning.swing_problem import Face, SwingLimits
 from toolee_robot.control.planning.timing import ramp_length
 from toolee_robot.errors import PlanningError
 from toolee_robot.frames import Array
@@ -122,7 +123,8 @@ def _plan(
     elapsed, cpu = 1e3 * (time.perf_counter() - began), 1e3 * (time.process_time() - cpu)
     strike = plan.strike
     along = face.place(plan.q_contact[None])[1][0, 2]
-    mass = dynamics.effective_mass(plan.q_contact, along)
+    # 1 / (J M^-1 J^T): Khatib, "Inertial properties in robotic manipulation", 1995.
+    mass = float(1.0 / (along @ np.linalg.solve(dynamics.at_rest(plan.q_contact)[0], along)))
     torque = float(np.max(np.abs(dynamics.torques(strike.q, strike.qd, strike.qdd)) / rated))
     yield Strike(kind, nail, plan.speed, mass, plan.brake_length, torque, elapsed, cpu)
     if kind == STRAIGHT:

@@ -90,19 +90,6 @@ class ArmDynamics:
         M = _symmetric(pin.crba(self.model, self._data, q))
         return M, pin.computeGeneralizedGravity(self.model, self._data, q).copy()
 
-    def effective_mass(self, q: Array, along: Array) -> float:
-        """Compute the mass that strikes along one direction if arm, hand and grip were rigid.
-
-        Args:
-            q: Joint positions, (6,) [rad].
-            along: Jacobian of the face's speed along the direction, (6,) [m].
-
-        Returns:
-            The effective mass, 1 / (J M^-1 J^T) [kg]. Source: Khatib, "Inertial properties in robotic manipulation: an
-            object-level framework", 1995.
-        """
-        return float(1.0 / (along @ np.linalg.solve(self.at_rest(q)[0], along)))
-
 
 _UPPER, _ABOVE = np.triu(np.ones((6, 6))), np.triu(np.ones((6, 6)), 1)
 

@@ -27,7 +27,7 @@ from toolee_robot.frames import HALF_TURN, Array
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.remote.world import RemoteWorld
+from toolee_robot.sim_backend.remote import RemoteWorld
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.station import StationConfig, load_lab_station, load_station, sim_station
 from toolee_robot.stations.lab import LabStation, Purpose

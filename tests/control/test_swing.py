@@ -18,8 +18,9 @@ from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, c
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT
 from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.limits import carried_speed
-from toolee_robot.control.planning.swing import SwingLimits, plan_swing
-from toolee_robot.control.planning.swing.spline import Spline
+from toolee_robot.control.planning.swing import plan_swing
+from toolee_robot.control.planning.swing_problem import SwingLimits
+from toolee_robot.control.planning.swing_spline import Spline
 from toolee_robot.control.supervisor_checks import check_limits, check_speed
 from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, transform

@@ -29,7 +29,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import Station
 from toolee_robot.runtime.clock import HostClock, is_loopback
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.remote.world import RemoteWorld, remote_station
+from toolee_robot.sim_backend.remote import RemoteWorld, remote_station
 from toolee_robot.sim_backend.station import SimStation, draw_handover
 from toolee_robot.station import UPRIGHT_WITHIN, StationConfig
 from toolee_robot.stations.camera import open_camera

@@ -17,11 +17,11 @@ from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.arm import RATE, SimArm
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.remote.world_plant import WorldPlant
 from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, profile
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
+from toolee_robot.sim_backend.world_plant import WorldPlant
 from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel, Trajectory
 

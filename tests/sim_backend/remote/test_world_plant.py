@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.remote.world_plant import WorldPlant
 from toolee_robot.sim_backend.station import build_world, draw_handover
+from toolee_robot.sim_backend.world_plant import WorldPlant
 from toolee_robot.station import sim_station
 
 pytestmark = pytest.mark.sim

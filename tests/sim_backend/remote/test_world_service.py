@@ -20,11 +20,11 @@ from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.readable import readable
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.remote.world import Channel, RemoteHand, RemoteJudge, RemotePerson, remote_station
-from toolee_robot.sim_backend.remote.world_plant import WorldPlant, WorldService
+from toolee_robot.sim_backend.remote import Channel, RemoteHand, RemoteJudge, RemotePerson, remote_station
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.server.port import Service
+from toolee_robot.sim_backend.world_plant import WorldPlant, WorldService
 from toolee_robot.station import sim_station
 
 pytestmark = pytest.mark.sim

@@ -40,7 +40,7 @@ from toolee_robot.sim_backend.cell_errors import NOMINAL, DrawnErrors, draw_erro
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.hands import emulated_hand, find_emulator
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.remote.world import RemoteJudge, RemoteWorld
+from toolee_robot.sim_backend.remote import RemoteJudge, RemoteWorld
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.station import SIMULATED, HandConfig, StationConfig

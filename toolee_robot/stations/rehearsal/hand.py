@@ -14,7 +14,7 @@ from toolee_robot.frames import Array
 from toolee_robot.robots import PALM
 from toolee_robot.sim_backend.devices.hand import Touched
 from toolee_robot.sim_backend.hands.kit import HandEmulator
-from toolee_robot.sim_backend.remote.world import Caller
+from toolee_robot.sim_backend.remote import Caller
 
 PERIOD = 0.02
 """Time between two steps of the fingers on the wall clock [s]."""

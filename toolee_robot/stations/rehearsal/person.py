@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 from toolee_robot.hal import Clock, Person
-from toolee_robot.sim_backend.remote.world import Caller
+from toolee_robot.sim_backend.remote import Caller
 from toolee_robot.station import PersonConfig
 
 HOLD = 0.25

@@ -7,7 +7,8 @@ import numpy as np
 from toolee_robot.control.arm_dynamics import StrikeLoad, strike_load
 from toolee_robot.control.contact import ContactVerdict
 from toolee_robot.control.planning.strike import plan_strike
-from toolee_robot.control.planning.swing import SwingLimits, plan_swing
+from toolee_robot.control.planning.swing import plan_swing
+from toolee_robot.control.planning.swing_problem import SwingLimits
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse
 from toolee_robot.hal import MotionReport

@@ -22,7 +22,7 @@ import numpy as np
 
 from toolee_robot.control.arm_dynamics import TORQUE_SHARE, ArmDynamics
 from toolee_robot.control.kinematics import ArmKinematics
-from toolee_robot.control.planning.swing.spline import Spline
+from toolee_robot.control.planning.swing_spline import Spline
 from toolee_robot.errors import LimitError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.types import Payload

@@ -21,11 +21,11 @@ from toolee_robot.robots import load_robot
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.remote.world_plant import WorldJob
 from toolee_robot.sim_backend.truth import StrikeTruth, Verdict
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.sim_backend.visuals import SceneState, SceneVisuals
+from toolee_robot.sim_backend.world_plant import WorldJob
 from toolee_robot.station import SIMULATED, StationConfig, check_upright
 from toolee_robot.tools import Tool
 from toolee_robot.types import InHandEstimate

@@ -16,8 +16,8 @@ from toolee_robot.control.correction import Candidates, candidates, rank
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.straight import Line
 from toolee_robot.control.planning.strike import MIN_SPEED
-from toolee_robot.control.planning.swing.problem import Face, SwingLimits, SwingProblem, decelerations, fastest
-from toolee_robot.control.planning.swing.spline import sampled_within, spline_for
+from toolee_robot.control.planning.swing_problem import Face, SwingLimits, SwingProblem, decelerations, fastest
+from toolee_robot.control.planning.swing_spline import sampled_within, spline_for
 from toolee_robot.control.planning.transfer import NEED, STEP, plan_transfer
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
