@@ -23,9 +23,8 @@ from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
 from toolee_robot.perception.offline.dataset.spec import generated_catalogue_of, refuse_test_set
 from toolee_robot.perception.offline.evaluation.estimates import Ranked, estimate_case
-from toolee_robot.perception.offline.evaluation.examples import Part, parts, read_part
+from toolee_robot.perception.offline.evaluation.examples import Examples, Part, parts, read_part
 from toolee_robot.perception.offline.evaluation.pose import right_poses
-from toolee_robot.perception.offline.evaluation.records import Examples
 from toolee_robot.perception.offline.evaluation.run import empty_frame
 from toolee_robot.perception.offline.processes import ProcessMap
 from toolee_robot.perception.pipeline import ToolPerception

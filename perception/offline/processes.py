@@ -8,8 +8,8 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from multiprocessing.connection import wait
@@ -19,6 +19,7 @@ import cv2
 import torch
 
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.runtime.process_environment import ONE_THREAD, environment
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -92,6 +93,35 @@ def _begin(initializer: Callable[..., object] | None, initargs: tuple[object, ..
 def _end_with(sentinel: int) -> None:
     wait([sentinel])
     os._exit(1)
+
+
+def on_processes(make: Callable[[Item], Result], jobs: Sequence[Item], workers: int) -> Generator[Result]:
+    """Call a function for every job on worker processes, also if there is one: threads are fixed when a process starts.
+
+    Args:
+        make: Function of a job; picklable.
+        jobs: The jobs.
+        workers: Maximum number of processes.
+
+    Yields:
+        The results, in order of completion.
+
+    Raises:
+        TooleeError: A worker process died.
+    """
+    if not jobs:
+        return
+    with environment(ONE_THREAD), WorkerPool(min(workers, len(jobs))) as pool:
+        futures = {pool.submit(make, job) for job in jobs}
+        try:
+            for future in as_completed(futures):
+                futures.discard(future)
+                yield future.result()
+        except BrokenProcessPool as error:
+            raise TooleeError(
+                "a worker process died (out of memory?): run the same command again, with fewer --workers; it resumes",
+                code="toolee.worker_died",
+            ) from error
 
 
 class ProcessMap(Generic[State]):

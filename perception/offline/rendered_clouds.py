@@ -26,8 +26,7 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import EeCloud
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.spec import refuse_test_set
-from toolee_robot.perception.offline.evaluation.examples import Part, parts, read_part
-from toolee_robot.perception.offline.evaluation.records import Case, Instance, spin_points
+from toolee_robot.perception.offline.evaluation.examples import Case, Instance, Part, parts, read_part, spin_points
 from toolee_robot.perception.offline.processes import ProcessMap
 from toolee_robot.perception.offline.synthetic_clouds.rendered import (
     MAX_COMPLETED,

@@ -23,7 +23,7 @@ from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.network import CONTEXT_DIM, REGRESSED, SAMPLER, PoseNet, Seen
 from toolee_robot.perception.pose.pooling import Pooled, pairwise_angles, pool
-from toolee_robot.perception.pose.processes.flow import Euler, Sampler
+from toolee_robot.perception.pose.processes import Euler, Sampler
 from toolee_robot.perception.pose.representation import DIM, T_SCALE, decode, mirrored
 from toolee_robot.perception.pose.weights import Calibration, load
 from toolee_robot.perception.precision import prefers_bfloat16, single_thread, torch_device

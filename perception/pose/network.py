@@ -4,7 +4,7 @@ Encoder: 64 patches of 32 points (marked where their depth is completed) within 
 patches of the rest of the tool, each through a small PointNet (Qi et al., CVPR 2017); then a transformer with tokens
 for the category, for the direction to the rest of the tool (in case its points are not seen) and for the context.
 Better and faster than PointNet++ at equal training data.
-Generative head: the field of the process that `NetworkConfig.process` names, conditioned by FiLM. Regression head: the
+Generative head: the field of the process, EDM's, conditioned by FiLM. Regression head: the
 mean pose, its sigmas and the validity. About 5 M parameters, pure PyTorch.
 """
 
@@ -19,8 +19,7 @@ from torch import Tensor, nn
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.pose.canonical import PATCHES, REST_PATCHES, CanonicalCloud
 from toolee_robot.perception.pose.patches import Patches, mirror_x
-from toolee_robot.perception.pose.processes.flow import Euler, Process
-from toolee_robot.perception.pose.processes.registry import PROCESSES
+from toolee_robot.perception.pose.processes import Edm, Euler
 from toolee_robot.perception.pose.representation import DIM
 from toolee_robot.perception.precision import in_bfloat16
 
@@ -49,7 +48,7 @@ class NetworkConfig:
         rest_ball: Radius [m] of such a patch.
         flow_width: Width of the generative head.
         flow_blocks: Residual blocks of the generative head.
-        process: Name of the generative process in `PROCESSES`.
+        process: Name of the generative process, "edm".
     """
 
     width: int = 256
@@ -62,6 +61,10 @@ class NetworkConfig:
     flow_width: int = 256
     flow_blocks: int = 3
     process: str = "edm"
+
+    def __post_init__(self) -> None:
+        if self.process != "edm":
+            raise ValueError(f"process {self.process}: only edm is sampled, train it again")
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as a JSON object."""
@@ -121,6 +124,8 @@ class PoseNet(nn.Module):
         config: Architecture; None: the default.
     """
 
+    process = Edm()
+
     def __init__(self, config: NetworkConfig | None = None) -> None:
         super().__init__()
         c = self.config = config or NetworkConfig()
@@ -137,11 +142,6 @@ class PoseNet(nn.Module):
         self.flow = FlowHead(f, c.flow_width, c.flow_blocks)
         # mean of u (12; the S part as logits), log sigma of position, axis, spin; logit that this is an EE at all.
         self.regression = nn.Sequential(nn.Linear(f, d), nn.SiLU(), nn.Linear(d, d), nn.SiLU(), nn.Linear(d, DIM + 4))
-
-    @property
-    def process(self) -> Process:
-        """The generative process that the network is trained for."""
-        return PROCESSES[self.config.process]
 
     def encode(self, seen: Seen, mirror: bool = False) -> Tensor:
         """Encode clouds.

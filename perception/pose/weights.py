@@ -31,7 +31,7 @@ class Calibration:
     confidence: ConfidenceModel = _UNFITTED
 
 
-def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any], name: str = NAME) -> None:
+def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any]) -> None:
     """Write weights and description.
 
     Args:
@@ -39,7 +39,6 @@ def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str,
         net: The trained network.
         calibration: Fitted on held-out tools.
         report: Record of the training: its settings and metrics.
-        name: Name of the files.
     """
     card = {
         "network": net.config.to_dict(),
@@ -47,15 +46,14 @@ def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str,
         "confidence": calibration.confidence.to_dict(),
         "report": report,
     }
-    weight_files.save_weights(folder, name, net.state_dict(), card)
+    weight_files.save_weights(folder, NAME, net.state_dict(), card)
 
 
-def load(folder: Path | None = None, name: str = NAME) -> tuple[PoseNet, Calibration]:
+def load(folder: Path | None = None) -> tuple[PoseNet, Calibration]:
     """Read the network and its calibration.
 
     Args:
         folder: Folder of weights; None: the shipped ones.
-        name: Name of the files.
 
     Returns:
         The network (float32, eval mode, CPU) and its calibration.
@@ -63,7 +61,7 @@ def load(folder: Path | None = None, name: str = NAME) -> tuple[PoseNet, Calibra
     Raises:
         AssetError: The files are missing or unreadable.
     """
-    tensors, card = weight_files.load_weights(folder, name)
+    tensors, card = weight_files.load_weights(folder, NAME)
     try:
         net = PoseNet(NetworkConfig(**card["network"]))
         net.load_state_dict(tensors)

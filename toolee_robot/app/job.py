@@ -118,7 +118,7 @@ class JobSpec:
                 f"--nail {unknown[0]}: the station's nails are {', '.join(names)} (work.nails)", code="user.nail"
             )
         if (self.variant is Variant.PAPER) != (self.paper_weights is not None):
-            from toolee_robot.perception.offline.research.paper_training import HOW_TO_TRAIN
+            from toolee_robot.perception.offline.research import HOW_TO_TRAIN
 
             raise UserError(
                 "--variant paper and --paper-weights DIR go together: the folder of a training of the paper's "

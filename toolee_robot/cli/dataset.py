@@ -22,7 +22,7 @@ from toolee_robot.errors import UserError
 from toolee_robot.sensor_kinds import SensorKind
 
 if TYPE_CHECKING:
-    from toolee_robot.perception.offline.dataset.custom_tools import CustomMesh
+    from toolee_robot.perception.offline.dataset.catalogue import CustomMesh
     from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 
 _Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]

@@ -89,7 +89,7 @@ class Segmentation(_Training, _Data):
     """Share of the weights of --init in the exported ones (default: 0)."""
 
     def run(self) -> int:
-        from toolee_robot.perception.offline.detection.trainer import SegmentationTraining, train
+        from toolee_robot.perception.offline.training.detector_training import SegmentationTraining, train
         from toolee_robot.perception.offline.training.image_training import begin
 
         training, resumed = begin(SegmentationTraining, self._given(), backgrounds=self.backgrounds)
@@ -120,8 +120,8 @@ class Refinement(_Training, _Data):
     """The detector's weights (default: those that ship)."""
 
     def run(self) -> int:
-        from toolee_robot.perception.offline.detection.refiner_trainer import CHECKPOINT, RefinementTraining, train
         from toolee_robot.perception.offline.training.image_training import begin
+        from toolee_robot.perception.offline.training.refiner_training import CHECKPOINT, RefinementTraining, train
 
         training, resumed = begin(
             RefinementTraining, self._given(), CHECKPOINT, "refinement_config.json", detector=self.detector
@@ -223,16 +223,15 @@ class Pose(_Training):
     """Validate and calibrate the weights that lie in --out, without training."""
 
     def run(self) -> int:
-        from toolee_robot.perception.offline.pose.config import TrainConfig
-        from toolee_robot.perception.offline.pose.trainer import train
         from toolee_robot.perception.offline.training.options import CHECKPOINT, options_of, remember
+        from toolee_robot.perception.offline.training.pose_training import TrainConfig, train
 
         config = TrainConfig(**options_of(self._given(), self.config, {f.name for f in fields(TrainConfig)}))
         resumed = (self.out / CHECKPOINT).is_file()
         about = {f.name: getattr(config, f.name) for f in fields(TrainConfig)}
         if not self.calibrate_only:
             remember(self.out, resumed, {**about, "rendered": [str(path) for path in self.rendered]})
-        report = train(self.out, config, None, self.calibrate_only, self.init, self.rendered)
+        report = train(self.out, config, self.calibrate_only, self.init, self.rendered)
         return self._end(resumed, report=report)
 
 

@@ -10,11 +10,10 @@ import numpy as np
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.perception.offline.annotation.axis_model import AxisModel
 from toolee_robot.perception.offline.annotation.clicks import PROTOCOL, ClickedEnd, Role, Shape
 from toolee_robot.perception.offline.annotation.fit import Fit, fit
 from toolee_robot.perception.offline.annotation.measurements import CALIPER, STEP, Measurements, measure
-from toolee_robot.perception.offline.annotation.plane_models import PlaneModel
+from toolee_robot.perception.offline.annotation.models import AxisModel, PlaneModel
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.types import RgbdFrame
 

@@ -24,10 +24,9 @@ from scipy.spatial.distance import cdist
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.perception.offline.dataset.files import read_json
 from toolee_robot.perception.offline.dataset.index_files import CARD, is_finished
 from toolee_robot.perception.offline.dataset.instances import MODELS, model_path, read_ply, tool_path
-from toolee_robot.perception.offline.dataset.records import EeTable, FloatArray
+from toolee_robot.perception.offline.dataset.records import EeTable, FloatArray, read_json
 from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
 from toolee_robot.runtime.files import json_line, write_atomic

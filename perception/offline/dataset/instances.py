@@ -15,7 +15,7 @@ from scipy.spatial.distance import pdist
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError, words_of
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.perception.offline.dataset.files import json_by_line
+from toolee_robot.perception.offline.dataset.records import json_by_line
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.tools import ToolShape

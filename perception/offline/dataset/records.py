@@ -1,14 +1,76 @@
-"""Records of one synthetic example and the numbering of its end effectors (EE)."""
+"""Records of synthetic examples, the numbering of their end effectors (EE), and the files that hold them."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.errors import AssetError, words_of
 from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
+
+SUMS = "SHA256SUMS"
+
+
+def write_sums(folder: Path, sums: dict[str, str]) -> None:
+    """Write the SHA256SUMS of a folder atomically, as `sha256sum -c` reads it.
+
+    Args:
+        folder: The folder.
+        sums: Path in the folder -> SHA-256, hexadecimal.
+    """
+    text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+    write_atomic(folder / SUMS, text.encode())
+
+
+def read_sums(folder: Path) -> dict[str, str]:
+    """Read the SHA256SUMS of a folder.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        Path in the folder -> SHA-256, hexadecimal.
+
+    Raises:
+        AssetError: The file is missing, unreadable, or not a list of checksums.
+    """
+    try:
+        lines = (folder / SUMS).read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssetError(f"cannot read {folder / SUMS}: {words_of(error)}") from error
+    sums = {line[66:]: line[:64] for line in lines if len(line) > 66 and line[64:66] == "  "}
+    if len(sums) != len(lines) or not sums:
+        raise AssetError(f"{folder / SUMS} is not a list of checksums")
+    return sums
+
+
+def json_by_line(entries: dict[str, Any]) -> bytes:
+    """A JSON object with one entry per line, for readable files and diffs."""
+    lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Raises:
+        AssetError: The file is missing or not valid JSON; the message names it.
+    """
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise AssetError(
+            f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"
+        ) from error
+
 
 HEIGHT, WIDTH = 424, 512
 """Size [px] of every image of the data set."""
@@ -162,3 +224,109 @@ def pixels_of(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.in
     """
     rows, columns = np.divmod(np.flatnonzero(mask), mask.shape[1])
     return rows, columns
+
+
+MAX_POINTS = 1024
+"""Maximum number of points of a cloud; larger clouds are sampled randomly."""
+
+
+def back_projected(mask: NDArray[np.bool_], depth_mm: NDArray[np.uint16], K: CameraIntrinsics) -> FloatArray:
+    """Back-project the pixels of a mask that have a depth.
+
+    Args:
+        mask: Pixels to project (H, W).
+        depth_mm: Depth (H, W) [mm]; 0 where unknown.
+        K: Intrinsics of the camera.
+
+    Returns:
+        Points (N, 3) [m], camera frame, in row-major order of the pixels.
+    """
+    rows, columns = pixels_of(mask & (depth_mm > 0))
+    z = depth_mm[rows, columns] * 1e-3
+    return (z[:, None] * K.rays(np.stack([columns, rows], axis=-1))).astype(np.float32)
+
+
+class CloudWriter:
+    """Collector of the clouds of a scene."""
+
+    def __init__(self) -> None:
+        self._where: list[tuple[int, int, int]] = []
+        self._points: list[FloatArray] = []
+
+    def add(self, image: int, gt: int, mask: NDArray[np.bool_], e: Example) -> None:
+        """Add the cloud of one EE.
+
+        Args:
+            image: Index of the image in the scene.
+            gt: Index of the EE in the entry of the image in scene_gt.
+            mask: Visible mask of the EE (H, W).
+            e: The example.
+        """
+        points = back_projected(mask, e.depth_mm, e.intrinsics)
+        count = len(points)
+        if count > MAX_POINTS:
+            points = points[np.sort(np.random.default_rng([image, gt, count]).permutation(count)[:MAX_POINTS])]
+        self._where.append((image, gt, count))
+        self._points.append(points)
+
+    def to_bytes(self) -> bytes:
+        """Content of `clouds.npz`."""
+        where = np.array(self._where, np.int32).reshape(-1, 3)
+        points = np.concatenate([np.zeros((0, 3), np.float32), *self._points])
+        ends = np.cumsum([len(p) for p in self._points], dtype=np.int64)
+        buffer = BytesIO()
+        np.savez(buffer, image=where[:, 0], gt=where[:, 1], count=where[:, 2], ends=ends, points=points)
+        return buffer.getvalue()
+
+
+@dataclass(frozen=True, eq=False)
+class Clouds:
+    """The M clouds of one scene.
+
+    Attributes:
+        image: Index of the image of each cloud (M,).
+        gt: Index of the EE in scene_gt of each cloud (M,).
+        count: Pixels with a depth in the mask of each cloud (M,), before sampling.
+        ends: End of each cloud in `points` (M,): cloud m is points[ends[m - 1] : ends[m]].
+        points: Points of all clouds (sum, 3) [m], camera frame; at most `MAX_POINTS` of each cloud.
+    """
+
+    image: NDArray[np.int32]
+    gt: NDArray[np.int32]
+    count: NDArray[np.int32]
+    ends: NDArray[np.int64]
+    points: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.image)
+
+    def __getitem__(self, m: int) -> FloatArray:
+        """Points (n, 3) [m] of cloud m, n <= `MAX_POINTS`."""
+        return self.points[int(self.ends[m - 1]) if m else 0 : int(self.ends[m])]
+
+
+def read_clouds(scene: Path) -> Clouds:
+    """Read the clouds of a scene.
+
+    Args:
+        scene: Folder of the scene.
+
+    Raises:
+        AssetError: The file is missing or corrupt; the message names it.
+    """
+    path = scene / "clouds.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            clouds = Clouds(file["image"], file["gt"], file["count"], file["ends"], file["points"])
+    except Exception as error:
+        raise AssetError(
+            f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"
+        ) from error
+    lengths = {len(clouds.image), len(clouds.gt), len(clouds.count), len(clouds.ends)}
+    if (
+        len(lengths) != 1
+        or (len(clouds) and int(clouds.ends[-1]) != len(clouds.points))
+        or np.any(np.diff(clouds.ends) < 0)
+    ):
+        raise AssetError(f"{path} holds arrays that do not fit together: delete its scene and generate it again")
+    return clouds

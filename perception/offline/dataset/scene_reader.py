@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from toolee_robot.errors import AssetError, words_of
-from toolee_robot.perception.offline.dataset.files import SUMS, read_json
-from toolee_robot.perception.offline.dataset.records import HEIGHT, POSES, SCENES, WIDTH, EeTable, FloatArray
+from toolee_robot.perception.offline.dataset.records import (
+    HEIGHT,
+    POSES,
+    SCENES,
+    SUMS,
+    WIDTH,
+    EeTable,
+    FloatArray,
+    read_json,
+)
 from toolee_robot.types import CameraIntrinsics
 
 _TABLE = tuple(field.name for field in fields(EeTable))

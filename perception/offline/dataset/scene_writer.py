@@ -11,6 +11,10 @@
 
 Training reads these files directly (`scene_reader`). BOP fields have the meaning and units (mm) of BOP; additional
 fields have names of their own.
+
+The PNG files have one filter for all rows and are compressed by ISA-L. That takes a sixth of the time of libraries that
+try five filters on each row. The files are no larger, because all rows of a depth image are alike and a mask is small
+anyway.
 """
 
 from __future__ import annotations
@@ -19,20 +23,21 @@ import hashlib
 import json
 import os
 import shutil
+import struct
+import zlib
 from collections.abc import Callable, Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from faster_coco_eval.core import mask as coco_mask
+from isal import isal_zlib
 from numpy.typing import NDArray
 from PIL import Image
 
 from toolee_robot.end_effectors import CATEGORIES
-from toolee_robot.perception.offline.dataset import png, rle
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED, Catalogue
-from toolee_robot.perception.offline.dataset.clouds import CloudWriter
-from toolee_robot.perception.offline.dataset.files import json_by_line, write_sums
 from toolee_robot.perception.offline.dataset.instances import object_of
 from toolee_robot.perception.offline.dataset.records import (
     HEIGHT,
@@ -40,9 +45,49 @@ from toolee_robot.perception.offline.dataset.records import (
     POSES,
     SCENES,
     WIDTH,
+    CloudWriter,
     EeTable,
     Example,
+    json_by_line,
+    write_sums,
 )
+
+_GREY, _NO_FILTER, _LEFT = 0, 0, 1
+_LEVEL = 1
+
+
+def png_bytes(pixels: NDArray[Any]) -> bytes:
+    """The file of an image (H, W) of uint16, uint8 or bool (one bit a pixel)."""
+    height, width = pixels.shape
+    if pixels.dtype == np.bool_:
+        bits, rows = 1, np.packbits(pixels, axis=1)
+    elif pixels.dtype == np.uint8:
+        bits, rows = 8, pixels
+    elif pixels.dtype == np.uint16:
+        bits, rows = 16, np.ascontiguousarray(pixels, ">u2").view(np.uint8)
+    else:
+        raise TypeError(f"no PNG of {pixels.dtype}")
+    data = np.empty((height, 1 + rows.shape[1]), np.uint8)
+    if bits == 16:
+        # Byte by byte what changed from the left neighbour's.
+        data[:, 0], data[:, 1:3] = _LEFT, rows[:, :2]
+        np.subtract(rows[:, 2:], rows[:, :-2], out=data[:, 3:])
+    else:
+        data[:, 0], data[:, 1:] = _NO_FILTER, rows
+    header = struct.pack(">IIBBBBB", width, height, bits, _GREY, 0, 0, 0)
+    return b"".join(
+        [
+            b"\x89PNG\r\n\x1a\n",
+            _chunk(b"IHDR", header),
+            _chunk(b"IDAT", isal_zlib.compress(data, _LEVEL)),
+            _chunk(b"IEND", b""),
+        ]
+    )
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))
+
 
 COCO_CATEGORIES = [
     {"id": k + 1, "name": str(name), "supercategory": "end_effector"} for k, name in enumerate(CATEGORIES)
@@ -111,8 +156,8 @@ class SceneWriter:
         im_id = len(self._camera)
         key, name = str(im_id), f"{im_id:06d}"
         self._file(f"rgb/{name}.jpg", _jpeg(e.rgb))
-        self._file(f"depth/{name}.png", png.encode(e.depth_mm))
-        self._file(f"tool/{name}.png", png.encode(e.tool))
+        self._file(f"depth/{name}.png", png_bytes(e.depth_mm))
+        self._file(f"tool/{name}.png", png_bytes(e.tool))
         K = e.intrinsics
         cam_K = [K.fx, 0.0, K.cx, 0.0, K.fy, K.cy, 0.0, 0.0, 1.0]
         self._camera[key] = {"cam_K": cam_K, "depth_scale": 1.0, "scene": SCENES[e.scene]}
@@ -120,8 +165,8 @@ class SceneWriter:
         targets, measured = e.table.targets, e.depth_mm > 0
         for gt, row in enumerate(np.flatnonzero(e.table.category)):
             visible, full = e.ee == row + 1, e.full & np.uint8(1 << row) != 0
-            self._file(f"mask/{name}_{gt:06d}.png", png.encode(full))
-            self._file(f"mask_visib/{name}_{gt:06d}.png", png.encode(visible))
+            self._file(f"mask/{name}_{gt:06d}.png", png_bytes(full))
+            self._file(f"mask_visib/{name}_{gt:06d}.png", png_bytes(visible))
             number, _ = object_of(int(e.table.obj_id[row]))
             entry = _gt_entry(e.table, int(row), self._catalogue.name(number))
             self._gt[key].append(entry)
@@ -165,7 +210,9 @@ class SceneWriter:
         area = int(np.count_nonzero(mask))
         entry = {"id": len(self._annotations), "image_id": im_id, "category_id": category, "bbox": box}
         crowd = int(area < MIN_POINTS)
-        self._annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": rle.encode(mask), **more})
+        coded = coco_mask.encode(np.asfortranarray(mask.view(np.uint8)))
+        runs = {"size": coded["size"], "counts": coded["counts"].decode()}
+        self._annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": runs, **more})
 
 
 def _gt_entry(table: EeTable, row: int, instance: str) -> dict[str, Any]:

@@ -13,12 +13,12 @@ from toolee_robot.perception.offline.dataset.catalogue import (
     FIRST_KINDS,
     GENERATED,
     Catalogue,
+    CustomToolRecord,
     CustomTools,
     GeneratedTools,
     generated_tools,
 )
-from toolee_robot.perception.offline.dataset.custom_tools import CustomToolRecord
-from toolee_robot.perception.offline.dataset.files import read_json
+from toolee_robot.perception.offline.dataset.records import read_json
 from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.tools import TOOL_SPECS
 

@@ -15,7 +15,7 @@ from toolee_robot.errors import AssetError, PerceptionError
 from toolee_robot.frames import Array
 from toolee_robot.perception.offline.dataset.records import SHOWN_HAND
 from toolee_robot.perception.offline.evaluation import metrics
-from toolee_robot.perception.offline.evaluation.records import Case, Examples, Instance, ee_shape
+from toolee_robot.perception.offline.evaluation.examples import Case, Examples, Instance, ee_shape
 from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 from toolee_robot.perception.offline.research.tooleenet.estimator import NAME as PAPER
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult, with_hand

@@ -14,7 +14,7 @@ from typing import Any
 
 import toolee_robot
 from toolee_robot.errors import AssetError, UserError, words_of
-from toolee_robot.perception.offline.dataset.files import SUMS
+from toolee_robot.perception.offline.dataset.records import SUMS
 from toolee_robot.perception.offline.dataset.spec import PHOTOGRAPHS, DatasetSpec, are_test_photographs, root_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR, weights_hash
 from toolee_robot.runtime.files import sha256

@@ -12,7 +12,7 @@ from toolee_robot.end_effectors import CATEGORIES, Category, label_of
 from toolee_robot.frames import Array
 from toolee_robot.perception.offline.evaluation import metrics
 from toolee_robot.perception.offline.evaluation.estimates import Estimates, Ranked, asked_for
-from toolee_robot.perception.offline.evaluation.records import Instance, ee_shape
+from toolee_robot.perception.offline.evaluation.examples import Instance, ee_shape
 from toolee_robot.perception.pose.confidence import RIGHT
 
 GROUPS = ("held-out", "seen")

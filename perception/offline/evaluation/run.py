@@ -27,9 +27,16 @@ from toolee_robot.perception.offline.evaluation.estimates import (
     questions,
     summary,
 )
-from toolee_robot.perception.offline.evaluation.examples import Part, joined, of_role, parts, read_part
+from toolee_robot.perception.offline.evaluation.examples import (
+    Examples,
+    Instance,
+    Part,
+    joined,
+    of_role,
+    parts,
+    read_part,
+)
 from toolee_robot.perception.offline.evaluation.pose import held_out_breakdown
-from toolee_robot.perception.offline.evaluation.records import Examples, Instance
 from toolee_robot.perception.offline.processes import ProcessMap
 from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 from toolee_robot.perception.offline.synthesis.example import expose

@@ -16,7 +16,7 @@ from toolee_robot.perception.detection.detector import CLASSES, TOOL
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.scene_writer import bbox
-from toolee_robot.perception.offline.training.labelled_images import SegmentationImages
+from toolee_robot.perception.offline.training.image_training import SegmentationImages
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 MIN_PIXELS = 50

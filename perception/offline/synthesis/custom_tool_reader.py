@@ -16,7 +16,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError, words_of
 from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse, transform_points
-from toolee_robot.perception.offline.dataset.custom_tools import MATERIALS, CustomMesh, CustomToolRecord, cut_at_parts
+from toolee_robot.perception.offline.dataset.catalogue import MATERIALS, CustomMesh, CustomToolRecord, cut_at_parts
 from toolee_robot.perception.offline.dataset.instances import ply_bytes
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.symmetry import SymmetryKind

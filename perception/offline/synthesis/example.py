@@ -5,23 +5,153 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.perception.offline.dataset.catalogue import GENERATED, Catalogue, generated_tools
-from toolee_robot.perception.offline.dataset.records import Example
+from toolee_robot.frames import Array, inverse
+from toolee_robot.perception.offline.dataset.catalogue import GENERATED, Catalogue, generated_tools, number_of
+from toolee_robot.perception.offline.dataset.instances import object_id
+from toolee_robot.perception.offline.dataset.records import HEIGHT, MAX_EES, WIDTH, EeTable, Example, pixels_of
 from toolee_robot.perception.offline.dataset.spec import CONFIGS, SPLITS, DatasetSpec
 from toolee_robot.perception.offline.synthesis.hard import hard_scene
-from toolee_robot.perception.offline.synthesis.labels import Labels, label
-from toolee_robot.perception.offline.synthesis.paper import paper_scene
 from toolee_robot.perception.offline.synthesis.placement import Pool, SceneSample
-from toolee_robot.perception.offline.synthesis.station import station_scene
-from toolee_robot.render.renderer import Shot
+from toolee_robot.perception.offline.synthesis.station import paper_scene, station_scene
+from toolee_robot.render.renderer import Region, Shot
 from toolee_robot.render.sensors.color_camera import Photo, photograph
 from toolee_robot.render.sensors.depth_sensors import random_reading
 from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.types import CameraIntrinsics
+
+Labels = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], EeTable]
+"""EE ids, tool ids and unoccluded masks (H, W), and the table of the EEs."""
+
+
+class View(Protocol):
+    """What a camera sees of a scene, whichever renderer casts the rays.
+
+    Attributes:
+        depth: Depth along the optical axis, (H, W) [m]; 0 where nothing is hit.
+        body_ids: Ids of the bodies, (H, W); -1 where nothing is hit.
+    """
+
+    depth: NDArray[np.float32]
+    body_ids: NDArray[np.int16]
+
+    def depth_of(self, body_id: int, region: Region) -> NDArray[np.float32]:
+        """Depth of a region as if only the bodies of one id were there.
+
+        Args:
+            body_id: The id.
+            region: The region x0, y0, x1, y1 [px].
+
+        Returns:
+            The depth, (H', W') [m].
+        """
+
+
+def label(sample: SceneSample, shot: View) -> Labels:
+    """Label a scene from its exact depth and body ids.
+
+    Args:
+        sample: The scene.
+        shot: The scene as the camera sees it.
+
+    Returns:
+        EE ids, tool ids and unoccluded masks (H, W) as in `Example`, and the table of the EEs.
+    """
+    depth, body_ids = shot.depth, shot.body_ids
+    tool_ids, ee_ids, full = (np.zeros(body_ids.shape, np.uint8) for _ in range(3))
+    tool_rows, tool_columns = pixels_of((body_ids >= 1) & (body_ids <= len(sample.tools)))
+    shown = body_ids[tool_rows, tool_columns]
+    tool_ids[tool_rows, tool_columns] = shown
+    table = EeTable.empty()
+    X_camera_world = inverse(sample.X_world_camera)
+    next_id = 1
+    for placed in sample.tools:
+        X_camera_tool = X_camera_world @ placed.X_world_tool
+        ees = placed.tool.ees[: MAX_EES + 1 - next_id]
+        Xs_camera_ee = [X_camera_tool @ ee.X_tool_ee for ee in ees]
+        reach = _Reach(Xs_camera_ee, np.array([ee.category.spec.radius for ee in ees]), sample.circle)
+        of_tool = shown == placed.body_id
+        rows, columns, own = reach.within(depth, tool_rows[of_tool], tool_columns[of_tool], sample.intrinsics)
+        ee_ids[rows, columns] = next_id + own
+        visible = np.bincount(own, minlength=len(ees))
+        alone = _alone(shot, placed.body_id, reach, sample.intrinsics, full, next_id)
+        for k, ee in enumerate(ees):
+            row = next_id - 1 + k
+            table.category[row] = ee.category.spec.class_id
+            table.tool[row] = placed.body_id
+            table.obj_id[row] = object_id(number_of(placed.tool), k)
+            table.X_camera_ee[row] = Xs_camera_ee[k]
+            table.X_camera_tool[row] = X_camera_tool
+            if placed.X_world_hand is not None:
+                table.X_camera_hand[row] = X_camera_world @ placed.X_world_hand
+            table.mirrored[row] = placed.mirrored
+            table.visible[row] = visible[k]
+            table.unoccluded[row] = alone[k]
+        next_id += len(ees)
+    return ee_ids, tool_ids, full, table
+
+
+class _Reach:
+    """Assignment of the pixels of one tool to its EEs, by a sphere (or a circle) about each EE origin."""
+
+    def __init__(self, Xs_camera_ee: list[Array], radii: Array, circle: float | None) -> None:
+        self.Xs_camera_ee, self.radii, self.circle = Xs_camera_ee, radii, circle
+
+    def within(
+        self,
+        depth: NDArray[np.float32],
+        rows: NDArray[np.int64],
+        columns: NDArray[np.int64],
+        intrinsics: CameraIntrinsics,
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Select the pixels of the tool that belong to an EE: rows, columns and index of the relatively nearest EE."""
+        K = intrinsics
+        if self.circle is None:
+            z = depth[rows, columns].astype(np.float64)
+            x, y = (columns - K.cx) / K.fx * z, (rows - K.cy) / K.fy * z
+            origins = [X[:3, 3].tolist() for X in self.Xs_camera_ee]
+            distances = [np.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2) for u, v, w in origins]
+            relative = np.stack([d / r for d, r in zip(distances, self.radii, strict=True)])
+        else:
+            centres = [X[:2, 3] / X[2, 3] * [K.fx, K.fy] + [K.cx, K.cy] for X in self.Xs_camera_ee]
+            relative = np.stack([np.hypot(columns - u, rows - v) for u, v in centres]) / self.circle
+        inside = np.flatnonzero(relative.min(axis=0) <= 1.0)
+        return rows[inside], columns[inside], relative[:, inside].argmin(axis=0)
+
+    def region(self, intrinsics: CameraIntrinsics) -> tuple[int, int, int, int] | None:
+        """Bounding box x0, y0, x1, y1 [px] of the EEs, clipped to the image; None if it is empty."""
+        boxes = []
+        for X, radius in zip(self.Xs_camera_ee, self.radii, strict=True):
+            z = X[2, 3]
+            if z < radius + 0.05:
+                return 0, 0, WIDTH, HEIGHT
+            # Margin on the outline of the sphere, which perspective stretches off the optical axis.
+            half = 1.3 * radius * intrinsics.fx / (z - radius) if self.circle is None else self.circle + 1.0
+            u, v = intrinsics.project(X[:3, 3])
+            boxes.append([u - half, v - half, u + half, v + half])
+        x0, y0 = np.floor(np.clip(np.min(boxes, axis=0)[:2], 0, [WIDTH, HEIGHT])).astype(int)
+        x1, y1 = np.ceil(np.clip(np.max(boxes, axis=0)[2:], 0, [WIDTH, HEIGHT])).astype(int)
+        return (int(x0), int(y0), int(x1), int(y1)) if x1 > x0 and y1 > y0 else None
+
+
+def _alone(
+    shot: View, body_id: int, reach: _Reach, K: CameraIntrinsics, full: NDArray[np.uint8], first_id: int
+) -> NDArray[np.int64]:
+    """Number of pixels of each unoccluded EE mask, with the tool alone in the scene; sets their bits in `full`."""
+    region = reach.region(K)
+    if region is None:
+        return np.zeros(len(reach.radii), np.int64)
+    depth = shot.depth_of(body_id, region)
+    x0, y0, _, _ = region
+    shifted = CameraIntrinsics(K.fx, K.fy, K.cx - x0, K.cy - y0, depth.shape[1], depth.shape[0])
+    rows, columns, ees = reach.within(depth, *pixels_of(depth > 0), shifted)
+    full[y0 + rows, x0 + columns] |= (1 << (first_id - 1 + ees)).astype(np.uint8)
+    return np.bincount(ees, minlength=len(reach.radii))
+
 
 EMPTY_SHARE, STATION_SHARE = 0.10, 0.30
 """Shares of scenes without tools and of station scenes in the configuration "hard"."""

@@ -16,14 +16,13 @@ from functools import partial
 from pathlib import Path
 
 from toolee_robot.errors import UserError, words_of
-from toolee_robot.perception.offline.dataset.catalogue import FIRST_KINDS
-from toolee_robot.perception.offline.dataset.custom_tools import CustomMesh
-from toolee_robot.perception.offline.dataset.files import SUMS, json_by_line, read_json
+from toolee_robot.perception.offline.dataset.catalogue import FIRST_KINDS, CustomMesh
 from toolee_robot.perception.offline.dataset.index_files import Summary, finish, is_finished
 from toolee_robot.perception.offline.dataset.instances import tool_path, write_models
-from toolee_robot.perception.offline.dataset.parallel import on_processes
+from toolee_robot.perception.offline.dataset.records import SUMS, json_by_line, read_json
 from toolee_robot.perception.offline.dataset.scene_writer import write_scene
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
+from toolee_robot.perception.offline.processes import on_processes
 from toolee_robot.perception.offline.synthesis.bodies import forget_tools
 from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.render.device import checked

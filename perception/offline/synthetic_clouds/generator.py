@@ -13,11 +13,19 @@ from torch import Tensor
 from toolee_robot.end_effectors import Category
 from toolee_robot.perception.offline.synthetic_clouds import point_splatting
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig, CloudSource, TorchRng
-from toolee_robot.perception.offline.synthetic_clouds.cuts import Border, Cut, Target
-from toolee_robot.perception.offline.synthetic_clouds.masks import cleaned, imperfect, pick
-from toolee_robot.perception.offline.synthetic_clouds.point_splatting import GRID, Window, ZBuffer
+from toolee_robot.perception.offline.synthetic_clouds.point_splatting import (
+    GRID,
+    Window,
+    ZBuffer,
+    cleaned,
+    imperfect,
+    pick,
+)
 from toolee_robot.perception.offline.synthetic_clouds.scene import (
+    Border,
+    Cut,
     Placement,
+    Target,
     directions,
     draw_backgrounds,
     draw_occluders,

@@ -23,10 +23,9 @@ from toolee_robot.perception.detection.inputs import CHANNELS, encode_rgbd
 from toolee_robot.perception.detection.instances import associate, without_duplicates
 from toolee_robot.perception.detection.mask_head import _near
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.offline.detection.images import DeviceImages, _warp, augment
-from toolee_robot.perception.offline.detection.losses import instances_from_maps
-from toolee_robot.perception.offline.detection.trainer import SegmentationTraining, train
 from toolee_robot.perception.offline.evaluation.segmentation import coco_task, report
+from toolee_robot.perception.offline.training.detector_training import SegmentationTraining, instances_from_maps, train
+from toolee_robot.perception.offline.training.images import DeviceImages, _warp, augment
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=30)

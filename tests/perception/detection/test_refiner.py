@@ -36,14 +36,16 @@ from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefine
 from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
-from toolee_robot.perception.offline.detection.refiner_data import (
+from toolee_robot.perception.offline.evaluation.segmentation import frame_of
+from toolee_robot.perception.offline.training.detector_training import SegmentationTraining
+from toolee_robot.perception.offline.training.detector_training import train as train_detector
+from toolee_robot.perception.offline.training.refiner_training import (
+    CHECKPOINT,
     MIN_LEARNT_IOU,
     RefinementData,
+    losses,
+    train,
 )
-from toolee_robot.perception.offline.detection.refiner_trainer import CHECKPOINT, losses, train
-from toolee_robot.perception.offline.detection.trainer import SegmentationTraining
-from toolee_robot.perception.offline.detection.trainer import train as train_detector
-from toolee_robot.perception.offline.evaluation.segmentation import frame_of
 from toolee_robot.perception.weight_files import load_weights, save_weights
 
 pytestmark = pytest.mark.sim(seconds=30)
@@ -64,7 +66,7 @@ def _one_thread() -> Iterator[None]:
 def _more_kept_aside() -> Iterator[None]:
     """Every eighth picture: of so few as there are here, every fiftieth is one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("toolee_robot.perception.offline.detection.refiner_data.VALIDATION", 8)
+        patch.setattr("toolee_robot.perception.offline.training.refiner_training.VALIDATION", 8)
         yield
 
 

@@ -28,14 +28,14 @@ from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS
 from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
 from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.zoom_pass import MAGNIFICATION
-from toolee_robot.perception.offline.detection.refiner_data import (
+from toolee_robot.perception.offline.training.refiner_training import (
     VALIDATION,
     Detections,
     Examples,
     is_validation,
+    losses,
     zoom_of,
 )
-from toolee_robot.perception.offline.detection.refiner_trainer import losses
 from toolee_robot.types import RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=10)
@@ -97,7 +97,7 @@ def test_a_detection_s_training_mask_is_the_detector_s() -> None:
 
 
 def test_both_sizes_are_as_frequent_among_the_pictures_kept_aside(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("toolee_robot.perception.offline.detection.refiner_data.VALIDATION", VALIDATION)
+    monkeypatch.setattr("toolee_robot.perception.offline.training.refiner_training.VALIDATION", VALIDATION)
     pictures = torch.arange(4000)
     for some in (pictures, pictures[is_validation(pictures)]):
         sizes, count = torch.unique(zoom_of(some), return_counts=True)

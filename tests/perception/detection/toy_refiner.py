@@ -17,10 +17,10 @@ from toolee_robot.perception.detection.instances import Box, Instances
 from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS
 from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
-from toolee_robot.perception.offline.detection.refiner_data import (
+from toolee_robot.perception.offline.training.refiner_training import (
     Detections,
+    RefinementTraining,
 )
-from toolee_robot.perception.offline.detection.refiner_trainer import RefinementTraining
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 CPU = torch.device("cpu")

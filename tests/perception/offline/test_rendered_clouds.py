@@ -23,16 +23,14 @@ from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.perception.offline.dataset.scene_writer import write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.evaluation.examples import parts, read_part
-from toolee_robot.perception.offline.pose.config import TrainConfig
-from toolee_robot.perception.offline.pose.recipe import DefaultRecipe
-from toolee_robot.perception.offline.pose.trainer import Trainer
 from toolee_robot.perception.offline.rendered_clouds import clouds_of_part, tool_clouds_of_part
 from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig, CloudSource, Mixture
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import sample_hands, sample_tools
-from toolee_robot.perception.offline.training.distributed import Distributed
+from toolee_robot.perception.offline.training.loop import Distributed
+from toolee_robot.perception.offline.training.pose_training import TrainConfig, Trainer
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.canonical import REST_MIN, CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
@@ -244,13 +242,13 @@ def test_what_is_there_after_a_time_is_kept(folder: Path, tmp_path: Path) -> Non
 def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> None:
     samples, held_out = (sample_tools(held_out=held, seeds_per_kind=1, workers=1) for held in (False, True))
     config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=64, validation=40, compile=False)
-    recipe = DefaultRecipe(NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1))
+    network = NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1)
     distributed = Distributed(0, 1, torch.device("cpu"))
 
     def weights(share: float) -> torch.Tensor:
         shares = replace(config, rendered_share=share)
         trainer = Trainer(
-            tmp_path / str(share), shares, (samples, held_out), sample_hands(4), recipe, distributed, clouds
+            tmp_path / str(share), shares, (samples, held_out), sample_hands(4), distributed, clouds, network
         )
         report = trainer.run()
         assert np.isfinite(report["K20"]["average"]["median_mm"])

@@ -1,7 +1,13 @@
-"""The paper's estimator: the plain mean of K = 20 samples by RK45."""
+"""The paper's estimator: pose vectors, and the plain mean of K = 20 samples by RK45.
+
+The sampler is Dormand and Prince's Runge-Kutta 5(4) with an adaptive step, on the device, in batches. Each cloud has
+its own step size, so that a result does not depend on the rest of the batch (the published code passes the whole batch
+to one solver).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,27 +15,176 @@ from typing import Any
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from torch import Tensor
 
 from toolee_robot.end_effectors import CATEGORIES, Category
-from toolee_robot.errors import AssetError, UserError
-from toolee_robot.frames import Array
+from toolee_robot.errors import AssetError, TooleeError, UserError
+from toolee_robot.frames import Array, transform
 from toolee_robot.perception import weight_files
-from toolee_robot.perception.offline.research.paper_training import HOW_TO_TRAIN
-from toolee_robot.perception.offline.research.tooleenet.network import PaperNet
-from toolee_robot.perception.offline.research.tooleenet.pointnet2 import ORDERED
-from toolee_robot.perception.offline.research.tooleenet.pooling import mean_pose
-from toolee_robot.perception.offline.research.tooleenet.representation import class_ambiguity, decode
-from toolee_robot.perception.offline.research.tooleenet.rk45 import Rk45
+from toolee_robot.perception.offline.research import HOW_TO_TRAIN
+from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, PaperNet
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align
-from toolee_robot.perception.pose.processes.flow import Sampler
-from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
+from toolee_robot.perception.pose.processes import Field, Process, Sampler, VarianceExploding
 from toolee_robot.perception.pose.rotations import twist_angles
 from toolee_robot.perception.pose.spin import with_spin_variance
 from toolee_robot.perception.precision import torch_device
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.types import PoseHypotheses
+
+
+def class_ambiguity() -> Tensor:
+    """S (4, 3) of each category: a constant of the class, 1 about the axis of its symmetry group."""
+    rows = [
+        [0.0, 0.0, 0.0] if c.symmetry.kind is SymmetryKind.NONE else [float(a != 0) for a in c.symmetry.axis]
+        for c in Category
+    ]
+    return torch.tensor(rows)
+
+
+def encode(R: Tensor, p: Tensor, ambiguous: Tensor | None) -> Tensor:
+    """Encode poses as vectors: the first two columns of the rotation, the ambiguity, the translation.
+
+    Args:
+        R: Rotations, (..., 3, 3).
+        p: Translations, (..., 3) [m].
+        ambiguous: Ambiguity vectors S, (..., 3); None: without.
+
+    Returns:
+        Pose vectors u, (..., 12); (..., 9) without S.
+    """
+    parts = [R[..., :, 0], R[..., :, 1], p] if ambiguous is None else [R[..., :, 0], R[..., :, 1], ambiguous, p]
+    return torch.cat(parts, dim=-1)
+
+
+def decode(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """R (..., 3, 3) by Gram-Schmidt with x first, p (..., 3) [m] and S (..., 3), zero for u (..., 9)."""
+    x = _unit(u[..., 0:3])
+    b = u[..., 3:6]
+    y = _unit(b - (b * x).sum(-1, keepdim=True) * x)
+    R = torch.stack([x, y, torch.cross(x, y, dim=-1)], dim=-1)
+    S = u[..., 6:9] if u.shape[-1] == 12 else torch.zeros_like(u[..., 6:9])
+    return R, u[..., -3:], S
+
+
+def _unit(v: Tensor) -> Tensor:
+    return v / v.norm(dim=-1, keepdim=True).clamp_min(1e-8)
+
+
+def mean_pose(Xs: Array, group: SymmetryGroup | None = None) -> Array:
+    """Mean of poses.
+
+    The largest eigenvector of the quaternions' second moments (Markley et al., 2007) and the arithmetic mean of the
+    positions.
+
+    Args:
+        Xs: Poses (K, 4, 4).
+        group: A known symmetry, modulo which the rotations are first aligned to the first one.
+
+    Returns:
+        The mean, 4x4.
+    """
+    R = Xs[:, :3, :3]
+    if group is not None:
+        R = align(R, R[0], group)
+    q = Rotation.from_matrix(R).as_quat()
+    vectors = np.linalg.eigh(q.T @ q)[1]
+    return transform(Rotation.from_quat(vectors[:, -1]), Xs[:, :3, 3].mean(0))
+
+
+_C = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
+_A = (
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+_E = (-71 / 57600, 0.0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40)
+
+
+@dataclass(frozen=True)
+class Rk45:
+    """Adaptive sampler; see `flow.Sampler`.
+
+    Attributes:
+        rtol: Relative tolerance of each step.
+        atol: Absolute tolerance of each step.
+    """
+
+    rtol: float = 1e-5
+    atol: float = 1e-5
+
+    def __call__(self, process: Process, field: Field, noise: Tensor) -> Tensor:
+        """Solve the process's equation from noise to data."""
+        K = noise.shape[1]
+
+        def derivative(t: Tensor, u: Tensor) -> Tensor:
+            each = t[:, None].expand(-1, K)
+            v = process.velocity(field, u.to(noise.dtype), each.to(noise.dtype)).double()
+            return v * process.rate(t)[:, None, None]
+
+        u = solve(derivative, process.prior(noise).double(), process.start, process.end, self.rtol, self.atol)
+        return process.finish(field, u.to(noise.dtype))
+
+
+def solve(
+    derivative: Callable[[Tensor, Tensor], Tensor],
+    y: Tensor,
+    start: float,
+    end: float,
+    rtol: float = 1e-5,
+    atol: float = 1e-5,
+    most_steps: int = 2000,
+) -> Tensor:
+    """Solve dy/dt = derivative(t, y), with a step size for each row.
+
+    Args:
+        derivative: From t (B,) and y (B, ...) to dy/dt (B, ...).
+        y: Initial values at t = start, (B, ...).
+        start: Initial time.
+        end: Final time.
+        rtol: Relative tolerance of each step.
+        atol: Absolute tolerance of each step.
+        most_steps: Largest number of steps.
+
+    Returns:
+        y at t = end, (B, ...).
+
+    Raises:
+        TooleeError: The steps do not reach the end.
+    """
+    wide = (-1, *[1] * (y.dim() - 1))
+    t = torch.full((len(y),), start, device=y.device, dtype=y.dtype)
+    h = torch.full_like(t, 0.01 * (end - start))
+    least = 1e-7 * abs(end - start)
+    k0 = derivative(t, y)
+    for _ in range(most_steps):
+        left = end - t
+        if not bool((left != 0).any()):
+            return y
+        h = torch.where(h.abs() >= left.abs(), left, h)
+        ks = [k0]
+        for c, row in zip(_C[1:], _A, strict=True):
+            step = sum((a * k for a, k in zip(row, ks, strict=True)), torch.zeros_like(y))
+            ahead = y + h.view(wide) * step
+            ks.append(derivative(t + c * h, ahead))
+        error = h.view(wide) * sum((e * k for e, k in zip(_E, ks, strict=True)), torch.zeros_like(y))
+        scale = atol + rtol * torch.maximum(y.abs(), ahead.abs())
+        norm = (error / scale).square().flatten(1).mean(1).sqrt()
+        accepted = ((norm <= 1) | (h.abs() <= least)) & (left != 0)
+        t = torch.where(accepted, torch.where(h == left, torch.full_like(t, end), t + h), t)
+        y = torch.where(accepted.view(wide), ahead, y)
+        k0 = torch.where(accepted.view(wide), ks[-1], k0)
+        factor = (0.9 * norm.clamp_min(1e-10) ** -0.2).clamp(0.2, 10.0)
+        h = h * torch.where(accepted, factor, factor.clamp_max(1.0))
+    raise TooleeError(
+        f"RK45 needed over {most_steps} steps: the network's field is not smooth, train it longer",
+        code="toolee.stiff_ode",
+    )
+
 
 NAME = "pose_paper"
 POINTS = 1024

@@ -24,7 +24,6 @@ from torch import Tensor, nn
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.perception.offline.pose import validation
 from toolee_robot.perception.offline.research.tooleenet.estimator import (
     COLUMNS,
     NAME,
@@ -33,17 +32,17 @@ from toolee_robot.perception.offline.research.tooleenet.estimator import (
     PROCESS,
     Column,
     PaperEstimator,
+    class_ambiguity,
+    encode,
     in_camera,
+    mean_pose,
     save,
 )
-from toolee_robot.perception.offline.research.tooleenet.network import PaperNet
-from toolee_robot.perception.offline.research.tooleenet.pointnet2 import ORDERED
-from toolee_robot.perception.offline.research.tooleenet.pooling import mean_pose
-from toolee_robot.perception.offline.research.tooleenet.representation import class_ambiguity, encode
+from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, PaperNet
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
-from toolee_robot.perception.offline.training.distributed import Distributed, init_distributed
-from toolee_robot.perception.offline.training.loop import TrainingRun
+from toolee_robot.perception.offline.training import pose_validation as validation
+from toolee_robot.perception.offline.training.loop import Distributed, TrainingRun, init_distributed
 from toolee_robot.perception.offline.training.options import TrainingOptions
 
 _CHUNK = 512

@@ -18,9 +18,8 @@ from tests.examples import examples
 from tests.perception.folders import assert_same
 from toolee_robot.cli.app import parse, run
 from toolee_robot.cli.dataset import Generate
-from toolee_robot.perception.offline.dataset.card import Card
-from toolee_robot.perception.offline.dataset.files import write_sums
-from toolee_robot.perception.offline.dataset.index_files import README, listed
+from toolee_robot.perception.offline.dataset.index_files import README, Card, listed
+from toolee_robot.perception.offline.dataset.records import write_sums
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.dataset.validate import validate
 from toolee_robot.perception.offline.synthesis.custom_tool_reader import read_custom_tools

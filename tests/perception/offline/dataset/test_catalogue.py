@@ -13,8 +13,13 @@ from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
-from toolee_robot.perception.offline.dataset.catalogue import FIRST_KINDS, GENERATED, CustomTools, generated_tools
-from toolee_robot.perception.offline.dataset.custom_tools import CustomToolRecord
+from toolee_robot.perception.offline.dataset.catalogue import (
+    FIRST_KINDS,
+    GENERATED,
+    CustomToolRecord,
+    CustomTools,
+    generated_tools,
+)
 from toolee_robot.perception.offline.dataset.instances import object_id
 from toolee_robot.tools import TOOL_SPECS
 

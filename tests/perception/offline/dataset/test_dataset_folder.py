@@ -22,12 +22,10 @@ from tests.perception.folders import assert_same
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.io import bop_images
-from toolee_robot.perception.offline.dataset import rle
-from toolee_robot.perception.offline.dataset.clouds import read_clouds
 from toolee_robot.perception.offline.dataset.figures import distances
-from toolee_robot.perception.offline.dataset.files import SUMS, read_json, write_sums
 from toolee_robot.perception.offline.dataset.index_files import listed
 from toolee_robot.perception.offline.dataset.instances import read_ply
+from toolee_robot.perception.offline.dataset.records import SUMS, read_clouds, read_json, write_sums
 from toolee_robot.perception.offline.dataset.scene_reader import load
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.offline.dataset.validate import validate
@@ -140,16 +138,6 @@ def test_other_programs_can_read_it(whole: Path) -> None:
     expected = {"hammer_head": {"symmetries_continuous"}, "wrench_head": {"symmetries_discrete"}, "hammer_grip": set()}
     assert all(symmetric[c] == s for c, s in expected.items() if c in symmetric)
     assert len(load(whole / "train")) == SPEC.counts["train"]
-
-
-def test_run_lengths_are_cocos() -> None:
-    from pycocotools import mask as coco_mask
-
-    rng = np.random.default_rng(0)
-    for share in (0.0, 0.02, 0.5, 0.98, 1.0):
-        mask = rng.random((37, 53)) < share
-        own = rle.encode(mask)
-        assert own["counts"] == coco_mask.encode(np.asfortranarray(mask.astype(np.uint8)))["counts"].decode()
 
 
 def test_the_card_names_what_is_held_out(whole: Path) -> None:

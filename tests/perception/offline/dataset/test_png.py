@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tests.examples import examples
-from toolee_robot.perception.offline.dataset import png
+from toolee_robot.perception.offline.dataset.scene_writer import png_bytes
 
 
 @st.composite
@@ -33,11 +33,11 @@ def images(draw: st.DrawFn) -> NDArray[Any]:
 @examples(60)
 @given(images())
 def test_another_program_reads_the_same_pixels(pixels: NDArray[Any]) -> None:
-    read = np.asarray(Image.open(BytesIO(png.encode(pixels))))
+    read = np.asarray(Image.open(BytesIO(png_bytes(pixels))))
     assert read.dtype == pixels.dtype
     np.testing.assert_array_equal(read, pixels)
 
 
 def test_other_pixels_are_refused() -> None:
     with pytest.raises(TypeError, match="float32"):
-        png.encode(np.zeros((2, 2), np.float32))
+        png_bytes(np.zeros((2, 2), np.float32))

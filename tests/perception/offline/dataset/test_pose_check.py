@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from toolee_robot.frames import Array
-from toolee_robot.perception.offline.dataset.scene_check import pose_fault
+from toolee_robot.perception.offline.dataset.validate import pose_fault
 from toolee_robot.types import CameraIntrinsics
 
 

@@ -20,11 +20,10 @@ from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH, EeTab
 from toolee_robot.perception.offline.dataset.scene_reader import load
 from toolee_robot.perception.offline.dataset.scene_writer import write_scene
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
-from toolee_robot.perception.offline.detection.images import DeviceImages, augment
-from toolee_robot.perception.offline.detection.losses import instances_from_maps
 from toolee_robot.perception.offline.evaluation.segmentation import true_instances
-from toolee_robot.perception.offline.training.labelled_images import DeviceStore
-from toolee_robot.perception.offline.training.scene_stream import SceneStream
+from toolee_robot.perception.offline.training.detector_training import instances_from_maps
+from toolee_robot.perception.offline.training.image_training import DeviceStore, SceneStream
+from toolee_robot.perception.offline.training.images import DeviceImages, augment
 from toolee_robot.types import CameraIntrinsics
 
 

@@ -11,10 +11,10 @@ import torch
 
 from tests.errors import raises
 from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.detection import camera_effects
-from toolee_robot.perception.offline.detection.backgrounds import Backgrounds
-from toolee_robot.perception.offline.detection.images import ImageSample, augment
-from toolee_robot.perception.offline.detection.trainer import SegmentationTraining
+from toolee_robot.perception.offline.training import camera_effects
+from toolee_robot.perception.offline.training.backgrounds import Backgrounds
+from toolee_robot.perception.offline.training.detector_training import SegmentationTraining
+from toolee_robot.perception.offline.training.images import ImageSample, augment
 
 CPU = torch.device("cpu")
 

@@ -29,9 +29,8 @@ from toolee_robot.perception.offline.dataset.scene_writer import write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.evaluation import metrics, pose
 from toolee_robot.perception.offline.evaluation.estimates import Ranked, answer, load_estimator, questions, summary
-from toolee_robot.perception.offline.evaluation.examples import collect, of_role
+from toolee_robot.perception.offline.evaluation.examples import Examples, collect, ee_shape, of_role
 from toolee_robot.perception.offline.evaluation.pose import held_out_breakdown
-from toolee_robot.perception.offline.evaluation.records import Examples, ee_shape
 from toolee_robot.perception.offline.evaluation.report import accuracy_pictures, described, page, pose_tables
 from toolee_robot.perception.offline.evaluation.run import empty_frame
 from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS, CocoTask, coco_task, statistics

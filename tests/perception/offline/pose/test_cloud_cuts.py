@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from toolee_robot.frames import transform
-from toolee_robot.perception.offline.synthesis.labels import _Reach
+from toolee_robot.perception.offline.synthesis.example import _Reach
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig, TorchRng
-from toolee_robot.perception.offline.synthetic_clouds.cuts import Border, Cut
+from toolee_robot.perception.offline.synthetic_clouds.scene import Border, Cut
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import NOWHERE
 from toolee_robot.types import CameraIntrinsics
 

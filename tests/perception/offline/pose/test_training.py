@@ -14,10 +14,6 @@ from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, PerceptionError, UserError
 from toolee_robot.frames import transform_points
-from toolee_robot.perception.offline.pose.config import TrainConfig
-from toolee_robot.perception.offline.pose.losses import augment, canonical_rotation, context, pose_loss
-from toolee_robot.perception.offline.pose.recipe import DefaultRecipe
-from toolee_robot.perception.offline.pose.trainer import Trainer, train
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig
 from toolee_robot.perception.offline.synthetic_clouds.generator import CloudGenerator
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
@@ -26,8 +22,10 @@ from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
     sample_hands,
     sample_tools,
 )
-from toolee_robot.perception.offline.training.distributed import Distributed
-from toolee_robot.perception.pose import PoseEstimator
+from toolee_robot.perception.offline.training.loop import Distributed
+from toolee_robot.perception.offline.training.pose_losses import augment, canonical_rotation, context, pose_loss
+from toolee_robot.perception.offline.training.pose_training import TrainConfig, Trainer, judge, train
+from toolee_robot.perception.pose import PoseEstimator, weights
 from toolee_robot.perception.pose.canonical import MIN_POINTS
 from toolee_robot.perception.pose.confidence import fit
 from toolee_robot.perception.pose.network import SAMPLER, NetworkConfig, PoseNet, Seen
@@ -81,7 +79,7 @@ def test_clean_clouds_lie_on_the_tools_surface(samples: SurfaceSamples, hands: F
 
 def test_the_confidence_is_fitted_on_clouds_of_every_category(samples: SurfaceSamples, clouds: CloudBatch) -> None:
     """A claw's row follows that of its hammer's head: half of the rows, instead of half of the tools, had no claw."""
-    model = DefaultRecipe(TINY).report(PoseNet(TINY), clouds, samples, "cpu")[1].confidence
+    model = judge(PoseNet(TINY), clouds, samples, "cpu")[1].confidence
     share = dict(zip(model.names, model.mean, strict=True))
     for category in Category:
         assert share[f"is_{category}"] > 0.05
@@ -202,7 +200,7 @@ def small(minutes: float) -> TrainConfig:
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory, samples: SurfaceSamples, hands: Float32) -> Path:
     out = tmp_path_factory.mktemp("weights")
-    Trainer(out, small(0.03), (samples, samples), hands, DefaultRecipe(TINY, draws=2), CPU).run()
+    Trainer(out, small(0.03), (samples, samples), hands, CPU, network=TINY).run()
     return out
 
 
@@ -219,7 +217,7 @@ def test_training_writes_weights_that_load_to_the_same_network(
     # A second run finds its time used up, resumes and exports the same weights.
     (shard,) = trained.glob("pose-*.safetensors")
     before = shard.read_bytes()
-    trainer = Trainer(trained, small(0.03), (samples, samples), hands, DefaultRecipe(TINY, draws=2), CPU)
+    trainer = Trainer(trained, small(0.03), (samples, samples), hands, CPU, network=TINY)
     trainer.run()
     assert shard.read_bytes() == before
     checkpoint = trained / trainer.checkpoint_path.name
@@ -283,29 +281,28 @@ def test_too_few_points_are_refused_and_nan_does_not_count(trained: Path) -> Non
 def test_a_training_starts_from_weights_of_its_architecture(
     tmp_path: Path, trained: Path, samples: SurfaceSamples, hands: Float32
 ) -> None:
-    def trainer(process: str, width: int = TINY.width) -> Trainer:
-        config = replace(TINY, process=process, width=width)
-        return Trainer(tmp_path, small(1.0), (samples, samples), hands, DefaultRecipe(config, draws=2), CPU)
+    def trainer(width: int) -> Trainer:
+        return Trainer(tmp_path, small(1.0), (samples, samples), hands, CPU, network=replace(TINY, width=width))
 
-    begun = trainer("flow")
+    begun = trainer(TINY.width)
     begun.start_from(trained)
-    kept = DefaultRecipe(TINY).load(trained).state_dict()
+    kept = weights.load(trained)[0].state_dict()
     assert all(torch.equal(value, kept[name]) for name, value in begun.net.state_dict().items())
     assert all(torch.equal(value, kept[name]) for name, value in begun.export().state_dict().items())
     with raises(AssetError, code="asset.architecture"):
-        trainer("edm", 2 * TINY.width).start_from(trained)
+        trainer(2 * TINY.width).start_from(trained)
 
 
 def test_a_training_may_keep_a_share_of_the_weights_it_started_from(
     tmp_path: Path, trained: Path, samples: SurfaceSamples, hands: Float32
 ) -> None:
     config = replace(small(1.0), init_share=0.25)
-    trainer = Trainer(tmp_path, config, (samples, samples), hands, DefaultRecipe(TINY, draws=2), CPU)
+    trainer = Trainer(tmp_path, config, (samples, samples), hands, CPU, network=TINY)
     trainer.start_from(trained)
     with torch.no_grad():
         for name, _ in trainer.net.named_parameters():
             trainer.average[name].add_(1.0)
-    before = DefaultRecipe(TINY).load(trained).state_dict()
+    before = weights.load(trained)[0].state_dict()
     for name, value in trainer.export().named_parameters():
         torch.testing.assert_close(value, before[name] + 0.75, atol=2e-3, rtol=2e-3)
     with raises(UserError, code="user.init_share"):
@@ -313,7 +310,7 @@ def test_a_training_may_keep_a_share_of_the_weights_it_started_from(
 
 
 def test_the_mirrored_view_is_the_view_of_the_mirror_image(trained: Path, clouds: CloudBatch) -> None:
-    net = DefaultRecipe(TINY).load(trained)
+    net = weights.load(trained)[0]
     few = clouds.select(torch.arange(8))
     x = torch.tensor([-1.0, 1.0, 1.0])
     direction = torch.cat([few.direction[:, :3] * x, few.direction[:, 3:]], 1)

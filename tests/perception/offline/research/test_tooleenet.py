@@ -19,12 +19,16 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception.offline.research.tooleenet import COLUMNS, PaperEstimator
-from toolee_robot.perception.offline.research.tooleenet.estimator import scatter
-from toolee_robot.perception.offline.research.tooleenet.network import PaperNet
-from toolee_robot.perception.offline.research.tooleenet.pointnet2 import Level, PointNet2, SharedMlp
-from toolee_robot.perception.offline.research.tooleenet.pooling import mean_pose
-from toolee_robot.perception.offline.research.tooleenet.representation import class_ambiguity, decode, encode
-from toolee_robot.perception.offline.research.tooleenet.rk45 import Rk45, solve
+from toolee_robot.perception.offline.research.tooleenet.estimator import (
+    Rk45,
+    class_ambiguity,
+    decode,
+    encode,
+    mean_pose,
+    scatter,
+    solve,
+)
+from toolee_robot.perception.offline.research.tooleenet.network import Level, PaperNet, PointNet2, SharedMlp
 from toolee_robot.perception.offline.research.tooleenet.training import (
     ColumnTraining,
     PaperOptions,
@@ -32,11 +36,10 @@ from toolee_robot.perception.offline.research.tooleenet.training import (
     freeze_batchnorm,
 )
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds
-from toolee_robot.perception.offline.training.distributed import Distributed
+from toolee_robot.perception.offline.training.loop import Distributed
 from toolee_robot.perception.pose.canonical import farthest_points_first
 from toolee_robot.perception.pose.cloud_estimator import PoseResult, with_hand
-from toolee_robot.perception.pose.processes.flow import Euler
-from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
+from toolee_robot.perception.pose.processes import Euler, VarianceExploding
 from toolee_robot.types import HoldingHand, PoseHypotheses
 
 pytestmark = pytest.mark.sim

@@ -20,11 +20,11 @@ from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import is_rigid, transform, transform_points
-from toolee_robot.perception.offline.dataset.custom_tools import CustomTool
-from toolee_robot.perception.offline.dataset.files import read_json
+from toolee_robot.perception.offline.dataset.catalogue import CustomTool
 from toolee_robot.perception.offline.dataset.instances import read_ply
+from toolee_robot.perception.offline.dataset.records import read_json
 from toolee_robot.perception.offline.dataset.spec import catalogue_of
-from toolee_robot.perception.offline.evaluation.records import ee_shape
+from toolee_robot.perception.offline.evaluation.examples import ee_shape
 from toolee_robot.perception.offline.synthesis.custom_tool_reader import MOST_FACES, read_custom_tools
 
 pytestmark = pytest.mark.sim

@@ -27,9 +27,8 @@ from toolee_robot.perception.offline.dataset.records import (
 from toolee_robot.perception.offline.dataset.scene_reader import load
 from toolee_robot.perception.offline.dataset.scene_writer import write_scene
 from toolee_robot.perception.offline.synthesis.clutter import Surfaces
-from toolee_robot.perception.offline.synthesis.example import Series, make_example, render_example
-from toolee_robot.perception.offline.synthesis.labels import label
-from toolee_robot.perception.offline.synthesis.paper import DEPTHS
+from toolee_robot.perception.offline.synthesis.example import Series, label, make_example, render_example
+from toolee_robot.perception.offline.synthesis.station import DEPTHS
 from toolee_robot.render.renderer import pixel_rays
 from toolee_robot.tools import split
 from toolee_robot.types import CameraIntrinsics

@@ -12,7 +12,7 @@ from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch
 from toolee_robot.perception.pose.estimator import context_input
 from toolee_robot.perception.pose.network import Seen
-from toolee_robot.perception.pose.processes.flow import Process
+from toolee_robot.perception.pose.processes import Process
 from toolee_robot.perception.pose.representation import AMBIGUOUS, AXIS_X, AXIS_Z, DIM, POSITION, decode, encode
 from toolee_robot.symmetry import SymmetryKind
 

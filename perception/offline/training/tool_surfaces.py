@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from toolee_robot.perception.offline.detection.backgrounds import Backgrounds, Patches, painted
+from toolee_robot.perception.offline.training.backgrounds import Backgrounds, Patches, painted
 
 _STEP = 4
 """Pixels between those that tell a tool's place and extent."""

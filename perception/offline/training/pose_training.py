@@ -7,29 +7,78 @@ import json
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from toolee_robot.errors import AssetError, UserError
-from toolee_robot.perception.offline.pose import validation
-from toolee_robot.perception.offline.pose.config import TrainConfig
-from toolee_robot.perception.offline.pose.recipe import DefaultRecipe
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudSource, Mixture
-from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig, CloudSource, Mixture
+from toolee_robot.perception.offline.synthetic_clouds.generator import CloudGenerator
+from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
     Float32,
     SurfaceSamples,
     sample_hands,
     sample_tools,
 )
-from toolee_robot.perception.offline.training.distributed import Distributed, init_distributed
-from toolee_robot.perception.offline.training.loop import TrainingRun
-from toolee_robot.perception.pose.network import PoseNet
+from toolee_robot.perception.offline.training import pose_validation as validation
+from toolee_robot.perception.offline.training.loop import Distributed, TrainingRun, init_distributed
+from toolee_robot.perception.offline.training.options import TrainingOptions
+from toolee_robot.perception.offline.training.pose_losses import augment, pose_loss, without_rest
+from toolee_robot.perception.pose import weights
+from toolee_robot.perception.pose.estimator import PoseEstimator
+from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
 from toolee_robot.perception.pose.weights import Calibration
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig(TrainingOptions):
+    """The options of a training of the pose network.
+
+    Attributes:
+        batch: Clouds per step and rank.
+        warmup_steps: See `TrainingOptions`, as the next two.
+        weight_decay: Weight decay of AdamW.
+        clip_norm: Largest norm of the gradient.
+        reuse: How often a cloud is shown.
+        chunk: Clouds generated at a time.
+        capacity: Clouds in the replay buffer.
+        first_fill: Clouds generated before the first step.
+        train_seeds: Training tools of each kind.
+        test_seeds: Held-out tools of each kind.
+        validation: Held-out clouds.
+        rendered_share: Share of rendered clouds, where some are given.
+        init_share: Share of the initial weights in the final ones, where the training starts from weights (Wortsman et
+            al., "Robust fine-tuning of zero-shot models", CVPR 2022).
+
+    """
+
+    USUAL_MINUTES: ClassVar[float] = 9.0
+    """Default budget [min]."""
+
+    batch: int = 512
+    warmup_steps: int = 300
+    weight_decay: float = 1e-4
+    clip_norm: float = 1.0
+    reuse: float = 4.0
+    chunk: int = 2048
+    capacity: int = 65_536
+    first_fill: int = 8192
+    train_seeds: int = 480
+    test_seeds: int = 30
+    validation: int = 4096
+    rendered_share: float = 0.5
+    init_share: float = 0.0
+
+
+DRAWS = 8
+"""Noise draws per encoded cloud."""
+_NO_REST, _NO_DIRECTION = 0.35, 0.5
+"""Shares of the clouds that are shown without the rest of the tool, and of these without the direction to it."""
 
 
 class Trainer(TrainingRun):
@@ -42,11 +91,12 @@ class Trainer(TrainingRun):
         config: Options of the training.
         samples: Surface samples of training and of held-out tools.
         hands: Surface samples of hands.
-        recipe: The network with its clouds and its loss.
         distributed: This process among those that train together.
         rendered: Stored clouds to mix in.
+        network: Architecture; None: the default.
     """
 
+    name = weights.NAME
     log_seconds = 15.0
     averages_buffers = False
 
@@ -56,22 +106,22 @@ class Trainer(TrainingRun):
         config: TrainConfig,
         samples: tuple[SurfaceSamples, SurfaceSamples],
         hands: Float32,
-        recipe: DefaultRecipe,
         distributed: Distributed,
         rendered: RenderedClouds | None = None,
+        network: NetworkConfig | None = None,
     ) -> None:
         torch.manual_seed(config.seed)
-        self.config, self.recipe, self.name = config, recipe, recipe.name
-        self.net = recipe.network().to(distributed.device)
+        self.config = config
+        self.net = PoseNet(network).to(distributed.device)
         super().__init__(config, out, distributed, self.net, self.net)
         self._init: dict[str, Tensor] = {}
-        self._generator: CloudSource = recipe.clouds(samples[0], hands, distributed.device, self._seed(1))
+        self._generator: CloudSource = CloudGenerator(samples[0], hands, distributed.device, self._seed(1))
         self._rendered = 0 if rendered is None else len(rendered)
         if rendered is not None:
-            kept = recipe.rendered(rendered, distributed.device, self._seed(3))
+            kept = RenderedSource(rendered, distributed.device, self._seed(3), CloudConfig())
             self._generator = Mixture(self._generator, kept, config.rendered_share)
         self._test_samples = samples[1]
-        self._clouds_held_out = recipe.clouds(samples[1], hands, distributed.device, 10_000 + config.seed)
+        self._clouds_held_out = CloudGenerator(samples[1], hands, distributed.device, 10_000 + config.seed)
         self._held_out: CloudBatch | None = None
         self._g = torch.Generator(distributed.device).manual_seed(self._seed(2))
 
@@ -104,13 +154,13 @@ class Trainer(TrainingRun):
         return network
 
     def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The recipe's loss on a batch; new clouds are generated so that each is shown `reuse` times."""
+        """The loss on an augmented batch; new clouds are generated so that each is shown `reuse` times."""
         c = self.config
         shown = (self.step - self._first_step) * c.batch
         while self._reservoir.made - self._first_clouds < shown / c.reuse:
             self._reservoir.add(self._generator.generate(c.chunk))
-        batch = self.recipe.prepare(self._reservoir.draw(c.batch, self._g), self._g)
-        loss, parts = self.recipe.loss(self.module, batch, self._g)
+        batch = without_rest(self._reservoir.draw(c.batch, self._g), _NO_REST, _NO_DIRECTION, self._g)
+        loss, parts = self._loss(self.module, augment(batch, self._g))
         return {"loss": loss}, parts
 
     def grow(self) -> dict[str, float]:
@@ -122,21 +172,21 @@ class Trainer(TrainingRun):
         self._generator.reseed(self._seed(1))
         self._g.manual_seed(self._seed(2))
 
-    def start_from(self, weights: Path) -> None:
+    def start_from(self, folder: Path) -> None:
         """Start from the network in a folder.
 
         Args:
-            weights: The folder.
+            folder: The folder.
 
         Raises:
             AssetError: The network has another architecture, or cannot be read.
         """
-        state = self.recipe.load(weights).state_dict()
+        state = weights.load(folder)[0].state_dict()
         try:
             self.net.load_state_dict(state)
         except RuntimeError as error:
             raise AssetError(
-                f"{weights} holds a network of another architecture: {error}", code="asset.architecture"
+                f"{folder} holds a network of another architecture: {error}", code="asset.architecture"
             ) from error
         self._take_average(state)
         self._init = {name: value.clone() for name, value in self.average.items()}  # the average changes in place
@@ -148,7 +198,7 @@ class Trainer(TrainingRun):
         Returns:
             The report.
         """
-        self._take_average(self.recipe.load(self.out).state_dict())
+        self._take_average(weights.load(self.out)[0].state_dict())
         self._init = {}  # already mixed into the weights
         described = json.loads((self.out / f"{self.name}.json").read_text())["report"]
         self.step, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
@@ -164,12 +214,10 @@ class Trainer(TrainingRun):
         Returns:
             The report.
         """
-        report, calibration = self.recipe.report(
-            self.export(), held_out, self._test_samples, str(self.distributed.device)
-        )
+        report, calibration = judge(self.export(), held_out, self._test_samples, str(self.distributed.device))
         self.record({"event": "finished", **{k: v for k, v in report.items() if k != "clouds"}})
         report |= self._described(calibrated=True) | ({"train": trained} if trained else {})
-        self.recipe.save(self.out, self.export(), calibration, report)
+        weights.save(self.out, self.export(), calibration, report)
         return report
 
     def judged(self) -> CloudBatch:
@@ -191,10 +239,10 @@ class Trainer(TrainingRun):
 
     def write(self) -> None:
         """Write the weights without calibration; validated while there is more to train."""
-        self.recipe.save(self.out, self.export(), Calibration(), self._described(calibrated=False))
+        weights.save(self.out, self.export(), Calibration(), self._described(calibrated=False))
         if self._held_out is not None and self.progress < 1:
             few = self._held_out.select(torch.arange(min(512, len(self._held_out)), device=self.distributed.device))
-            estimator = self.recipe.estimator(self.export(), Calibration(), str(self.distributed.device))
+            estimator = PoseEstimator(self.export(), Calibration(), str(self.distributed.device))
             self.record({"event": "validation", **validation.metrics(validation.evaluate(estimator, few, 20))})
 
     def _described(self, calibrated: bool) -> dict[str, Any]:
@@ -211,7 +259,7 @@ class Trainer(TrainingRun):
         compiled: nn.Module = torch.compile(self.net)  # type: ignore[assignment]
         batch = self._generator.collect(self.config.batch, self.config.chunk)
         try:
-            self.recipe.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
+            self._loss(compiled, batch)[0].backward()  # type: ignore[no-untyped-call]
         except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
             self.record({"event": "not compiled", "error": f"{type(error).__name__}: {error}"[:300]})
             torch._dynamo.reset()
@@ -219,15 +267,49 @@ class Trainer(TrainingRun):
         self.net.zero_grad(set_to_none=True)
         return compiled
 
+    def _loss(self, network: nn.Module, batch: CloudBatch) -> tuple[Tensor, dict[str, Tensor]]:
+        return pose_loss(network, batch, DRAWS, self._g, PoseNet.process)
+
     def _seed(self, which: int) -> int:
         """Seed that differs between ranks, and after a resumption."""
         return self.config.seed + which + 1_000_003 * self.distributed.rank + self.step
 
 
+def judge(
+    net: PoseNet, held_out: CloudBatch, samples: SurfaceSamples, device: str
+) -> tuple[dict[str, Any], Calibration]:
+    """Metrics on held-out clouds, and the calibration: fitted on half of the tools, reported on the others."""
+    estimator = PoseEstimator(net, Calibration(), device)
+    K = estimator.candidates
+    result = validation.evaluate(estimator, held_out, K)
+    no_rest = validation.without_rest(held_out)
+    none = validation.without_direction(no_rest)
+    near = (held_out.distance < 0.75).cpu().numpy() & (held_out.occlusion < 0.2).cpu().numpy()
+    report: dict[str, Any] = {
+        f"K{K}": validation.metrics(result),
+        f"K{K}_near_unoccluded": validation.metrics(result, near),
+        f"K{K}_no_rest": validation.metrics(validation.evaluate(estimator, no_rest, K)),
+        f"K{K}_no_direction": validation.metrics(validation.evaluate(estimator, none, K)),
+    }
+    fit, test = (_half(held_out, samples, result, parity) for parity in (0, 1))
+    calibration = validation.calibrate(fit)
+    report["confidence"] = validation.confidence_report(test, calibration)
+    report["clouds"] = asdict(CloudConfig())
+    return report, calibration
+
+
+def _half(
+    batch: CloudBatch, samples: SurfaceSamples, evaluated: validation.Evaluated, parity: int
+) -> validation.Evaluated:
+    """The clouds of every second tool; by tool, so that a hammer's claw and head stay together."""
+    chosen = np.flatnonzero(samples.tools[evaluated.item] % 2 == parity)
+    index = torch.as_tensor(chosen, device=batch.points.device)
+    return validation.Evaluated(batch.select(index), [evaluated.results[i] for i in chosen])
+
+
 def train(
     out: Path,
     config: TrainConfig,
-    recipe: DefaultRecipe | None = None,
     calibrate_only: bool = False,
     init: Path | None = None,
     rendered: Sequence[Path] = (),
@@ -237,7 +319,6 @@ def train(
     Args:
         out: Folder for checkpoint, weights and log.
         config: Options of the training.
-        recipe: The network with its clouds and its loss; None: `DefaultRecipe`.
         calibrate_only: Whether to only validate and calibrate the weights in `out`.
         init: Folder of weights of the same architecture to start from; their process may differ.
         rendered: Files of `RenderedClouds` to mix in.
@@ -250,7 +331,6 @@ def train(
         UserError: Options contradict each other.
         TooleeError: The loss is not finite.
     """
-    recipe = recipe or DefaultRecipe()
     if config.init_share and init is None and not calibrate_only:
         raise UserError("init_share: say whose share that is, with --init FOLDER", code="user.init_share")
     kept = None
@@ -264,7 +344,7 @@ def train(
         f"{[len(b.category) for b in samples]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s"
     )
     with init_distributed(config.device) as distributed:
-        trainer = Trainer(out, config, samples, hands, recipe, distributed, kept)
+        trainer = Trainer(out, config, samples, hands, distributed, kept)
         if init is not None:
             trainer.start_from(init)
         return trainer.calibrate() if calibrate_only else trainer.run()

@@ -10,10 +10,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from toolee_robot.perception.detection.inputs import STRIDE, RgbdBatch, encode_rgbd
-from toolee_robot.perception.offline.detection.backgrounds import Backgrounds
-from toolee_robot.perception.offline.detection.camera_effects import camera_effects, lose_depth
-from toolee_robot.perception.offline.detection.tool_surfaces import stickers, wear
-from toolee_robot.perception.offline.training.labelled_images import DeviceStore, SegmentationImages, grown
+from toolee_robot.perception.offline.training.backgrounds import Backgrounds
+from toolee_robot.perception.offline.training.camera_effects import camera_effects, lose_depth
+from toolee_robot.perception.offline.training.image_training import DeviceStore, SegmentationImages, grown
+from toolee_robot.perception.offline.training.tool_surfaces import stickers, wear
 
 
 @dataclass(frozen=True)

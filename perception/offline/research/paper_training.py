@@ -1,7 +1,0 @@
-"""How the paper's estimator is trained for a job; apart from it, since a message needs no networks' libraries."""
-
-HOW_TO_TRAIN = """\
-  toolee dataset generate --config hard --sensor mixed --size 12000 --seed 41 --test-share 0 --out data/paper-arm
-  toolee train clouds data/paper-arm/train --true-masks --out runs/paper-arm.npz
-  toolee train paper runs/paper-arm.npz --minutes 30 --out runs/paper-arm"""
-"""The commands: of `hard` images, since a job's camera has a sensor's errors. The weights are not shipped."""

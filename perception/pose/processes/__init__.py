@@ -1,1 +1,0 @@
-"""The generative processes that a pose network may be trained for, with their samplers."""
