@@ -19,9 +19,8 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
-from toolee_robot.perception.detection.hand_crop import hand_crop
+from toolee_robot.perception.detection.passes import Crop, hand_crop
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.perception.pose import UNKNOWN_CAMERA, CloudEstimator, PoseEstimator, fuse_in_hand
 from toolee_robot.perception.trust import Trust
 from toolee_robot.types import CameraError, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate

@@ -19,8 +19,8 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, words_of
 from toolee_robot.frames import Array
 from toolee_robot.perception import weight_files
-from toolee_robot.perception.detection.detector_weights import WEIGHTS_NAME as DETECTOR
-from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME as REFINER
+from toolee_robot.perception.detection.detector import WEIGHTS_NAME as DETECTOR
+from toolee_robot.perception.detection.refiner import WEIGHTS_NAME as REFINER
 from toolee_robot.perception.pose import weights
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.pose.confidence import ConfidenceModel

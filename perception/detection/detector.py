@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -19,7 +21,8 @@ from torchvision.models.resnet import BasicBlock
 from torchvision.ops import batched_nms
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.perception.detection.backbone import Backbone, pyramid_roi_align
+from toolee_robot.errors import AssetError
+from toolee_robot.perception.detection.backbone import FEATURES_SIZE, Backbone, MaskHead, mask_boxes, pyramid_roi_align
 from toolee_robot.perception.detection.boxes import (
     ANCHOR_RATIOS,
     anchor_boxes,
@@ -28,10 +31,9 @@ from toolee_robot.perception.detection.boxes import (
     greedy_suppression,
     mirror_boxes,
 )
-from toolee_robot.perception.detection.config import DetectorConfig
-from toolee_robot.perception.detection.inputs import RgbdBatch, mirror, part_about
-from toolee_robot.perception.detection.mask_head import FEATURES_SIZE, MaskHead, mask_boxes
+from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, mirror, part_about
 from toolee_robot.perception.precision import fold_normalisation
+from toolee_robot.perception.weight_files import load_into, load_weights
 
 CLASSES: tuple[str, ...] = ("background", *(c.value for c in Category), "tool")
 """Class names by index; the last one is the whole visible tool."""
@@ -280,3 +282,49 @@ class Detector(nn.Module):
                 module.conv2, module.bn2 = fuse_conv_bn_eval(module.conv2, module.bn2), nn.Identity()
         fold_normalisation(self)
         return self
+
+
+WEIGHTS_NAME = "segmentation"
+"""Name of the weight files."""
+
+
+def load_detector(detector: Detector, tensors: dict[str, Tensor], description: dict[str, Any]) -> None:
+    """Load exported weights into a detector.
+
+    Args:
+        detector: The network, changed in place.
+        tensors: The weights.
+        description: Their description, with the class names.
+
+    Raises:
+        AssetError: The classes or the architecture differ.
+    """
+    if list(description.get("classes", [])) != list(CLASSES):
+        raise AssetError(
+            f"the detector knows {description.get('classes')}, not {list(CLASSES)}: train it again",
+            code="asset.classes",
+        )
+    load_into(detector, tensors, "detector")
+
+
+def trained_detector(weights_dir: Path | None) -> Detector:
+    """Load a trained detector.
+
+    Args:
+        weights_dir: Folder of weights; None: the shipped ones.
+
+    Returns:
+        The detector.
+
+    Raises:
+        AssetError: A file is missing, unreadable or damaged; the message names it.
+    """
+    tensors, description = load_weights(weights_dir, WEIGHTS_NAME)
+    try:
+        detector = Detector(DetectorConfig.from_json(description["model"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise AssetError(
+            f"the detector's description is damaged, fetch it again: {error!r}", code="asset.unreadable"
+        ) from error
+    load_detector(detector, tensors, description)
+    return detector

@@ -12,15 +12,21 @@ import numpy as np
 import torch
 
 from toolee_robot.end_effectors import CATEGORIES, Category
-from toolee_robot.perception.detection.coarse_pass import coarse_size, merge_coarse
-from toolee_robot.perception.detection.config import DetectorConfig, working_size
-from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, RawDetections
-from toolee_robot.perception.detection.detector_weights import trained_detector
-from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
+from toolee_robot.perception.detection.backbone import paste_one
+from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, RawDetections, trained_detector
+from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, encode_rgbd, working_size
 from toolee_robot.perception.detection.instances import Instances, associate, scored, without_duplicates
-from toolee_robot.perception.detection.mask_head import paste_one
-from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
-from toolee_robot.perception.detection.zoom_pass import MIN_PROBABILITY, Crop, crops, cut, merge, placed
+from toolee_robot.perception.detection.passes import (
+    MIN_PROBABILITY,
+    Crop,
+    coarse_size,
+    crops,
+    cut,
+    merge,
+    merge_coarse,
+    placed,
+)
+from toolee_robot.perception.detection.refiner import MaskRefinement
 from toolee_robot.perception.precision import in_bfloat16, prefers_bfloat16, torch_device
 from toolee_robot.types import Detection, RgbdFrame
 

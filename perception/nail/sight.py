@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.perception.nail.appearance import Appearance, NailPose, Window
-from toolee_robot.perception.nail.change import AsSet, Change
+from toolee_robot.perception.nail.change import REACH, AsSet, Change, fit_moved
 from toolee_robot.perception.nail.fit import ACROSS, View, fit_as_set, whitening
-from toolee_robot.perception.nail.moved import REACH, fit_moved
 from toolee_robot.types import RgbdFrame
 
 SEARCH, STEP = 0.018, 0.0012

@@ -17,7 +17,6 @@ import torch
 
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
-from toolee_robot.perception.cuda_graph import CudaGraphRunner
 from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
@@ -26,7 +25,7 @@ from toolee_robot.perception.pose.pooling import Pooled, pairwise_angles, pool
 from toolee_robot.perception.pose.processes import Euler, Sampler
 from toolee_robot.perception.pose.representation import DIM, T_SCALE, decode, mirrored
 from toolee_robot.perception.pose.weights import Calibration, load
-from toolee_robot.perception.precision import prefers_bfloat16, single_thread, torch_device
+from toolee_robot.perception.precision import CudaGraphRunner, prefers_bfloat16, single_thread, torch_device
 from toolee_robot.types import PoseHypotheses
 
 NEAREST = 0.45

@@ -15,7 +15,7 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError, PerceptionError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception import ToolPerception
-from toolee_robot.perception.detection.zoom_pass import Crop
+from toolee_robot.perception.detection.passes import Crop
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.confidence import FEATURES, ConfidenceModel
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet

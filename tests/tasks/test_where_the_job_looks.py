@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception import Segmenter, ToolPerception
-from toolee_robot.perception.detection.zoom_pass import Crop
+from toolee_robot.perception.detection.passes import Crop
 from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation

@@ -22,12 +22,17 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from toolee_robot.errors import UserError
+from toolee_robot.perception.detection.backbone import MASK_SIZE, mask_boxes
 from toolee_robot.perception.detection.boxes import encode, pairwise_iou
-from toolee_robot.perception.detection.config import DetectorConfig, working_size
-from toolee_robot.perception.detection.detector import CLASSES, ROI_DELTA_WEIGHTS, TOOL, Detector
-from toolee_robot.perception.detection.detector_weights import WEIGHTS_NAME, load_detector
-from toolee_robot.perception.detection.inputs import RgbdBatch
-from toolee_robot.perception.detection.mask_head import MASK_SIZE, mask_boxes
+from toolee_robot.perception.detection.detector import (
+    CLASSES,
+    ROI_DELTA_WEIGHTS,
+    TOOL,
+    WEIGHTS_NAME,
+    Detector,
+    load_detector,
+)
+from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, working_size
 from toolee_robot.perception.offline.dataset.spec import refuse_test_set
 from toolee_robot.perception.offline.training.backgrounds import Backgrounds
 from toolee_robot.perception.offline.training.image_training import (

@@ -22,13 +22,11 @@ from torch import Tensor, nn
 
 from toolee_robot.errors import UserError
 from toolee_robot.perception.detection.boxes import clip
-from toolee_robot.perception.detection.config import working_size
-from toolee_robot.perception.detection.detector import TOOL, Detector
-from toolee_robot.perception.detection.detector_weights import trained_detector
-from toolee_robot.perception.detection.inputs import encode_rgbd
-from toolee_robot.perception.detection.refiner.crops import Images, MaskAt, Squares, sample_squares
-from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
-from toolee_robot.perception.detection.zoom_pass import MAGNIFICATION
+from toolee_robot.perception.detection.detector import TOOL, Detector, trained_detector
+from toolee_robot.perception.detection.inputs import encode_rgbd, working_size
+from toolee_robot.perception.detection.passes import MAGNIFICATION
+from toolee_robot.perception.detection.refiner import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
+from toolee_robot.perception.detection.refiner_crops import Images, MaskAt, Squares, sample_squares
 from toolee_robot.perception.offline.dataset.records import MIN_POINTS
 from toolee_robot.perception.offline.training.detector_training import mask_overlap, outline_losses, weighted_mean
 from toolee_robot.perception.offline.training.image_training import (

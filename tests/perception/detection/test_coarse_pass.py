@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.perception.detection.test_zoom_pass import IMAGE, ShortSighted, instances, mask_of
-from toolee_robot.perception.detection.coarse_pass import MAX_REDUCTION, MM_PER_PIXEL, coarse_size, merge_coarse
 from toolee_robot.perception.detection.detector import TOOL, RawDetections
 from toolee_robot.perception.detection.inputs import RgbdBatch
+from toolee_robot.perception.detection.passes import MAX_REDUCTION, MM_PER_PIXEL, coarse_size, merge_coarse
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 

@@ -16,12 +16,11 @@ from tests.errors import raises
 from tests.perception.toy_scenes import ArrayImages, toy_scenes
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError
+from toolee_robot.perception.detection.backbone import _near
 from toolee_robot.perception.detection.boxes import decode, encode, greedy_suppression, pairwise_iou
-from toolee_robot.perception.detection.config import DetectorConfig
 from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector
-from toolee_robot.perception.detection.inputs import CHANNELS, encode_rgbd
+from toolee_robot.perception.detection.inputs import CHANNELS, DetectorConfig, encode_rgbd
 from toolee_robot.perception.detection.instances import associate, without_duplicates
-from toolee_robot.perception.detection.mask_head import _near
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.evaluation.segmentation import coco_task, report
 from toolee_robot.perception.offline.training.detector_training import SegmentationTraining, instances_from_maps, train

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from toolee_robot.frames import random_rotation, transform
-from toolee_robot.perception.detection.config import MAX_ENLARGEMENT
-from toolee_robot.perception.detection.hand_crop import PIXELS, hand_crop
+from toolee_robot.perception.detection.inputs import MAX_ENLARGEMENT
+from toolee_robot.perception.detection.passes import PIXELS, hand_crop
 from toolee_robot.types import CameraIntrinsics, HeldRegion
 
 CAMERA = CameraIntrinsics(365.5, 380.0, 254.9, 205.4, 512, 424)

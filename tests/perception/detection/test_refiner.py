@@ -29,11 +29,9 @@ from tests.perception.detection.toy_refiner import (
 )
 from tests.perception.toy_scenes import ArrayImages, toy_scenes, write_toys
 from toolee_robot.errors import AssetError, TooleeError, UserError
-from toolee_robot.perception.detection.detector import TOOL, Detector
-from toolee_robot.perception.detection.detector_weights import load_detector
+from toolee_robot.perception.detection.detector import TOOL, Detector, load_detector
 from toolee_robot.perception.detection.instances import Box, Instances, mask_iou
-from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
-from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig, load_refiner
+from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.offline.evaluation.segmentation import frame_of

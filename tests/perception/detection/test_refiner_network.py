@@ -22,12 +22,11 @@ from tests.perception.detection.toy_refiner import (
     used,
 )
 from toolee_robot.errors import AssetError, UserError
+from toolee_robot.perception.detection.backbone import MASK_SIZE, paste_one
 from toolee_robot.perception.detection.instances import mask_iou
-from toolee_robot.perception.detection.mask_head import MASK_SIZE, paste_one
-from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS
-from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
-from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig, load_refiner
-from toolee_robot.perception.detection.zoom_pass import MAGNIFICATION
+from toolee_robot.perception.detection.passes import MAGNIFICATION
+from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, load_refiner
+from toolee_robot.perception.detection.refiner_crops import CELLS, CHANNELS
 from toolee_robot.perception.offline.training.refiner_training import (
     VALIDATION,
     Detections,

@@ -12,12 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.perception.detection.config import DetectorConfig, working_size
 from toolee_robot.perception.detection.detector import TOOL, Detector, RawDetections
-from toolee_robot.perception.detection.inputs import RgbdBatch
+from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, working_size
 from toolee_robot.perception.detection.instances import Box, Instances
-from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.detection.zoom_pass import (
+from toolee_robot.perception.detection.passes import (
     CERTAIN,
     MAGNIFICATION,
     MIN_MAGNIFICATION,
@@ -29,6 +27,7 @@ from toolee_robot.perception.detection.zoom_pass import (
     merge,
     placed,
 )
+from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 IMAGE = (96, 128)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from torch import nn
 
 from tests.perception.toy_scenes import ArrayImages, enlarged, toy_scenes
-from toolee_robot.perception.detection.config import DetectorConfig
+from toolee_robot.perception.detection.inputs import DetectorConfig
 from toolee_robot.perception.detection.instances import Box, Instances
-from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS
-from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig
+from toolee_robot.perception.detection.refiner import Refiner, RefinerConfig
+from toolee_robot.perception.detection.refiner_crops import CELLS, CHANNELS
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.offline.training.refiner_training import (
     Detections,

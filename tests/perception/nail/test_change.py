@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
 from toolee_robot.perception.nail.appearance import Appearance, NailPose, Window
-from toolee_robot.perception.nail.change import AsSet, Change
-from toolee_robot.perception.nail.moved import fit_moved
+from toolee_robot.perception.nail.change import AsSet, Change, fit_moved
 from toolee_robot.types import CameraIntrinsics
 
 SIZE = 48

@@ -18,8 +18,8 @@ from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, transform_points
+from toolee_robot.perception.detection.passes import Crop
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.perception.offline.dataset.scene_writer import write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.evaluation.examples import parts, read_part

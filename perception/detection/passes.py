@@ -1,9 +1,16 @@
-"""The zoom pass: tools whose end effector is missing or doubtful are detected again in an enlarged crop.
+"""Passes of the detector over parts of a frame. Boxes are x0, y0, x1, y1 [px] of the image; sizes (height, width) [px].
 
-An EE is often only 20 px wide. Where it is missed, its whole tool is mostly detected and shows where to look. A thing
-detected in both passes keeps one instance; one detected in only one of them has half its score. Masks improve as well:
-the network segments enlarged things more finely, up to the sizes it was trained on.
-Boxes are x0, y0, x1, y1 [px] of the image; sizes are (height, width) [px].
+Coarse: a scene that the network sees finer than `MM_PER_PIXEL` is seen a second time at that scale. Near things and
+crops fill the network's input: a tool is then larger than the network is surest of.
+
+Hand: the part of an image in which a held tool can be, from the hand's pose. In a job the arm's kinematics and the
+camera's calibration give X_camera_hand, and nothing but the tool in the hand is of interest: the rest of the image
+costs time and adds what may be mistaken for it.
+
+Zoom: tools whose end effector is missing or doubtful are detected again in an enlarged crop. An EE is often only 20 px
+wide. Where it is missed, its whole tool is mostly detected and shows where to look. A thing detected in both passes
+keeps one instance; one detected in only one of them has half its score. Masks improve as well: the network segments
+enlarged things more finely, up to the sizes it was trained on.
 """
 
 from __future__ import annotations
@@ -15,10 +22,123 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.frames import Array, transform_points
 from toolee_robot.perception.detection.detector import TOOL
-from toolee_robot.perception.detection.inputs import STRIDE
+from toolee_robot.perception.detection.inputs import MAX_ENLARGEMENT, STRIDE
 from toolee_robot.perception.detection.instances import MIN_TOOL_OVERLAP, Box, Instances, mask_iou, without_duplicates
-from toolee_robot.types import RgbdFrame
+from toolee_robot.types import CameraIntrinsics, HeldRegion, RgbdFrame
+
+MM_PER_PIXEL = 1.2
+"""Size of a pixel at the scene's median depth [mm] in the coarse pass: the median of end effectors in training."""
+
+MAX_REDUCTION = 0.8
+"""Largest factor on height and width: a pass at almost the first one's scale would tell nothing new."""
+
+
+def coarse_size(frame: RgbdFrame, working: tuple[int, int]) -> tuple[int, int] | None:
+    """Size at which the network sees a frame in the coarse pass.
+
+    Args:
+        frame: Colour image with registered depth [m].
+        working: Size at which the first pass saw it.
+
+    Returns:
+        The size; None where the first pass was about as coarse, or no depth is known.
+    """
+    known = frame.depth[np.isfinite(frame.depth) & (frame.depth > 0)]
+    if known.size == 0:
+        return None
+    height, width = working
+    K = frame.intrinsics
+    focal = math.sqrt(K.fx * K.fy * (height / K.height) * (width / K.width))
+    factor = 1000 * float(np.median(known)) / focal / MM_PER_PIXEL
+    if factor > MAX_REDUCTION:
+        return None
+    return max(1, round(height * factor)), max(1, round(width * factor))
+
+
+def merge_coarse(found: Instances, coarse: Instances) -> Instances:
+    """Merge what the coarse pass detects into what the finer passes do.
+
+    A thing detected by both keeps its mask, which is the finer one, and has the better of the scores.
+
+    Args:
+        found: Instances of the passes before.
+        coarse: Instances of the coarse pass.
+
+    Returns:
+        The merged instances, best score first.
+    """
+    later = list(zip(*coarse, strict=True))
+    merged = []
+    for mask, label, score, box in zip(*found, strict=True):
+        overlaps = [mask_iou(mask, other[0]) if other[1] == label else 0.0 for other in later]
+        best = int(np.argmax(overlaps)) if overlaps else -1
+        if overlaps and overlaps[best] >= SAME:
+            score = max(score, later.pop(best)[2])
+        merged.append((mask, label, score, box))
+    merged += later
+    return without_duplicates(
+        [mask for mask, *_ in merged],
+        [label for _, label, *_ in merged],
+        [score for *_, score, _ in merged],
+        [box for *_, box in merged],
+    )
+
+
+PIXELS = 320 * 320
+"""Area [px] at which the network sees the crop."""
+
+
+def hand_crop(
+    X_camera_hand: Array, region: HeldRegion, intrinsics: CameraIntrinsics, pixels: int = PIXELS
+) -> Crop | None:
+    """The crop that holds everything a camera can see of a region fixed to the hand.
+
+    Args:
+        X_camera_hand: Pose of the hand in the camera's frame, (4, 4).
+        region: The region.
+        intrinsics: Pinhole model of the image.
+        pixels: Area at which the network sees the crop [px]; it is enlarged by at most `MAX_ENLARGEMENT`.
+
+    Returns:
+        The crop; None where the region is outside of the image.
+    """
+    centers = transform_points(X_camera_hand, region.points)
+    K = intrinsics
+    x0, x1 = _extent(centers[:, 0], centers[:, 2], region.radius)
+    y0, y1 = _extent(centers[:, 1], centers[:, 2], region.radius)
+    # Pixel centres are at integer coordinates: the pixel u covers u - 0.5 to u + 0.5.
+    left, right = (min(max(K.fx * x + K.cx + 0.5, 0.0), float(K.width)) for x in (x0, x1))
+    top, bottom = (min(max(K.fy * y + K.cy + 0.5, 0.0), float(K.height)) for y in (y0, y1))
+    if right - left < 1.0 or bottom - top < 1.0 or centers[:, 2].max() + region.radius <= 0.0:
+        return None
+    scale = min(MAX_ENLARGEMENT, math.sqrt(pixels / ((right - left) * (bottom - top))))
+    first_row, last_row, height = span(top, bottom, K.height, scale)
+    first_column, last_column, width = span(left, right, K.width, scale)
+    return Crop(first_column, first_row, last_column, last_row, (height, width))
+
+
+def _extent(across: Array, z: Array, radius: float) -> tuple[float, float]:
+    """Least and largest slope across / z over discs of one radius in the plane of one image axis and the optical axis.
+
+    A line from the camera's centre with the slope t is tangent to a disc where
+    (z^2 - r^2) t^2 - 2 a z t + a^2 - r^2 = 0.
+
+    Args:
+        across: Places of the discs' centres along the image axis, (N,) [m].
+        z: Their depths, (N,) [m].
+        radius: Radius of the discs [m].
+
+    Returns:
+        The slopes; infinite where a disc reaches the plane of the camera.
+    """
+    if (z <= radius).any():
+        return -math.inf, math.inf
+    root = radius * np.sqrt(across**2 + z**2 - radius**2)
+    denominator = z**2 - radius**2
+    return float(((across * z - root) / denominator).min()), float(((across * z + root) / denominator).max())
+
 
 MIN_TOOL_SCORE = 0.3
 """Least score of a tool for a zoom pass."""
