@@ -18,7 +18,6 @@ from toolee_robot.perception.offline.dataset.scene_reader import load_scenes
 from toolee_robot.perception.offline.dataset.scene_writer import write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.evaluation.examples import collect
-from toolee_robot.perception.offline.evaluation.segmentation import frame_of
 from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.pose import PoseEstimator, weights
 from toolee_robot.perception.pose.network import PoseNet
@@ -45,7 +44,7 @@ def test_the_detector_finds_the_same(folder: Path) -> None:
     exact, fast = Segmenter.load(bfloat16=False), Segmenter.load(bfloat16=True)
     seen = 0
     for i in range(len(data)):
-        frame = frame_of(data, i)
+        frame = data.frame(i)
         also = list(zip(*fast.instances(frame)[:3], strict=True))
         for mask, label, score in zip(*exact.instances(frame)[:3], strict=True):
             if score > 0.3:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,25 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.perception.offline.dataset.records import EeTable, Example
+from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
 from toolee_robot.perception.offline.dataset.scene_writer import write_scene
-from toolee_robot.perception.offline.evaluation.segmentation import frame_of
 
 _COLOURS = ((220, 60, 50), (60, 200, 70), (60, 90, 220), (230, 200, 60))
 
 
-@dataclass(frozen=True)
-class ArrayImages:
-    """`SegmentationImages` in memory."""
-
-    rgb: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
-    intrinsics: NDArray[np.float64]
-    ee: NDArray[np.uint8]
-    tool: NDArray[np.uint8]
-    categories: NDArray[np.uint8]
-
-
-def toy_scenes(count: int, seed: int = 0, height: int = 64, width: int = 96) -> ArrayImages:
+def toy_scenes(count: int, seed: int = 0, height: int = 64, width: int = 96) -> SegmentationSet:
     """One grey bar an image, with an end of category 1..4 in its own colour and shape."""
     rng = np.random.default_rng(seed)
     rgb = np.zeros((count, height, width, 3), np.uint8)
@@ -56,26 +44,27 @@ def toy_scenes(count: int, seed: int = 0, height: int = 64, width: int = 96) -> 
     depth = np.where(tool > 0, 600, 900).astype(np.uint16)
     depth[rng.random(depth.shape) < 0.02] = 0
     intrinsics = np.tile([0.8 * width, 0.8 * width, width / 2, height / 2], (count, 1))
-    return ArrayImages(rgb, depth, intrinsics, ee, tool, categories)
+    table = replace(EeTable.empty(), category=categories)
+    return SegmentationSet(rgb, depth, ee, tool, table, intrinsics, np.zeros(count, np.uint8))
 
 
-def enlarged(scenes: ArrayImages, times: int) -> ArrayImages:
+def enlarged(scenes: SegmentationSet, times: int) -> SegmentationSet:
     """The same pictures, every pixel `times` by `times` of them."""
 
     def large(maps: NDArray[Any]) -> NDArray[Any]:
         return maps.repeat(times, 1).repeat(times, 2)
 
     rgb, depth, ee, tool = large(scenes.rgb), large(scenes.depth_mm), large(scenes.ee), large(scenes.tool)
-    return ArrayImages(rgb, depth, times * scenes.intrinsics, ee, tool, scenes.categories)
+    return SegmentationSet(rgb, depth, ee, tool, scenes.table, times * scenes.intrinsics, scenes.scene)
 
 
-def write_toys(folder: Path, scenes: ArrayImages) -> None:
+def write_toys(folder: Path, scenes: SegmentationSet) -> None:
     """Write pictures of a data set's size as the data set's scene `folder`."""
     examples = []
     for i in range(len(scenes.rgb)):
         table = EeTable.empty()
         visible = np.count_nonzero(scenes.ee[i])
         table.category[0], table.obj_id[0], table.visible[0] = scenes.categories[i, 0], 1, visible
-        camera, ee = frame_of(scenes, i).intrinsics, scenes.ee[i]
+        camera, ee = scenes.camera(i), scenes.ee[i]
         examples.append(Example(scenes.rgb[i], scenes.depth_mm[i], ee, scenes.tool[i], table, camera, 0, ee))
     write_scene(folder, examples)

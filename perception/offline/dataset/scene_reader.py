@@ -23,7 +23,7 @@ from toolee_robot.perception.offline.dataset.records import (
     FloatArray,
     read_json,
 )
-from toolee_robot.types import CameraIntrinsics
+from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 _TABLE = tuple(field.name for field in fields(EeTable))
 
@@ -60,8 +60,13 @@ class SegmentationSet:
 
     def camera(self, i: int) -> CameraIntrinsics:
         """Intrinsics of image i."""
+        height, width = self.rgb.shape[1:3]
         fx, fy, cx, cy = (float(v) for v in self.intrinsics[i])
-        return CameraIntrinsics(fx, fy, cx, cy, WIDTH, HEIGHT)
+        return CameraIntrinsics(fx, fy, cx, cy, width, height)
+
+    def frame(self, i: int) -> RgbdFrame:
+        """Image i as a camera frame, depth in metres."""
+        return RgbdFrame(self.rgb[i], self.depth_mm[i].astype(np.float32) * np.float32(1e-3), self.camera(i))
 
     def row(self, i: int) -> EeTable:
         """Labels of image i, leading shape (8,)."""

@@ -255,7 +255,7 @@ def read_part(part: Part, detector: EeDetector | None) -> Examples:
     found = Examples([], cases, [], part.count)
     data = load_scenes([part.scene], limit=part.count, threads=2)
     for i in range(len(data)):
-        frame = RgbdFrame(data.rgb[i], data.depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
+        frame = data.frame(i)
         _add(found, i, frame, data.ee[i], data.tool[i], data.row(i), part.catalogue, SCENES[data.scene[i]], detector)
         if SCENES[data.scene[i]] == "empty":
             found.empty.append(frame)

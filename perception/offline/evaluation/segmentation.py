@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.detection.detector import CLASSES, TOOL
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
-from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet, load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.scene_writer import bbox
-from toolee_robot.perception.offline.training.image_training import SegmentationImages
-from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 MIN_PIXELS = 50
 """Instances with fewer visible pixels are crowd: too small for a pose."""
@@ -91,7 +89,7 @@ def evaluate(
 
 def coco_task(
     segmenter: Segmenter,
-    images: SegmentationImages,
+    images: SegmentationSet,
     targets: NDArray[np.bool_] | None = None,
     task: CocoTask | None = None,
 ) -> CocoTask:
@@ -129,28 +127,12 @@ def coco_task(
             about = {_TARGET: asked, "area": area, "iscrowd": int(area < MIN_PIXELS), "segmentation": encoded(mask)}
             annotations.append({**entry, **about})
         start = time.perf_counter()
-        masks, labels, scores, _ = segmenter.instances(frame_of(images, i), EVERYTHING)
+        masks, labels, scores, _ = segmenter.instances(images.frame(i), EVERYTHING)
         task.times.append(time.perf_counter() - start)
         for mask, label, score in zip(masks, labels, scores, strict=True):
             entry = {"image_id": im_id, "category_id": label, "score": score}
             task.results.append({**entry, "segmentation": encoded(mask)})
     return task
-
-
-def frame_of(images: SegmentationImages, index: int) -> RgbdFrame:
-    """Make a camera frame of an image of a data set.
-
-    Args:
-        images: The images.
-        index: Index of the image.
-
-    Returns:
-        The frame, depth in metres.
-    """
-    height, width = images.rgb.shape[1:3]
-    fx, fy, cx, cy = (float(v) for v in images.intrinsics[index])
-    depth = (images.depth_mm[index] / 1000.0).astype(np.float32)
-    return RgbdFrame(images.rgb[index], depth, CameraIntrinsics(fx, fy, cx, cy, width, height))
 
 
 def report(task: CocoTask) -> dict[str, Any]:
@@ -210,7 +192,7 @@ def _coco_library() -> tuple[Any, Any, Any]:
     return COCO, COCOeval_faster, mask
 
 
-def true_instances(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_], int]]:
+def true_instances(images: SegmentationSet, index: int) -> list[tuple[int, NDArray[np.bool_], int]]:
     """The true instances of one image.
 
     Args:

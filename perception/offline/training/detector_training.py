@@ -33,13 +33,13 @@ from toolee_robot.perception.detection.detector import (
     load_detector,
 )
 from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, working_size
+from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
 from toolee_robot.perception.offline.dataset.spec import refuse_test_set
 from toolee_robot.perception.offline.training.backgrounds import Backgrounds
 from toolee_robot.perception.offline.training.image_training import (
     ImageTraining,
     ImageTrainingRun,
     SceneStream,
-    SegmentationImages,
 )
 from toolee_robot.perception.offline.training.images import DeviceImages, augment
 from toolee_robot.perception.offline.training.loop import Distributed, init_distributed
@@ -363,7 +363,7 @@ class SegmentationTraining(ImageTraining):
         return {**super().to_json(), "backgrounds": None if folder is None else folder.name}
 
 
-def train(config: SegmentationTraining, images: SegmentationImages | None = None) -> Path:
+def train(config: SegmentationTraining, images: SegmentationSet | None = None) -> Path:
     """Run the training.
 
     Args:
@@ -403,7 +403,7 @@ class _Run(ImageTrainingRun):
         self,
         config: SegmentationTraining,
         distributed: Distributed,
-        first: list[SegmentationImages],
+        first: list[SegmentationSet],
         stream: SceneStream | None,
     ) -> None:
         self.config, self.stream = config, stream
@@ -436,7 +436,7 @@ class _Run(ImageTrainingRun):
     def extend(self) -> None:
         self._extend(self.stream.take() if self.stream is not None else [])
 
-    def _extend(self, images: list[SegmentationImages]) -> None:
+    def _extend(self, images: list[SegmentationSet]) -> None:
         for more in images:
             self.data.extend(more)
 

@@ -11,15 +11,14 @@ from concurrent.futures import Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet, load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec, refuse_test_set
 from toolee_robot.perception.offline.processes import WorkerPool
 from toolee_robot.perception.offline.training.loop import TrainingRun
@@ -28,37 +27,6 @@ from toolee_robot.perception.weight_files import save_weights
 
 _CHUNK = 512
 """Images copied to the device at a time."""
-
-
-class SegmentationImages(Protocol):
-    """The trainings' view of a data set: arrays of N images of one size.
-
-    Attributes:
-        rgb: (N, H, W, 3) uint8.
-        depth_mm: (N, H, W) uint16 [mm], 0 where unknown.
-        intrinsics: fx, fy, cx, cy, (N, 4) [px].
-        ee: Id of the end effector at each pixel, 0 for none, (N, H, W) uint8.
-        tool: Id of the tool at each pixel, 0 for none, (N, H, W) uint8.
-        categories: Class index (1..4, the order of `Category`) of EE ids 1..E, 0 where there is none, (N, E) uint8.
-    """
-
-    @property
-    def rgb(self) -> NDArray[np.uint8]: ...
-
-    @property
-    def depth_mm(self) -> NDArray[np.uint16]: ...
-
-    @property
-    def intrinsics(self) -> NDArray[np.float64]: ...
-
-    @property
-    def ee(self) -> NDArray[np.uint8]: ...
-
-    @property
-    def tool(self) -> NDArray[np.uint8]: ...
-
-    @property
-    def categories(self) -> NDArray[np.uint8]: ...
 
 
 class DeviceStore:
@@ -94,7 +62,7 @@ class DeviceStore:
         """Depth (B, H, W) float32 [m], 0 where unknown, of the images `which` (B,)."""
         return self._millimetres[which].float() / 1000.0
 
-    def extend(self, more: SegmentationImages) -> None:
+    def extend(self, more: SegmentationSet) -> None:
         """Add more images, all of one size."""
         first, end = self._count, self._count + len(more.rgb)
         if end > len(self.rgb):
@@ -154,12 +122,12 @@ class SceneStream:
     def __init__(self, folder: Path, part: tuple[int, int] = (0, 1)) -> None:
         self._folder, self._part = folder, part
         self.expected = _expected(folder, part)
-        self._decoded: queue.SimpleQueue[SegmentationImages | TooleeError] = queue.SimpleQueue()
+        self._decoded: queue.SimpleQueue[SegmentationSet | TooleeError] = queue.SimpleQueue()
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
 
-    def take(self, timeout: float = 0.0) -> list[SegmentationImages]:
+    def take(self, timeout: float = 0.0) -> list[SegmentationSet]:
         """The images decoded since the last call.
 
         Args:
@@ -172,7 +140,7 @@ class SceneStream:
             AssetError: A file is damaged; the message names it.
             TooleeError: A decoding process was killed.
         """
-        images: list[SegmentationImages] = []
+        images: list[SegmentationSet] = []
         while True:
             try:
                 item = self._decoded.get(timeout=timeout) if timeout > 0 and not images else self._decoded.get_nowait()
@@ -191,7 +159,7 @@ class SceneStream:
         workers = max(1, min(_DECODERS, (os.cpu_count() or 1) // (2 * self._part[1])))
         seen: set[Path] = set()
         todo: deque[Path] = deque()
-        running: deque[Future[SegmentationImages]] = deque()
+        running: deque[Future[SegmentationSet]] = deque()
         # Processes, because threads would compete with the training for the interpreter's lock.
         with WorkerPool(workers) as pool:
             while not self._closed.is_set():
@@ -215,7 +183,7 @@ def _expected(folder: Path, part: tuple[int, int]) -> int:
     return sum(job.last - job.first for job in jobs if job.scene % part[1] == part[0])
 
 
-def _outcome(decoded: Future[SegmentationImages]) -> SegmentationImages | TooleeError:
+def _outcome(decoded: Future[SegmentationSet]) -> SegmentationSet | TooleeError:
     try:
         return decoded.result()
     except TooleeError as error:

@@ -10,9 +10,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from toolee_robot.perception.detection.inputs import STRIDE, RgbdBatch, encode_rgbd
+from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
 from toolee_robot.perception.offline.training.backgrounds import Backgrounds
 from toolee_robot.perception.offline.training.camera_effects import camera_effects, lose_depth
-from toolee_robot.perception.offline.training.image_training import DeviceStore, SegmentationImages, grown
+from toolee_robot.perception.offline.training.image_training import DeviceStore, grown
 from toolee_robot.perception.offline.training.tool_surfaces import stickers, wear
 
 
@@ -47,7 +48,7 @@ class DeviceImages:
         tools: Largest id of a tool.
     """
 
-    def __init__(self, images: SegmentationImages, device: torch.device, expected: int = 0) -> None:
+    def __init__(self, images: SegmentationSet, device: torch.device, expected: int = 0) -> None:
         self._store = DeviceStore(device, tools=True, expected=expected)
         self._categories = torch.empty((0, 0), dtype=torch.uint8, device=device)
         self.tools = 1
@@ -57,7 +58,7 @@ class DeviceImages:
     def __len__(self) -> int:
         return len(self._store)
 
-    def extend(self, more: SegmentationImages) -> None:
+    def extend(self, more: SegmentationSet) -> None:
         """Add more images; they are sampled from the next epoch on."""
         first = len(self._store)
         self._store.extend(more)

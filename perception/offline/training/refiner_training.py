@@ -28,13 +28,13 @@ from toolee_robot.perception.detection.passes import MAGNIFICATION
 from toolee_robot.perception.detection.refiner import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.refiner_crops import Images, MaskAt, Squares, sample_squares
 from toolee_robot.perception.offline.dataset.records import MIN_POINTS
+from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
 from toolee_robot.perception.offline.training.detector_training import mask_overlap, outline_losses, weighted_mean
 from toolee_robot.perception.offline.training.image_training import (
     DeviceStore,
     ImageTraining,
     ImageTrainingRun,
     SceneStream,
-    SegmentationImages,
 )
 from toolee_robot.perception.offline.training.images import recolour
 from toolee_robot.perception.offline.training.loop import Distributed, init_distributed
@@ -141,7 +141,7 @@ class RefinementData:
         self.detections: Detections | None = None
         self.validation = self._learnt = self._judged = torch.empty(0, dtype=torch.long, device=device)
 
-    def extend(self, more: SegmentationImages) -> None:
+    def extend(self, more: SegmentationSet) -> None:
         """Add more images, all of one size, and run the detector on them."""
         device, first, n = self._store.device, len(self._store), len(more.rgb)
         self._store.extend(more)

@@ -13,7 +13,7 @@ import torch
 from torchvision.ops import nms
 
 from tests.errors import raises
-from tests.perception.toy_scenes import ArrayImages, toy_scenes
+from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.backbone import _near
@@ -49,13 +49,6 @@ def _one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
-
-
-def frame_of(scenes: ArrayImages, i: int = 0) -> RgbdFrame:
-    fx, fy, cx, cy = (float(v) for v in scenes.intrinsics[i])
-    height, width = scenes.rgb.shape[1:3]
-    depth = (scenes.depth_mm[i] / 1000).astype(np.float32)
-    return RgbdFrame(scenes.rgb[i], depth, CameraIntrinsics(fx, fy, cx, cy, width, height))
 
 
 def random_boxes(n: int, seed: int = 0) -> torch.Tensor:
@@ -183,7 +176,7 @@ def test_overfit_detector_finds_the_tools_of_its_pictures(trained: Path) -> None
     scenes = toy_scenes(PICTURES)
     found = report(coco_task(Segmenter.load(trained), scenes))
     assert found["average"]["AP50"] > 0.8, found
-    detections = Segmenter.load(trained).detect(frame_of(scenes))
+    detections = Segmenter.load(trained).detect(scenes.frame(0))
     best = detections[0]
     assert best.category == list(Category)[int(scenes.categories[0, 0]) - 1]
     truth = scenes.ee[0] > 0
@@ -197,7 +190,7 @@ def test_exported_weights_give_the_average_s_output(trained: Path) -> None:
     state = torch.load(trained / "checkpoint.pt", weights_only=True)
     reference = Detector(TINY)
     reference.load_state_dict(state["average"], strict=False)
-    frame = frame_of(toy_scenes(1, seed=9))
+    frame = toy_scenes(1, seed=9).frame(0)
     # In float32: in bfloat16 weights that differ by so little may be rounded apart.
     expected = Segmenter(reference, bfloat16=False).detect(frame)
     found = Segmenter.load(trained, bfloat16=False).detect(frame)
@@ -211,7 +204,7 @@ def test_detections_follow_the_image_s_size(trained: Path, monkeypatch: pytest.M
     """A picture with more pixels than the network's is scaled down, and masks and boxes come back at its size."""
     # A zoom pass enlarges the two pictures each in its own way, and this network has learnt one size only.
     monkeypatch.setattr("toolee_robot.perception.detection.segmenter.crops", lambda *_: [])
-    frame = frame_of(toy_scenes(1))
+    frame = toy_scenes(1).frame(0)
     segmenter = Segmenter.load(trained)
     K = frame.intrinsics
     K = CameraIntrinsics(2 * K.fx, 2 * K.fy, 2 * K.cx + 0.5, 2 * K.cy + 0.5, 2 * K.width, 2 * K.height)

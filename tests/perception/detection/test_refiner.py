@@ -27,14 +27,14 @@ from tests.perception.detection.toy_refiner import (
     toys,
     training,
 )
-from tests.perception.toy_scenes import ArrayImages, toy_scenes, write_toys
+from tests.perception.toy_scenes import toy_scenes, write_toys
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.detection.detector import TOOL, Detector, load_detector
 from toolee_robot.perception.detection.instances import Box, Instances, mask_iou
 from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
-from toolee_robot.perception.offline.evaluation.segmentation import frame_of
+from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
 from toolee_robot.perception.offline.training.detector_training import SegmentationTraining
 from toolee_robot.perception.offline.training.detector_training import train as train_detector
 from toolee_robot.perception.offline.training.refiner_training import (
@@ -188,7 +188,7 @@ def test_spoilt_masks_of_new_pictures_are_better_refined(
         truth = pictures.ee[i] > 0
         mask = spoilt(truth)
         masks, labels, _, boxes = refinement(
-            frame_of(pictures, i), ([mask], [int(pictures.categories[i, 0])], [0.5], [box_of(mask)])
+            pictures.frame(i), ([mask], [int(pictures.categories[i, 0])], [0.5], [box_of(mask)])
         )
         assert (labels, boxes) == ([int(pictures.categories[i, 0])], [box_of(mask)])
         before.append(mask_iou(mask, truth))
@@ -208,7 +208,7 @@ def test_a_refiner_beside_the_detector_changes_end_effectors_only(detector: Path
     pictures = toys(8)
     tools = ends = changed = 0
     for i in range(8):
-        frame = frame_of(pictures, i)
+        frame = pictures.frame(i)
         before, after = plain.instances(frame, EVERYTHING), refined.instances(frame, EVERYTHING)
         assert after[2] == sorted(after[2], reverse=True)
         expected, found = by_place(before, tools=True), by_place(after, tools=True)
@@ -227,7 +227,7 @@ def test_a_refiner_beside_the_detector_changes_end_effectors_only(detector: Path
 
 
 def test_without_end_effectors_nothing_is_refined(trained: Path) -> None:
-    frame = frame_of(toys(1), 0)
+    frame = toys(1).frame(0)
     segmenter = Segmenter.load(trained, bfloat16=False)
     assert segmenter.instances(frame, 1.0) == ([], [], [], [])
     refinement = MaskRefinement.load(trained, CPU, bfloat16=False)
@@ -248,7 +248,7 @@ def test_one_end_effector_segmented_twice_is_one(trained: Path) -> None:
     left, right = truth.copy(), truth.copy()
     left[:, round(x0 + 0.55 * (x1 - x0)) :], right[:, : round(x0 + 0.45 * (x1 - x0))] = False, False
     label = int(pictures.categories[0, 0])
-    found = refinement(frame_of(pictures, 0), ([left, right], [label] * 2, [0.5, 0.4], [box_of(truth)] * 2))
+    found = refinement(pictures.frame(0), ([left, right], [label] * 2, [0.5, 0.4], [box_of(truth)] * 2))
     assert found[1] == [label]
     assert mask_iou(found[0][0], truth) > mask_iou(left, truth) + 0.1
 
@@ -261,7 +261,7 @@ def test_in_bfloat16_the_masks_are_the_same_but_for_their_borders(trained: Path)
     for i in range(2):
         mask = dilated(pictures.ee[i] > 0)
         found: Instances = ([mask], [int(pictures.categories[i, 0])], [0.5], [box_of(mask)])
-        expected, seen = whole(frame_of(pictures, i), found), half(frame_of(pictures, i), found)
+        expected, seen = whole(pictures.frame(i), found), half(pictures.frame(i), found)
         assert mask_iou(expected[0][0], seen[0][0]) > 0.95
         assert seen[2] == pytest.approx(expected[2], abs=0.05)
 
@@ -271,7 +271,7 @@ def test_without_a_refiner_masks_are_the_detector_s(detector: Path) -> None:
     tensors, description = load_weights(detector, "segmentation")
     network = Detector(TINY_DETECTOR)
     load_detector(network, tensors, description)
-    frame = frame_of(toys(1), 0)
+    frame = toys(1).frame(0)
     expected = Segmenter(network, bfloat16=False).instances(frame, EVERYTHING)
     masks, *others = Segmenter.load(detector, bfloat16=False).instances(frame, EVERYTHING)
     assert others == list(expected[1:])
@@ -318,10 +318,10 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_what_was_learnt(
     assert CHECKPOINT in str(stopped.value)
     (tmp_path / "refinement_log.jsonl").unlink()
     assert {path.name: path.read_bytes() for path in tmp_path.glob("refinement*")} == kept
-    assert Segmenter.load(tmp_path).instances(frame_of(toys(1), 0), EVERYTHING)[0]
+    assert Segmenter.load(tmp_path).instances(toys(1).frame(0), EVERYTHING)[0]
 
 
-def without_tools(pictures: ArrayImages, which: slice) -> ArrayImages:
+def without_tools(pictures: SegmentationSet, which: slice) -> SegmentationSet:
     """Some of the pictures blank."""
     blank = replace(pictures, rgb=pictures.rgb.copy(), ee=pictures.ee.copy(), tool=pictures.tool.copy())
     blank.rgb[which], blank.ee[which], blank.tool[which] = 60, 0, 0

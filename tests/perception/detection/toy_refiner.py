@@ -11,12 +11,13 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from tests.perception.toy_scenes import ArrayImages, enlarged, toy_scenes
+from tests.perception.toy_scenes import enlarged, toy_scenes
 from toolee_robot.perception.detection.inputs import DetectorConfig
 from toolee_robot.perception.detection.instances import Box, Instances
 from toolee_robot.perception.detection.refiner import Refiner, RefinerConfig
 from toolee_robot.perception.detection.refiner_crops import CELLS, CHANNELS
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
+from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
 from toolee_robot.perception.offline.training.refiner_training import (
     Detections,
     RefinementTraining,
@@ -39,7 +40,7 @@ TINY_DETECTOR = DetectorConfig(
 TINY = RefinerConfig(widths=(8, 12, 16, 24))
 
 
-def toys(count: int, seed: int = 0) -> ArrayImages:
+def toys(count: int, seed: int = 0) -> SegmentationSet:
     """Of the data set's size."""
     return enlarged(toy_scenes(count, seed, HEIGHT // TIMES, WIDTH // TIMES), TIMES)
 
