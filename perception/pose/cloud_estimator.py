@@ -14,8 +14,15 @@ import torch
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, transform
-from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, PATCHES, POINTS, CanonicalCloud
-from toolee_robot.perception.pose.canonical_single import canonicalize_one, with_rest_one
+from toolee_robot.perception.pose.canonical import (
+    MIN_KEPT,
+    MIN_POINTS,
+    PATCHES,
+    POINTS,
+    CanonicalCloud,
+    canonicalize_one,
+    with_rest_one,
+)
 from toolee_robot.perception.pose.network import DIRECTION_DIM
 from toolee_robot.perception.pose.processes import Process, Sampler
 from toolee_robot.perception.pose.spin import fix_spin, with_spin_variance

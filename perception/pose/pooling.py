@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.perception.pose.rotations import rotation_matrix, rotation_vectors, rotations_about, twist_angles
+from toolee_robot.perception.pose.representation import rotation_matrix, rotation_vectors, rotations_about, twist_angles
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 
 FREE_SPIN_VARIANCE = np.pi**2 / 3

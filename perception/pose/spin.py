@@ -13,7 +13,7 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align
-from toolee_robot.perception.pose.rotations import rotation_matrix, twist_angles
+from toolee_robot.perception.pose.representation import rotation_matrix, twist_angles
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 
 

@@ -14,7 +14,7 @@ from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.cli.app import run
 from toolee_robot.perception.detection.refiner import MaskRefinement
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH, EeTable, Example
-from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.scenes import write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR

@@ -14,8 +14,7 @@ from toolee_robot.errors import UserError
 from toolee_robot.perception import precision
 from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.offline.dataset.scene_reader import load_scenes
-from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.scenes import load_scenes, write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.evaluation.examples import collect
 from toolee_robot.perception.offline.synthesis.example import examples_of

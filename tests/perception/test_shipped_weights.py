@@ -23,7 +23,7 @@ import pytest
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.detection.passes import Crop
-from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.scenes import write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.evaluation import metrics, pose
 from toolee_robot.perception.offline.evaluation.estimates import Ranked

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.perception.offline.dataset.records import EeTable, Example
-from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
-from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.scenes import SegmentationSet, write_scene
 
 _COLOURS = ((220, 60, 50), (60, 200, 70), (60, 90, 220), (230, 200, 60))
 

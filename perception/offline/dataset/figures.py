@@ -27,7 +27,7 @@ from toolee_robot.frames import Array
 from toolee_robot.perception.offline.dataset.index_files import CARD, is_finished
 from toolee_robot.perception.offline.dataset.instances import MODELS, model_path, read_ply, tool_path
 from toolee_robot.perception.offline.dataset.records import EeTable, FloatArray, read_json
-from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.offline.dataset.scenes import load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
 from toolee_robot.runtime.files import json_line, write_atomic
 from toolee_robot.types import CameraIntrinsics

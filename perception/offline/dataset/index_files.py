@@ -35,8 +35,7 @@ from toolee_robot.perception.offline.dataset.records import (
     read_json,
     write_sums,
 )
-from toolee_robot.perception.offline.dataset.scene_reader import scene_folders
-from toolee_robot.perception.offline.dataset.scene_writer import COCO_CATEGORIES
+from toolee_robot.perception.offline.dataset.scenes import COCO_CATEGORIES, scene_folders
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec, SceneJob
 from toolee_robot.runtime.files import sha256, write_atomic
 
@@ -181,7 +180,7 @@ def _command(spec: DatasetSpec) -> str:
 
 
 def _float32(values: Sequence[float]) -> list[float]:
-    """What readers of a pose, `scene_reader.pose_of`, get."""
+    """What readers of a pose, `scenes.pose_of`, get."""
     return array("f", values).tolist()
 
 

@@ -33,8 +33,7 @@ from toolee_robot.perception.offline.dataset.records import (
     read_json,
     read_sums,
 )
-from toolee_robot.perception.offline.dataset.scene_reader import pose_of, read_image, table_of
-from toolee_robot.perception.offline.dataset.scene_writer import SceneWriter, bbox
+from toolee_robot.perception.offline.dataset.scenes import SceneWriter, bbox, pose_of, read_image, table_of
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec, SceneJob
 from toolee_robot.perception.offline.processes import on_processes
 from toolee_robot.runtime.files import sha256

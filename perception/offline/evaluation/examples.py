@@ -20,7 +20,7 @@ from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
 from toolee_robot.perception.offline.dataset.instances import ee_mesh, object_of
 from toolee_robot.perception.offline.dataset.records import MIN_POINTS, SCENES, EeTable, read_json
-from toolee_robot.perception.offline.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.offline.dataset.scenes import load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import catalogue_of
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame

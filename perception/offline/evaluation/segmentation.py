@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.detection.detector import CLASSES, TOOL
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
-from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet, load_scenes, scene_folders
-from toolee_robot.perception.offline.dataset.scene_writer import bbox
+from toolee_robot.perception.offline.dataset.scenes import SegmentationSet, bbox, load_scenes, scene_folders
 
 MIN_PIXELS = 50
 """Instances with fewer visible pixels are crowd: too small for a pose."""

@@ -20,7 +20,7 @@ from toolee_robot.perception.offline.dataset.catalogue import FIRST_KINDS, Custo
 from toolee_robot.perception.offline.dataset.index_files import Summary, finish, is_finished
 from toolee_robot.perception.offline.dataset.instances import tool_path, write_models
 from toolee_robot.perception.offline.dataset.records import SUMS, json_by_line, read_json
-from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.scenes import write_scene
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
 from toolee_robot.perception.offline.processes import on_processes
 from toolee_robot.perception.offline.synthesis.bodies import forget_tools

@@ -33,7 +33,7 @@ from toolee_robot.perception.detection.detector import (
     load_detector,
 )
 from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, working_size
-from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
+from toolee_robot.perception.offline.dataset.scenes import SegmentationSet
 from toolee_robot.perception.offline.dataset.spec import refuse_test_set
 from toolee_robot.perception.offline.training.backgrounds import Backgrounds
 from toolee_robot.perception.offline.training.image_training import (

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet, load_scenes, scene_folders
+from toolee_robot.perception.offline.dataset.scenes import SegmentationSet, load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec, refuse_test_set
 from toolee_robot.perception.offline.processes import WorkerPool
 from toolee_robot.perception.offline.training.loop import TrainingRun

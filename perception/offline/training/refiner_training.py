@@ -28,7 +28,7 @@ from toolee_robot.perception.detection.passes import MAGNIFICATION
 from toolee_robot.perception.detection.refiner import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.refiner_crops import Images, MaskAt, Squares, sample_squares
 from toolee_robot.perception.offline.dataset.records import MIN_POINTS
-from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
+from toolee_robot.perception.offline.dataset.scenes import SegmentationSet
 from toolee_robot.perception.offline.training.detector_training import mask_overlap, outline_losses, weighted_mean
 from toolee_robot.perception.offline.training.image_training import (
     DeviceStore,

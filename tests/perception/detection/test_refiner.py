@@ -34,7 +34,7 @@ from toolee_robot.perception.detection.instances import Box, Instances, mask_iou
 from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
-from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
+from toolee_robot.perception.offline.dataset.scenes import SegmentationSet
 from toolee_robot.perception.offline.training.detector_training import SegmentationTraining
 from toolee_robot.perception.offline.training.detector_training import train as train_detector
 from toolee_robot.perception.offline.training.refiner_training import (

@@ -17,7 +17,7 @@ from toolee_robot.perception.detection.instances import Box, Instances
 from toolee_robot.perception.detection.refiner import Refiner, RefinerConfig
 from toolee_robot.perception.detection.refiner_crops import CELLS, CHANNELS
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
-from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet
+from toolee_robot.perception.offline.dataset.scenes import SegmentationSet
 from toolee_robot.perception.offline.training.refiner_training import (
     Detections,
     RefinementTraining,

@@ -20,7 +20,7 @@ from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, transform_points
 from toolee_robot.perception.detection.passes import Crop
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.scenes import write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.evaluation.examples import parts, read_part
 from toolee_robot.perception.offline.rendered_clouds import clouds_of_part, tool_clouds_of_part
@@ -107,7 +107,7 @@ def test_only_what_shows_none_of_its_category_is_a_negative(folder: Path) -> Non
 
 
 def _frame(folder: Path) -> RgbdFrame:
-    from toolee_robot.perception.offline.dataset.scene_reader import load_scenes
+    from toolee_robot.perception.offline.dataset.scenes import load_scenes
 
     data = load_scenes([folder / "000000"], limit=1)
     return RgbdFrame(data.rgb[0], data.depth_mm[0].astype(np.float32) * np.float32(1e-3), data.camera(0))

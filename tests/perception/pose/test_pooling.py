@@ -19,7 +19,7 @@ from toolee_robot.perception.pose.pooling import (
     pairwise_angles,
     pool,
 )
-from toolee_robot.perception.pose.rotations import rotation_matrix, rotation_vectors, rotations_about, twist_angles
+from toolee_robot.perception.pose.representation import rotation_matrix, rotation_vectors, rotations_about, twist_angles
 from toolee_robot.perception.pose.spin import fix_spin, with_spin_variance
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind

@@ -20,11 +20,12 @@ from toolee_robot.perception.pose.canonical import (
     REST_PATCHES,
     CanonicalCloud,
     canonicalize,
+    canonicalize_one,
     farthest_points_first,
     ray_rotation,
     with_rest,
+    with_rest_one,
 )
-from toolee_robot.perception.pose.canonical_single import canonicalize_one, with_rest_one
 from toolee_robot.perception.pose.representation import DIM, decode, encode, mirrored
 from toolee_robot.symmetry import SymmetryKind
 

@@ -27,7 +27,7 @@ from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align
 from toolee_robot.perception.pose.processes import Field, Process, Sampler, VarianceExploding
-from toolee_robot.perception.pose.rotations import twist_angles
+from toolee_robot.perception.pose.representation import twist_angles
 from toolee_robot.perception.pose.spin import with_spin_variance
 from toolee_robot.perception.precision import torch_device
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind

@@ -26,7 +26,7 @@ from toolee_robot.perception.offline.dataset.figures import distances
 from toolee_robot.perception.offline.dataset.index_files import listed
 from toolee_robot.perception.offline.dataset.instances import read_ply
 from toolee_robot.perception.offline.dataset.records import SUMS, read_clouds, read_json, write_sums
-from toolee_robot.perception.offline.dataset.scene_reader import load
+from toolee_robot.perception.offline.dataset.scenes import load
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.offline.dataset.validate import validate
 from toolee_robot.perception.offline.synthesis.generate import generate

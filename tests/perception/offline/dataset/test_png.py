@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tests.examples import examples
-from toolee_robot.perception.offline.dataset.scene_writer import png_bytes
+from toolee_robot.perception.offline.dataset.scenes import png_bytes
 
 
 @st.composite

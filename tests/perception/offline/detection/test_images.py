@@ -17,8 +17,7 @@ from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.detector import TOOL
 from toolee_robot.perception.detection.inputs import STRIDE
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH, EeTable, Example
-from toolee_robot.perception.offline.dataset.scene_reader import load
-from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.scenes import load, write_scene
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.offline.evaluation.segmentation import true_instances
 from toolee_robot.perception.offline.training.detector_training import instances_from_maps

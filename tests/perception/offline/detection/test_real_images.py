@@ -11,7 +11,7 @@ import torch
 
 from tests.errors import raises
 from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.training import camera_effects
+from toolee_robot.perception.offline.training import images as camera_effects
 from toolee_robot.perception.offline.training.backgrounds import Backgrounds
 from toolee_robot.perception.offline.training.detector_training import SegmentationTraining
 from toolee_robot.perception.offline.training.images import ImageSample, augment

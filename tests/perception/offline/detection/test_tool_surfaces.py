@@ -11,9 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from toolee_robot.perception.offline.training.backgrounds import Backgrounds, Patches
+from toolee_robot.perception.offline.training.backgrounds import Backgrounds, Patches, stickers, wear
 from toolee_robot.perception.offline.training.images import ImageSample, augment
-from toolee_robot.perception.offline.training.tool_surfaces import stickers, wear
 
 CPU = torch.device("cpu")
 COUNT = 60

@@ -24,8 +24,7 @@ from toolee_robot.errors import AssetError
 from toolee_robot.frames import transform
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED
-from toolee_robot.perception.offline.dataset.scene_reader import SegmentationSet, load
-from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.scenes import SegmentationSet, load, write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.evaluation import metrics, pose
 from toolee_robot.perception.offline.evaluation.estimates import Ranked, answer, load_estimator, questions, summary

@@ -24,8 +24,7 @@ from toolee_robot.perception.offline.dataset.records import (
     Example,
     draw,
 )
-from toolee_robot.perception.offline.dataset.scene_reader import load
-from toolee_robot.perception.offline.dataset.scene_writer import write_scene
+from toolee_robot.perception.offline.dataset.scenes import load, write_scene
 from toolee_robot.perception.offline.synthesis.clutter import Surfaces
 from toolee_robot.perception.offline.synthesis.example import Series, label, make_example, render_example
 from toolee_robot.perception.offline.synthesis.station import DEPTHS
