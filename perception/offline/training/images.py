@@ -39,7 +39,7 @@ def camera_effects(images: Tensor, strength: float) -> Tensor:
 
 
 def tint(images: Tensor) -> Tensor:
-    """Light of a colour, from a bulb's to a blue sky's, with a lamp's green; of half of the images it varies in place."""
+    """Light of a colour, from a warm bulb to a blue sky, with a lamp's green; in half it varies over the image."""
     n, device = len(images), images.device
     warm, green, bright = torch.rand((3, n, 2, 2), device=device) * 2 - 1
     green = green.abs() ** 3 * torch.sign(green + 0.4)
