@@ -28,7 +28,7 @@ from toolee_robot.perception.offline.evaluation.pose import right_poses
 from toolee_robot.perception.offline.evaluation.run import empty_frame
 from toolee_robot.perception.offline.processes import ProcessMap
 from toolee_robot.perception.pipeline import ToolPerception
-from toolee_robot.perception.pose import PoseEstimator, confidence
+from toolee_robot.perception.pose import CloudEstimator, PoseEstimator, confidence
 from toolee_robot.perception.trust import FEATURES, Trust, features
 
 PRECISION = 0.95
@@ -43,22 +43,9 @@ _HIGHEST = 0.95
 """Upper bound of the threshold."""
 
 
-@dataclass(frozen=True, eq=False)
-class Networks:
-    """The networks that each process loads.
-
-    Attributes:
-        detector: Detector with refinement.
-        pose: Pose estimator.
-    """
-
-    detector: Segmenter
-    pose: PoseEstimator
-
-    @staticmethod
-    def load(folder: Path | None) -> Networks:
-        """The networks of a folder (None: the shipped ones). Raises AssetError when weights are missing."""
-        return Networks(Segmenter.load(folder), PoseEstimator.load(folder))
+def networks(folder: Path | None) -> ToolPerception:
+    """The networks of a folder, None: the shipped ones; without trust. Raises AssetError if they are missing."""
+    return ToolPerception(Segmenter.load(folder), PoseEstimator.load(folder))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,35 +65,35 @@ class TrustSamples:
     images: int
 
 
-def collect(seed: int, catalogue: Catalogue, networks: Networks, part: Part | int) -> TrustSamples:
+def collect(seed: int, catalogue: Catalogue, perception: ToolPerception, part: Part | int) -> TrustSamples:
     """Samples from a part of a data set, or from a rendered frame without a tool.
 
     Args:
         seed: Seed of rendered frames.
         catalogue: Tools of the scenes of rendered frames.
-        networks: Detector and pose estimator.
+        perception: Detector and pose estimator.
         part: The part of the data set, or the number of the frame to render.
 
     Returns:
         The samples.
     """
     if isinstance(part, Part):
-        return _tool_samples(networks, read_part(part, networks.detector))
+        return _tool_samples(perception.pose, read_part(part, perception.detector))
     rows = []
-    sure = networks.pose.calibration.confidence.threshold
-    frame = empty_frame(seed, part, catalogue, "train")
-    for e in ToolPerception(networks.detector, networks.pose).estimate(frame):
+    assert isinstance(perception.pose, PoseEstimator)
+    sure = perception.pose.calibration.confidence.threshold
+    for e in perception.estimate(empty_frame(seed, part, catalogue, "train")):
         if np.isfinite(e.X_camera_ee).all():
             d = e.detection
             rows.append((features(e.confidence, d.score, d.tool_score, d.category), 0.0, e.confidence >= sure))
     return _samples(rows, 1)
 
 
-def _tool_samples(networks: Networks, examples: Examples) -> TrustSamples:
+def _tool_samples(estimator: CloudEstimator, examples: Examples) -> TrustSamples:
     found = []
     for number, case in enumerate(examples.cases["predicted"]):
         instance = None if case.instance is None else examples.instances[case.instance]
-        result, _ = estimate_case(networks.pose, case, number)
+        result, _ = estimate_case(estimator, case, number)
         if result is not None and (instance is None or instance.target):
             # The unfitted model (odds multiplied) ranks the poses.
             score, _, _ = Trust().judge(case.score, case.tool_score, result)
@@ -192,10 +179,10 @@ def fit_trust(
         UserError: The data are a test set, or there are too few images.
     """
     refuse_test_set(data)
-    Networks.load(folder)  # missing weights are reported here, not by a worker that dies
+    networks(folder)  # missing weights are reported here, not by a worker that dies
     todo = [*parts(data), *range(frames)]
     found = []
-    with ProcessMap(partial(Networks.load, folder), workers) as processes:
+    with ProcessMap(partial(networks, folder), workers) as processes:
         for each in processes.map(partial(collect, seed, generated_catalogue_of(data)), todo):
             found.append(each)
             progress(len(found), len(todo))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from toolee_robot.perception.offline.dataset.spec import CONFIGS, SPLITS, Datase
 from toolee_robot.perception.offline.synthesis.hard import hard_scene
 from toolee_robot.perception.offline.synthesis.placement import Pool, SceneSample
 from toolee_robot.perception.offline.synthesis.station import paper_scene, station_scene
-from toolee_robot.render.renderer import Region, Shot
+from toolee_robot.render.renderer import Shot
 from toolee_robot.render.sensors.color_camera import Photo, photograph
 from toolee_robot.render.sensors.depth_sensors import random_reading
 from toolee_robot.sensor_kinds import SensorKind
@@ -28,30 +27,7 @@ Labels = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], EeTable]
 """EE ids, tool ids and unoccluded masks (H, W), and the table of the EEs."""
 
 
-class View(Protocol):
-    """What a camera sees of a scene, whichever renderer casts the rays.
-
-    Attributes:
-        depth: Depth along the optical axis, (H, W) [m]; 0 where nothing is hit.
-        body_ids: Ids of the bodies, (H, W); -1 where nothing is hit.
-    """
-
-    depth: NDArray[np.float32]
-    body_ids: NDArray[np.int16]
-
-    def depth_of(self, body_id: int, region: Region) -> NDArray[np.float32]:
-        """Depth of a region as if only the bodies of one id were there.
-
-        Args:
-            body_id: The id.
-            region: The region x0, y0, x1, y1 [px].
-
-        Returns:
-            The depth, (H', W') [m].
-        """
-
-
-def label(sample: SceneSample, shot: View) -> Labels:
+def label(sample: SceneSample, shot: Shot) -> Labels:
     """Label a scene from its exact depth and body ids.
 
     Args:
@@ -139,7 +115,7 @@ class _Reach:
 
 
 def _alone(
-    shot: View, body_id: int, reach: _Reach, K: CameraIntrinsics, full: NDArray[np.uint8], first_id: int
+    shot: Shot, body_id: int, reach: _Reach, K: CameraIntrinsics, full: NDArray[np.uint8], first_id: int
 ) -> NDArray[np.int64]:
     """Number of pixels of each unoccluded EE mask, with the tool alone in the scene; sets their bits in `full`."""
     region = reach.region(K)

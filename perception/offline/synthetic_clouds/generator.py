@@ -73,11 +73,8 @@ class CloudGenerator(CloudSource):
         def put(x: np.ndarray) -> Tensor:
             return torch.as_tensor(x, device=self._device)
 
-        self._ee, self._normals, self._asymmetric = (
-            put(samples.ee_points),
-            put(samples.ee_normals),
-            put(samples.asymmetric),
-        )
+        self._ee, self._normals = put(samples.ee_points), put(samples.ee_normals)
+        self._asymmetric = put(samples.asymmetric)
         self._rest, self._X_ee_tool = put(samples.rest), put(samples.X_ee_tool)
         self._category, self._shininess = put(samples.category), put(samples.shininess)
         self._other_end, self._other_category = put(samples.other_end), put(samples.other_category)
@@ -107,11 +104,7 @@ class CloudGenerator(CloudSource):
         focus, radius = target.focus, target.cut.radius
         depth_focus = focus[:, 2].clamp_min(0.15)
         f = torch.minimum(placed.f_native, GRID / 2 * depth_focus / (1.35 * radius))
-        window = Window(
-            f,
-            (f * focus[:, 0] / depth_focus).round() - GRID // 2,
-            (f * focus[:, 1] / depth_focus).round() - GRID // 2,
-        )
+        window = Window.about(focus, depth_focus, f)
         alone, buffer = self._draw(placed, target, window, _EE_REACH)
         rays = window.rays()
         draw_occluders(buffer, focus, radius, rays, c.occluder_share, torch_rng)
@@ -122,10 +115,7 @@ class CloudGenerator(CloudSource):
         inside = target.border.shows(rays)
         seen = _is_target(labels) & inside
         occlusion = 1 - seen.sum((1, 2)) / unoccluded
-        depth = point_splatting.measure(
-            truth, cosine, self._shininess[placed.item], f, torch_rng.generator, c.sensor_level
-        )
-        depth = torch.where(cleaned(depth, c.cleaned_share, torch_rng), depth, 0.0)
+        depth = self._measured(placed, truth, cosine, f)
         mask = imperfect(seen, c.mask_error_share, c.chunk_share, torch_rng) & inside
 
         usable = mask & (depth > 0)
@@ -167,19 +157,12 @@ class CloudGenerator(CloudSource):
         size = (placed.rest - middle[:, None]).norm(dim=-1).amax(1).clamp_min(0.06)
         depth_middle = middle[:, 2].clamp_min(0.15)
         f = torch.minimum(placed.f_native, GRID / 2 * (depth_middle - 0.5 * size).clamp_min(0.1) / size)
-        window = Window(
-            f,
-            (f * middle[:, 0] / depth_middle).round() - GRID // 2,
-            (f * middle[:, 1] / depth_middle).round() - GRID // 2,
-        )
+        window = Window.about(middle, depth_middle, f)
         buffer = self._draw(placed, target, window, _TOOL_REACH)[1]
         rays = window.rays()
         draw_backgrounds(buffer, middle, rays, torch_rng)
         truth, labels, cosine = buffer.images()
-        depth = point_splatting.measure(
-            truth, cosine, self._shininess[placed.item], f, torch_rng.generator, c.sensor_level
-        )
-        depth = torch.where(cleaned(depth, c.cleaned_share, torch_rng), depth, 0.0)
+        depth = self._measured(placed, truth, cosine, f)
         mask = imperfect(
             labels == point_splatting.TOOL, c.rest_error_share, c.rest_chunk_share, torch_rng
         ) & ~_is_target(labels)
@@ -194,6 +177,13 @@ class CloudGenerator(CloudSource):
         points = torch.where(other[..., None], points.roll(1, 0), points)
         valid = torch.where(other, valid.roll(1, 0), valid)
         return with_rest(cloud, points, valid, torch_rng.generator)
+
+    def _measured(self, placed: Placement, truth: Tensor, cosine: Tensor, f: Tensor) -> Tensor:
+        """The sensor's reading of true depths, for some without flying pixels."""
+        c, torch_rng = self.config, self._torch_rng
+        shininess = self._shininess[placed.item]
+        depth = point_splatting.measure(truth, cosine, shininess, f, torch_rng.generator, c.sensor_level)
+        return torch.where(cleaned(depth, c.cleaned_share, torch_rng), depth, 0.0)
 
     def _place(self, B: int) -> Placement:
         """Tools at random poses in the camera frame, uniform on SO(3), most of them in a hand."""

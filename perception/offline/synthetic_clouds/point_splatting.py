@@ -58,6 +58,12 @@ class Window:
     u0: Tensor
     v0: Tensor
 
+    @staticmethod
+    def about(place: Tensor, depth: Tensor, f: Tensor) -> Window:
+        """Windows of focal lengths f [px] whose middle is where places (B, 3) are seen at depths (B,)."""
+        u0, v0 = ((f * place[:, k] / depth).round() - GRID // 2 for k in (0, 1))
+        return Window(f, u0, v0)
+
     def rays(self) -> Tensor:
         """Directions through the pixel centres with z = 1, (B, GRID, GRID, 3)."""
         k = torch.arange(GRID, device=self.f.device, dtype=torch.float32)

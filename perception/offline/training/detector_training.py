@@ -412,9 +412,6 @@ class _Run(ImageTrainingRun):
         detector = Detector(config.model)
         if config.init is not None:
             load_detector(detector, *load_weights(config.init, WEIGHTS_NAME))
-        self._initial = {}
-        if config.init_share > 0:
-            self._initial = {k: v.clone() for k, v in detector.state_dict().items() if v.is_floating_point()}
         detector = detector.to(distributed.device).to(memory_format=torch.channels_last)
         loss = DetectorLoss(detector)
         self.augment = augment
@@ -429,6 +426,9 @@ class _Run(ImageTrainingRun):
             if config.wide == 0:
                 self.augment = torch.compile(augment, dynamic=False)
         super().__init__(config, config.out, distributed, detector, loss)
+        self.start_share = config.init_share
+        if config.init_share > 0:
+            self.start = {k: v.clone() for k, v in self.average.items()}
 
     def images(self) -> int:
         return len(self.data)
@@ -442,12 +442,6 @@ class _Run(ImageTrainingRun):
 
     def described(self) -> dict[str, Any]:
         return {"kind": "mask_rcnn_resnet18_fpn", "classes": list(CLASSES), "model": self.config.model.to_json()}
-
-    def averaged(self) -> dict[str, Tensor]:
-        """See `TrainingRun`: with a share of the initial weights, for what these knew (Wortsman et al. 2022)."""
-        found, share = super().averaged(), self.config.init_share
-        known = {k: v.to(self.distributed.device) for k, v in self._initial.items() if k in found}
-        return {**found, **{k: torch.lerp(found[k], v, share) for k, v in known.items()}}
 
     def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         config, device = self.config, self.distributed.device

@@ -107,6 +107,8 @@ class TrainingRun(ABC):
         tag: Prefix of the curves.
         log_seconds: Least time between entries of the log [s].
         averages_buffers: Whether running statistics are averaged as the weights are; otherwise the newest are taken.
+        start: Weights that the training started from; empty: none that count.
+        start_share: Their share in the exported weights, for what they knew (Wortsman et al. 2022).
     """
 
     name: str
@@ -115,12 +117,14 @@ class TrainingRun(ABC):
     tag: str = "train"
     log_seconds: float = 0.0
     averages_buffers: bool = True
+    start_share: float = 0.0
 
     def __init__(
         self, options: TrainingOptions, out: Path, distributed: Distributed, network: nn.Module, module: nn.Module
     ) -> None:
         self.distributed, self.network, self.module, self.out = distributed, network, module, out
         self._options = options
+        self.start: dict[str, Tensor] = {}
         self.average = {k: v.detach().clone() for k, v in network.state_dict().items()}
         weights = {k for k, _ in network.named_parameters()}
         self._lerped = [
@@ -225,8 +229,10 @@ class TrainingRun(ABC):
             self.log.append(entry)
 
     def averaged(self) -> dict[str, Tensor]:
-        """The averaged weights as they are exported."""
-        return {k: v for k, v in self.average.items() if not k.endswith("num_batches_tracked")}
+        """The averaged weights as they are exported; with the share of `start`."""
+        found = {k: v for k, v in self.average.items() if not k.endswith("num_batches_tracked")}
+        known = {k: v for k, v in self.start.items() if k in found and v.is_floating_point()}
+        return found | {k: torch.lerp(found[k], v, self.start_share) for k, v in known.items()}
 
     def _optimise(self) -> tuple[dict[str, Tensor], Tensor]:
         losses, more = self.losses()

@@ -114,7 +114,7 @@ class Trainer(TrainingRun):
         self.config = config
         self.net = PoseNet(network).to(distributed.device)
         super().__init__(config, out, distributed, self.net, self.net)
-        self._init: dict[str, Tensor] = {}
+        self.start_share = config.init_share
         self._generator: CloudSource = CloudGenerator(samples[0], hands, distributed.device, self._seed(1))
         self._rendered = 0 if rendered is None else len(rendered)
         if rendered is not None:
@@ -189,7 +189,7 @@ class Trainer(TrainingRun):
                 f"{folder} holds a network of another architecture: {error}", code="asset.architecture"
             ) from error
         self._take_average(state)
-        self._init = {name: value.clone() for name, value in self.average.items()}  # the average changes in place
+        self.start = {name: value.clone() for name, value in self.average.items()}  # the average changes in place
         self.record({"event": "begun from other weights"})
 
     def calibrate(self) -> dict[str, Any]:
@@ -199,7 +199,7 @@ class Trainer(TrainingRun):
             The report.
         """
         self._take_average(weights.load(self.out)[0].state_dict())
-        self._init = {}  # already mixed into the weights
+        self.start = {}  # already mixed into the weights
         described = json.loads((self.out / f"{self.name}.json").read_text())["report"]
         self.step, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
         return self.finish(self.judged(), described["train"])
@@ -225,15 +225,11 @@ class Trainer(TrainingRun):
         return self._clouds_held_out.collect(self.config.validation, self.config.chunk)
 
     def export(self) -> PoseNet:
-        """The averaged network, mixed with its share of the initial weights.
-
-        It is rounded to half precision, as it will be stored.
-        """
+        """The averaged network, rounded to half precision, as it will be stored."""
         net = copy.deepcopy(self.net).requires_grad_(False)
-        net.load_state_dict(self.average)
-        for name, value in net.state_dict().items():
+        net.load_state_dict(self.averaged())
+        for value in net.state_dict().values():
             if value.is_floating_point():
-                value.lerp_(self._init.get(name, value), self.config.init_share)
                 value.copy_(value.half().float())
         return net.eval()
 
