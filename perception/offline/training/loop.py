@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import os
@@ -12,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 import torch.distributed as dist
@@ -22,6 +23,8 @@ from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.offline.training.options import TrainingOptions
 from toolee_robot.perception.precision import torch_device
 from toolee_robot.runtime.files import written_whole
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,14 @@ def init_distributed(device: str = "auto") -> Iterator[Distributed]:
     finally:
         if world > 1:
             dist.destroy_process_group()
+
+
+def with_weights(network: Network, weights: Mapping[str, Tensor]) -> Network:
+    """A copy of a network with other weights, rounded to half precision, as they will be stored."""
+    net = copy.deepcopy(network).requires_grad_(False)
+    rounded = {k: v.half().float() if v.is_floating_point() else v for k, v in weights.items()}
+    net.load_state_dict(rounded, strict=False)  # without the numbers of batches
+    return net.eval()
 
 
 class TrainingRun(ABC):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 import time
@@ -26,7 +25,7 @@ from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
     sample_tools,
 )
 from toolee_robot.perception.offline.training import pose_validation as validation
-from toolee_robot.perception.offline.training.loop import Distributed, TrainingRun, init_distributed
+from toolee_robot.perception.offline.training.loop import Distributed, TrainingRun, init_distributed, with_weights
 from toolee_robot.perception.offline.training.options import TrainingOptions
 from toolee_robot.perception.offline.training.pose_losses import augment, pose_loss, without_rest
 from toolee_robot.perception.pose import weights
@@ -226,12 +225,7 @@ class Trainer(TrainingRun):
 
     def export(self) -> PoseNet:
         """The averaged network, rounded to half precision, as it will be stored."""
-        net = copy.deepcopy(self.net).requires_grad_(False)
-        net.load_state_dict(self.averaged())
-        for value in net.state_dict().values():
-            if value.is_floating_point():
-                value.copy_(value.half().float())
-        return net.eval()
+        return with_weights(self.net, self.averaged())
 
     def write(self) -> None:
         """Write the weights without calibration; validated while there is more to train."""

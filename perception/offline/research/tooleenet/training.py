@@ -11,7 +11,6 @@ One thing differs from the published code: batch normalisation keeps its statist
 from __future__ import annotations
 
 import contextlib
-import copy
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -42,7 +41,7 @@ from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, 
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.offline.training import pose_validation as validation
-from toolee_robot.perception.offline.training.loop import Distributed, TrainingRun, init_distributed
+from toolee_robot.perception.offline.training.loop import Distributed, TrainingRun, init_distributed, with_weights
 from toolee_robot.perception.offline.training.options import TrainingOptions
 
 _CHUNK = 512
@@ -228,10 +227,7 @@ class ColumnTraining(TrainingRun):
 
     def export(self) -> PaperNet:
         """The averaged network, rounded to half precision as it will be stored."""
-        net, weights = copy.deepcopy(self.net).requires_grad_(False), self.averaged()
-        rounded = {k: v.half().float() if v.is_floating_point() else v for k, v in weights.items()}
-        net.load_state_dict(rounded, strict=False)  # without the numbers of batches
-        return net.eval()
+        return with_weights(self.net, self.averaged())
 
     def _batch(self) -> Tensor:
         """Numbers of the next step's clouds."""
