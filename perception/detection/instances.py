@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,79 +19,61 @@ MAX_COVERED = 0.6
 """Largest share of an instance's mask that a better one of the same class may cover."""
 
 Box = tuple[float, float, float, float]
-Instances = tuple[list[NDArray[np.bool_]], list[int], list[float], list[Box]]
-"""Masks (H, W), labels, scores and boxes [px] of one image, in the image's own size."""
 
 
-def without_duplicates(
-    masks: list[NDArray[np.bool_]], labels: list[int], scores: list[float], boxes: list[Box]
-) -> Instances:
+class Instance(NamedTuple):
+    """A thing that is seen in an image.
+
+    Attributes:
+        mask: Its pixels, (H, W) in the image's own size.
+        label: Class index; `TOOL` for a tool.
+        score: Score in [0, 1].
+        box: Its box [px].
+    """
+
+    mask: NDArray[np.bool_]
+    label: int
+    score: float
+    box: Box
+
+
+def without_duplicates(instances: Sequence[Instance]) -> list[Instance]:
     """Remove instances that a better one of the same class mostly covers.
 
     By masks, because the boxes of a slanting, thin object detected twice hardly overlap.
 
     Args:
-        masks: Masks (H, W).
-        labels: Class indices.
-        scores: Scores in [0, 1].
-        boxes: Boxes [px].
+        instances: Instances of one image.
 
     Returns:
         The remaining instances, best score first.
     """
-    kept: list[int] = []
-    for i in sorted(range(len(masks)), key=lambda i: -scores[i]):
-        same = [k for k in kept if labels[k] == labels[i]]
-        if all(np.count_nonzero(masks[k] & masks[i]) <= MAX_COVERED * np.count_nonzero(masks[i]) for k in same):
-            kept.append(i)
-    return [masks[i] for i in kept], [labels[i] for i in kept], [scores[i] for i in kept], [boxes[i] for i in kept]
+    kept: list[Instance] = []
+    for one in sorted(instances, key=lambda i: -i.score):
+        same = [k for k in kept if k.label == one.label]
+        if all(np.count_nonzero(k.mask & one.mask) <= MAX_COVERED * np.count_nonzero(one.mask) for k in same):
+            kept.append(one)
+    return kept
 
 
-def scored(instances: Instances, threshold: float) -> Instances:
-    """Leave out end effectors of a low score.
-
-    Args:
-        instances: Instances; of the tools all are kept, because their masks tell about the end effectors'.
-        threshold: Least score.
-
-    Returns:
-        The remaining instances.
-    """
-    masks, labels, scores, boxes = instances
-    kept = [
-        i for i, (label, score) in enumerate(zip(labels, scores, strict=True)) if label == TOOL or score >= threshold
-    ]
-    return [masks[i] for i in kept], [labels[i] for i in kept], [scores[i] for i in kept], [boxes[i] for i in kept]
-
-
-def associate(
-    masks: list[NDArray[np.bool_]],
-    labels: list[int],
-    scores: list[float],
-    boxes: list[Box],
-) -> list[Detection]:
+def associate(instances: Sequence[Instance]) -> list[Detection]:
     """Associate end effectors with their tools.
 
     Args:
-        masks: Masks (H, W).
-        labels: Class indices; `TOOL` for tools.
-        scores: Scores in [0, 1].
-        boxes: Boxes [px].
+        instances: Instances of one image.
 
     Returns:
         The end effectors, best score first, each with the tool whose mask covers most of it, if at least
         `MIN_TOOL_OVERLAP`.
     """
-    tools = [(m, score) for m, label, score in zip(masks, labels, scores, strict=True) if label == TOOL]
+    tools = [i for i in instances if i.label == TOOL]
     found = []
-    for mask, label, score, box in zip(masks, labels, scores, boxes, strict=True):
-        if label == TOOL:
-            continue
-        overlaps = [float((mask & tool).sum()) / float(mask.sum()) for tool, _ in tools]
+    for mask, label, score, box in (i for i in instances if i.label != TOOL):
+        overlaps = [float((mask & tool.mask).sum()) / float(mask.sum()) for tool in tools]
         best = int(np.argmax(overlaps)) if overlaps else -1
         tool_mask, tool_score = None, 0.0
         if overlaps and overlaps[best] >= MIN_TOOL_OVERLAP:
-            tool_mask, tool_score = tools[best][0] | mask, tools[best][1]
+            tool_mask, tool_score = tools[best].mask | mask, tools[best].score
         found.append(Detection(Category(CLASSES[label]), score, mask, box, tool_mask, tool_score))
     return sorted(found, key=lambda d: -d.score)
 

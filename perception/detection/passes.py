@@ -20,12 +20,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from toolee_robot.frames import Array, transform_points
 from toolee_robot.perception.detection.detector import TOOL
 from toolee_robot.perception.detection.inputs import MAX_ENLARGEMENT, STRIDE
-from toolee_robot.perception.detection.instances import MIN_TOOL_OVERLAP, Box, Instances, mask_iou, without_duplicates
+from toolee_robot.perception.detection.instances import MIN_TOOL_OVERLAP, Box, Instance, mask_iou, without_duplicates
 from toolee_robot.types import CameraIntrinsics, HeldRegion, RgbdFrame
 
 MM_PER_PIXEL = 1.2
@@ -57,7 +56,7 @@ def coarse_size(frame: RgbdFrame, working: tuple[int, int]) -> tuple[int, int] |
     return max(1, round(height * factor)), max(1, round(width * factor))
 
 
-def merge_coarse(found: Instances, coarse: Instances) -> Instances:
+def merge_coarse(found: Sequence[Instance], coarse: Sequence[Instance]) -> list[Instance]:
     """Merge what the coarse pass detects into what the finer passes do.
 
     A thing detected by both keeps its mask, which is the finer one, and has the better of the scores.
@@ -69,21 +68,19 @@ def merge_coarse(found: Instances, coarse: Instances) -> Instances:
     Returns:
         The merged instances, best score first.
     """
-    later = list(zip(*coarse, strict=True))
-    merged = []
-    for mask, label, score, box in zip(*found, strict=True):
-        overlaps = [mask_iou(mask, other[0]) if other[1] == label else 0.0 for other in later]
-        best = int(np.argmax(overlaps)) if overlaps else -1
-        if overlaps and overlaps[best] >= SAME:
-            score = max(score, later.pop(best)[2])
-        merged.append((mask, label, score, box))
-    merged += later
-    return without_duplicates(
-        [mask for mask, *_ in merged],
-        [label for _, label, *_ in merged],
-        [score for *_, score, _ in merged],
-        [box for *_, box in merged],
-    )
+    later, merged = list(coarse), []
+    for one in found:
+        if (other := _same_as(one, later)) is not None:
+            one = one._replace(score=max(one.score, later.pop(other).score))
+        merged.append(one)
+    return without_duplicates([*merged, *later])
+
+
+def _same_as(one: Instance, others: Sequence[Instance]) -> int | None:
+    """Index of the instance that is of the same thing."""
+    overlaps = [mask_iou(one.mask, other.mask) if other.label == one.label else 0.0 for other in others]
+    best = int(np.argmax(overlaps)) if overlaps else -1
+    return best if overlaps and overlaps[best] >= SAME else None
 
 
 PIXELS = 320 * 320
@@ -165,8 +162,6 @@ _MARGIN, _MIN_MARGIN = 0.1, 6.0
 _EDGE = 1.5
 """A box this near [px] to a crop's border may be of a thing that continues beyond it."""
 
-_Instance = tuple[NDArray[np.bool_], int, float, Box]
-
 
 @dataclass(frozen=True)
 class Crop:
@@ -204,7 +199,7 @@ class Crop:
         )
 
 
-def crops(first: Instances, image: tuple[int, int], working: tuple[int, int], pixels: int) -> list[Crop]:
+def crops(first: Sequence[Instance], image: tuple[int, int], working: tuple[int, int], pixels: int) -> list[Crop]:
     """The crops around the tools whose EE is missing or doubtful.
 
     Args:
@@ -216,15 +211,12 @@ def crops(first: Instances, image: tuple[int, int], working: tuple[int, int], pi
     Returns:
         One crop per such tool that can be enlarged enough.
     """
-    masks, labels, scores, boxes = first
-    certain = [m for m, label, score in zip(masks, labels, scores, strict=True) if label != TOOL and score >= CERTAIN]
+    certain = [i.mask for i in first if i.label != TOOL and i.score >= CERTAIN]
     found = []
-    for tool, label, score, box in zip(masks, labels, scores, boxes, strict=True):
-        if label != TOOL or score < MIN_TOOL_SCORE:
+    for tool in (i for i in first if i.label == TOOL and i.score >= MIN_TOOL_SCORE):
+        if any(np.count_nonzero(m & tool.mask) >= MIN_TOOL_OVERLAP * np.count_nonzero(m) for m in certain):
             continue
-        if any(np.count_nonzero(m & tool) >= MIN_TOOL_OVERLAP * np.count_nonzero(m) for m in certain):
-            continue
-        crop = crop_about(box, image, working, pixels)
+        crop = crop_about(tool.box, image, working, pixels)
         if crop is not None:
             found.append(crop)
     return found
@@ -290,7 +282,9 @@ def cut(frame: RgbdFrame, crop: Crop) -> RgbdFrame:
     return RgbdFrame(np.ascontiguousarray(frame.rgb[part]), np.ascontiguousarray(frame.depth[part]), K, frame.stamp)
 
 
-def placed(seen: Instances, crop: Crop, image: tuple[int, int], *, tools_cut_off: bool = False) -> Instances:
+def placed(
+    seen: Sequence[Instance], crop: Crop, image: tuple[int, int], *, tools_cut_off: bool = False
+) -> list[Instance]:
     """Instances of a crop in the coordinates of the image.
 
     Args:
@@ -302,17 +296,20 @@ def placed(seen: Instances, crop: Crop, image: tuple[int, int], *, tools_cut_off
     Returns:
         The instances in the image, without those that the crop cuts off.
     """
-    kept: list[_Instance] = []
-    for mask, label, score, (x0, y0, x1, y1) in zip(*seen, strict=True):
+    kept = []
+    for one in seen:
+        x0, y0, x1, y1 = one.box
         box = (x0 + crop.x0, y0 + crop.y0, x1 + crop.x0, y1 + crop.y0)
-        if crop.holds(box, image) or (tools_cut_off and label == TOOL):
+        if crop.holds(box, image) or (tools_cut_off and one.label == TOOL):
             whole = np.zeros(image, dtype=np.bool_)
-            whole[crop.y0 : crop.y1, crop.x0 : crop.x1] = mask
-            kept.append((whole, label, score, box))
-    return _columns(kept)
+            whole[crop.y0 : crop.y1, crop.x0 : crop.x1] = one.mask
+            kept.append(one._replace(mask=whole, box=box))
+    return kept
 
 
-def merge(first: Instances, second: Sequence[Instances], zoomed: Sequence[Crop], image: tuple[int, int]) -> Instances:
+def merge(
+    first: Sequence[Instance], second: Sequence[Sequence[Instance]], zoomed: Sequence[Crop], image: tuple[int, int]
+) -> list[Instance]:
     """Merge the instances of both passes; a thing may still be in the result twice.
 
     A thing detected in both passes has the mean of the scores and the second pass's mask (a tool, of which a crop may
@@ -330,28 +327,14 @@ def merge(first: Instances, second: Sequence[Instances], zoomed: Sequence[Crop],
         The merged instances.
     """
     # Crops of neighbours share pixels: a thing seen in both counts once.
-    together = _columns([instance for seen in second for instance in zip(*seen, strict=True)])
-    later = list(zip(*without_duplicates(*together), strict=True))
-    merged: list[_Instance] = []
-    for mask, label, score, box in zip(*first, strict=True):
-        overlaps = [mask_iou(mask, other[0]) if other[1] == label else 0.0 for other in later]
-        best = int(np.argmax(overlaps)) if overlaps else -1
-        if overlaps and overlaps[best] >= SAME:
-            other_mask, _, other_score, other_box = later.pop(best)
-            if label != TOOL or other_score > score:
-                mask, box = other_mask, other_box
-            score = (score + other_score) / 2
-        elif label != TOOL and any(crop.holds(box, image) for crop in zoomed):
-            score /= 2
-        merged.append((mask, label, score, box))
-    merged += [(mask, label, score / 2, box) for mask, label, score, box in later if label != TOOL]
-    return _columns(merged)
-
-
-def _columns(instances: Sequence[_Instance]) -> Instances:
-    return (
-        [mask for mask, _, _, _ in instances],
-        [label for _, label, _, _ in instances],
-        [score for _, _, score, _ in instances],
-        [box for _, _, _, box in instances],
-    )
+    later = without_duplicates([one for seen in second for one in seen])
+    merged = []
+    for one in first:
+        if (other := _same_as(one, later)) is not None:
+            again = later.pop(other)
+            better = again if one.label != TOOL or again.score > one.score else one
+            one = better._replace(score=(one.score + again.score) / 2)
+        elif one.label != TOOL and any(crop.holds(one.box, image) for crop in zoomed):
+            one = one._replace(score=one.score / 2)
+        merged.append(one)
+    return [*merged, *(one._replace(score=one.score / 2) for one in later if one.label != TOOL)]

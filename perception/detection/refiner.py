@@ -8,6 +8,7 @@ effector's mask ends where the tool leaves a sphere of some centimetres.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.backbone import paste_one
 from toolee_robot.perception.detection.detector import TOOL
-from toolee_robot.perception.detection.instances import Instances, without_duplicates
+from toolee_robot.perception.detection.instances import Instance, without_duplicates
 from toolee_robot.perception.detection.refiner_crops import CHANNELS, Images, Squares, sample_squares
 from toolee_robot.perception.precision import fold_normalisation, in_bfloat16
 from toolee_robot.perception.weight_files import WEIGHTS_DIR, load_into, load_weights
@@ -194,7 +195,7 @@ class MaskRefinement:
         return cls(refiner, device, bfloat16)
 
     @torch.inference_mode()
-    def __call__(self, frame: RgbdFrame, instances: Instances) -> Instances:
+    def __call__(self, frame: RgbdFrame, instances: Sequence[Instance]) -> list[Instance]:
         """Refine the masks of end effectors.
 
         Args:
@@ -205,26 +206,25 @@ class MaskRefinement:
             The instances, best score first, duplicates removed; EEs with new masks and with the geometric mean of the
             detector's score and the refiner's predicted IoU.
         """
-        masks, labels, scores, boxes = instances
-        ees = [i for i, label in enumerate(labels) if label != TOOL]
+        ees = [i for i in instances if i.label != TOOL]
         if not ees:
-            return instances
+            return list(instances)
         d = self._device
-        squares = Squares.about(torch.tensor([boxes[i] for i in ees], dtype=torch.float32, device=d))
+        squares = Squares.about(torch.tensor([i.box for i in ees], dtype=torch.float32, device=d))
         logits, quality = self._outputs(
             frame,
-            torch.from_numpy(np.stack([masks[i] for i in ees])).to(d),
+            torch.from_numpy(np.stack([i.mask for i in ees])).to(d),
             squares,
-            torch.tensor([labels[i] - 1 for i in ees], device=d),
-            torch.tensor([scores[i] for i in ees], dtype=torch.float32, device=d),
+            torch.tensor([i.label - 1 for i in ees], device=d),
+            torch.tensor([i.score for i in ees], dtype=torch.float32, device=d),
         )
         probability, covered = logits.sigmoid().cpu().numpy(), squares.boxes().cpu().numpy().astype(np.float64)
-        masks, scores = list(masks), list(scores)
-        for i, patch, box, good in zip(ees, probability, covered, quality.sigmoid().tolist(), strict=True):
-            drawn = paste_one(patch, box, *frame.depth.shape)
-            masks[i] = drawn if drawn.any() else masks[i]
-            scores[i] = float(np.sqrt(scores[i] * good))
-        return without_duplicates(masks, labels, scores, boxes)
+        drawn = [paste_one(*each, *frame.depth.shape) for each in zip(probability, covered, strict=True)]
+        better = iter(
+            i._replace(mask=mask if mask.any() else i.mask, score=float(np.sqrt(i.score * good)))
+            for i, mask, good in zip(ees, drawn, quality.sigmoid().tolist(), strict=True)
+        )
+        return without_duplicates([i if i.label == TOOL else next(better) for i in instances])
 
     def _outputs(
         self, frame: RgbdFrame, masks: torch.Tensor, squares: Squares, category: torch.Tensor, score: torch.Tensor

@@ -15,7 +15,7 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception.detection.backbone import paste_one
 from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, RawDetections, trained_detector
 from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, encode_rgbd, working_size
-from toolee_robot.perception.detection.instances import Instances, associate, scored, without_duplicates
+from toolee_robot.perception.detection.instances import Instance, associate, without_duplicates
 from toolee_robot.perception.detection.passes import (
     MIN_PROBABILITY,
     Crop,
@@ -118,11 +118,11 @@ class Segmenter:
             pixels.
         """
         instances = self.instances(frame) if crop is None else self.instances_in(frame, crop, categories)
-        return [d for d in associate(*instances) if d.category in categories]
+        return [d for d in associate(instances) if d.category in categories]
 
     def instances(
         self, frame: RgbdFrame, score_threshold: float | None = None, stages: Stages = WHOLE_IMAGE
-    ) -> Instances:
+    ) -> list[Instance]:
         """Detect and segment every instance, whole tools included.
 
         Args:
@@ -132,7 +132,7 @@ class Segmenter:
             stages: Stages after the first pass.
 
         Returns:
-            Masks, labels, scores and boxes in the frame's own size.
+            The instances, in the frame's own size.
         """
         height, width = image = frame.depth.shape
         threshold = self.config.score_threshold if score_threshold is None else score_threshold
@@ -142,17 +142,17 @@ class Segmenter:
         if zoomed:
             least = max(threshold, MIN_PROBABILITY)
             second = [placed(self._detect_in(frame, c, least, stages.mirrored), c, image) for c in zoomed]
-            found = without_duplicates(*merge(found, second, zoomed, image))
+            found = without_duplicates(merge(found, second, zoomed, image))
         coarse = coarse_size(frame, size) if stages.coarse else None
         if coarse is not None:
             found = merge_coarse(found, self._detect_at(frame, coarse, threshold, stages.mirrored))
         # Mirrored passes and mask quality have lowered the scores since the class probability was judged.
-        found = scored(found, threshold)
+        found = [i for i in found if i.label == TOOL or i.score >= threshold]  # tools tell about end effectors
         return self._refinement(frame, found) if stages.refined and self._refinement is not None else found
 
     def instances_in(
         self, frame: RgbdFrame, crop: Crop, categories: Sequence[Category] = CATEGORIES, stages: Stages = IN_CROP
-    ) -> Instances:
+    ) -> list[Instance]:
         """Detect and segment tools and the end effectors of some categories in a crop.
 
         Args:
@@ -162,7 +162,7 @@ class Segmenter:
             stages: Stages after the first pass; a crop is not zoomed into.
 
         Returns:
-            Masks, labels, scores and boxes in the frame's own size.
+            The instances, in the frame's own size.
         """
         height, width = frame.depth.shape
         wanted = [TOOL, *(CLASSES.index(c.value) for c in categories)]
@@ -172,7 +172,7 @@ class Segmenter:
 
     def _detect_in(
         self, frame: RgbdFrame, crop: Crop, threshold: float, mirrored: bool, labels: Sequence[int] | None = None
-    ) -> Instances:
+    ) -> list[Instance]:
         """The network's detections in a crop, in the crop's pixels."""
         return self._detect_at(cut(frame, crop), crop.size, threshold, mirrored, labels)
 
@@ -183,12 +183,12 @@ class Segmenter:
         threshold: float,
         mirrored: bool,
         labels: Sequence[int] | None = None,
-    ) -> Instances:
+    ) -> list[Instance]:
         """The network's detections in a frame that it sees at `size` (height, width)."""
         batch, scale = self._prepare(frame, size)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
             raw = self._detector.detect(batch, threshold, mirrored=mirrored, labels=labels)[0]
-        return without_duplicates(*paste(raw, scale, *frame.depth.shape))
+        return without_duplicates(paste(raw, scale, *frame.depth.shape))
 
     def _prepare(self, frame: RgbdFrame, size: tuple[int, int]) -> tuple[RgbdBatch, tuple[float, float]]:
         """Network input of `size` (height, width) and the factors (x, y) from its pixels to the image's."""
@@ -209,7 +209,7 @@ class Segmenter:
         return replace(batch, pixels=pixels), (width / w, height / h)
 
 
-def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: int) -> Instances:
+def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: int) -> list[Instance]:
     """Resample the network's masks into the full image.
 
     Args:
@@ -219,9 +219,9 @@ def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: in
         width: Image width [px].
 
     Returns:
-        Masks (H, W), labels, scores and boxes [px] in the image; instances whose mask is empty are dropped.
+        The instances in the image; those whose mask is empty are dropped.
     """
-    masks, labels, scores, boxes = [], [], [], []
+    instances = []
     factors = np.array([*scale, *scale])
     limits = np.array([width, height, width, height], dtype=np.float64)
     for box, covered, score, label, patch in zip(
@@ -234,9 +234,6 @@ def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: in
     ):
         mask = paste_one(patch, covered * factors, height, width)
         if mask.any():
-            x0, y0, x1, y1 = np.clip(box * factors, 0.0, limits)
-            masks.append(mask)
-            labels.append(int(label))
-            scores.append(float(score))
-            boxes.append((float(x0), float(y0), float(x1), float(y1)))
-    return masks, labels, scores, boxes
+            x0, y0, x1, y1 = (float(v) for v in np.clip(box * factors, 0.0, limits))
+            instances.append(Instance(mask, int(label), float(score), (x0, y0, x1, y1)))
+    return instances

@@ -126,11 +126,11 @@ def coco_task(
             about = {_TARGET: asked, "area": area, "iscrowd": int(area < MIN_PIXELS), "segmentation": encoded(mask)}
             annotations.append({**entry, **about})
         start = time.perf_counter()
-        masks, labels, scores, _ = segmenter.instances(images.frame(i), EVERYTHING)
+        found = segmenter.instances(images.frame(i), EVERYTHING)
         task.times.append(time.perf_counter() - start)
-        for mask, label, score in zip(masks, labels, scores, strict=True):
-            entry = {"image_id": im_id, "category_id": label, "score": score}
-            task.results.append({**entry, "segmentation": encoded(mask)})
+        for one in found:
+            entry = {"image_id": im_id, "category_id": one.label, "score": one.score}
+            task.results.append({**entry, "segmentation": encoded(one.mask)})
     return task
 
 

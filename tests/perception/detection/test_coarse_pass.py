@@ -64,14 +64,14 @@ def test_a_scene_that_is_nearly_as_coarse_or_without_depth_is_not_seen_again() -
 
 def test_a_thing_of_both_passes_keeps_its_fine_mask_and_the_better_score() -> None:
     for fine, coarse in ((0.3, 0.7), (0.7, 0.3)):
-        masks, labels, scores, boxes = merge_coarse(instances((1, fine, EE)), instances((1, coarse, NEARLY)))
-        assert (labels, scores, boxes) == ([1], [0.7], [EE])
-        np.testing.assert_array_equal(masks[0], mask_of(EE))
+        (merged,) = merge_coarse(instances((1, fine, EE)), instances((1, coarse, NEARLY)))
+        assert (merged.label, merged.score, merged.box) == (1, 0.7, EE)
+        np.testing.assert_array_equal(merged.mask, mask_of(EE))
 
 
 def test_things_of_one_pass_stay() -> None:
     merged = merge_coarse(instances((1, 0.4, EE)), instances((1, 0.6, AWAY), (2, 0.5, NEARLY)))
-    assert sorted(zip(merged[1], merged[2], strict=True)) == [(1, 0.4), (1, 0.6), (2, 0.5)]
+    assert sorted((i.label, i.score) for i in merged) == [(1, 0.4), (1, 0.6), (2, 0.5)]
 
 
 def test_an_end_effector_too_large_for_the_first_pass_is_found_at_its_place() -> None:
@@ -95,10 +95,9 @@ def test_far_from_the_camera_there_is_no_coarse_pass() -> None:
 def test_end_effectors_of_a_low_score_are_left_out_and_tools_stay() -> None:
     segmenter = Segmenter(LongSighted(most_width=100, score=0.07))
     assert segmenter.detect(scene(focal=100.0)) == []
-    _, labels, _, _ = segmenter.instances(scene(focal=100.0))
-    assert labels == [TOOL]
+    assert [i.label for i in segmenter.instances(scene(focal=100.0))] == [TOOL]
     weak = segmenter.instances(scene(focal=100.0), score_threshold=0.01)
-    assert sorted(weak[1]) == [1, TOOL]
+    assert sorted(i.label for i in weak) == [1, TOOL]
 
 
 def test_the_size_of_the_image_alone_does_not_matter() -> None:

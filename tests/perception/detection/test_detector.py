@@ -20,7 +20,7 @@ from toolee_robot.perception.detection.backbone import _near
 from toolee_robot.perception.detection.boxes import decode, encode, greedy_suppression, pairwise_iou
 from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector
 from toolee_robot.perception.detection.inputs import CHANNELS, DetectorConfig, encode_rgbd
-from toolee_robot.perception.detection.instances import associate, without_duplicates
+from toolee_robot.perception.detection.instances import Instance, associate, without_duplicates
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.evaluation.segmentation import coco_task, report
 from toolee_robot.perception.offline.training.detector_training import SegmentationTraining, instances_from_maps, train
@@ -141,9 +141,8 @@ def test_of_two_masks_of_one_thing_the_better_stays() -> None:
     whole, part, other = (np.zeros((20, 40), dtype=bool) for _ in range(3))
     whole[5:10, 5:30], part[5:10, 15:32], other[5:10, 5:30] = True, True, True
     box = (0.0, 0.0, 1.0, 1.0)
-    kept = without_duplicates([part, whole, other], [1, 1, 2], [0.6, 0.9, 0.5], [box] * 3)
-    assert kept[2] == [0.9, 0.5], "another class may share pixels"
-    assert kept[1] == [1, 2]
+    kept = without_duplicates([Instance(part, 1, 0.6, box), Instance(whole, 1, 0.9, box), Instance(other, 2, 0.5, box)])
+    assert [(i.label, i.score) for i in kept] == [(1, 0.9), (2, 0.5)], "another class may share pixels"
 
 
 @pytest.fixture(scope="module")
@@ -255,7 +254,7 @@ def test_an_end_effector_belongs_to_the_tool_that_covers_it() -> None:
     left, right, ee = (np.zeros((20, 40), dtype=bool) for _ in range(3))
     left[:, :15], right[:, 20:], ee[5:10, 18:28] = True, True, True
     box = (0.0, 0.0, 1.0, 1.0)
-    found = associate([left, right, ee], [TOOL, TOOL, 1], [0.9, 0.9, 0.8], [box] * 3)
+    found = associate([Instance(left, TOOL, 0.9, box), Instance(right, TOOL, 0.9, box), Instance(ee, 1, 0.8, box)])
     assert len(found) == 1
     assert found[0].tool_mask is not None
     assert found[0].tool_mask[0, 30]

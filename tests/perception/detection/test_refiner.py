@@ -30,7 +30,7 @@ from tests.perception.detection.toy_refiner import (
 from tests.perception.toy_scenes import toy_scenes, write_toys
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.detection.detector import TOOL, Detector, load_detector
-from toolee_robot.perception.detection.instances import Box, Instances, mask_iou
+from toolee_robot.perception.detection.instances import Box, Instance, mask_iou
 from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
@@ -187,20 +187,17 @@ def test_spoilt_masks_of_new_pictures_are_better_refined(
     for i in range(8):
         truth = pictures.ee[i] > 0
         mask = spoilt(truth)
-        masks, labels, _, boxes = refinement(
-            pictures.frame(i), ([mask], [int(pictures.categories[i, 0])], [0.5], [box_of(mask)])
-        )
-        assert (labels, boxes) == ([int(pictures.categories[i, 0])], [box_of(mask)])
+        found = Instance(mask, int(pictures.categories[i, 0]), 0.5, box_of(mask))
+        (refined,) = refinement(pictures.frame(i), [found])
+        assert (refined.label, refined.box) == (found.label, found.box)
         before.append(mask_iou(mask, truth))
-        after.append(mask_iou(masks[0], truth))
+        after.append(mask_iou(refined.mask, truth))
     assert np.mean(after) > np.mean(before) + 0.05
 
 
-def by_place(found: Instances, tools: bool) -> dict[tuple[int, Box], tuple[NDArray[np.bool_], float]]:
+def by_place(found: list[Instance], tools: bool) -> dict[tuple[int, Box], tuple[NDArray[np.bool_], float]]:
     """(label, box) -> (mask, score) of the tools, or of the others."""
-    return {
-        (label, box): (mask, score) for mask, label, score, box in zip(*found, strict=True) if (label == TOOL) == tools
-    }
+    return {(i.label, i.box): (i.mask, i.score) for i in found if (i.label == TOOL) == tools}
 
 
 def test_a_refiner_beside_the_detector_changes_end_effectors_only(detector: Path, trained: Path) -> None:
@@ -210,7 +207,7 @@ def test_a_refiner_beside_the_detector_changes_end_effectors_only(detector: Path
     for i in range(8):
         frame = pictures.frame(i)
         before, after = plain.instances(frame, EVERYTHING), refined.instances(frame, EVERYTHING)
-        assert after[2] == sorted(after[2], reverse=True)
+        assert [i.score for i in after] == sorted((i.score for i in after), reverse=True)
         expected, found = by_place(before, tools=True), by_place(after, tools=True)
         assert found.keys() == expected.keys()
         for place, (mask, score) in found.items():
@@ -229,13 +226,13 @@ def test_a_refiner_beside_the_detector_changes_end_effectors_only(detector: Path
 def test_without_end_effectors_nothing_is_refined(trained: Path) -> None:
     frame = toys(1).frame(0)
     segmenter = Segmenter.load(trained, bfloat16=False)
-    assert segmenter.instances(frame, 1.0) == ([], [], [], [])
+    assert segmenter.instances(frame, 1.0) == []
     refinement = MaskRefinement.load(trained, CPU, bfloat16=False)
     assert refinement is not None
-    tool: Instances = ([toys(1).tool[0] > 0], [TOOL], [0.7], [(0.0, 0.0, 9.0, 9.0)])
-    masks, *others = refinement(frame, tool)
-    assert tuple(others) == tool[1:]
-    np.testing.assert_array_equal(masks[0], tool[0][0])
+    tool = Instance(toys(1).tool[0] > 0, TOOL, 0.7, (0.0, 0.0, 9.0, 9.0))
+    (same,) = refinement(frame, [tool])
+    assert same[1:] == tool[1:]
+    np.testing.assert_array_equal(same.mask, tool.mask)
 
 
 def test_one_end_effector_segmented_twice_is_one(trained: Path) -> None:
@@ -248,9 +245,10 @@ def test_one_end_effector_segmented_twice_is_one(trained: Path) -> None:
     left, right = truth.copy(), truth.copy()
     left[:, round(x0 + 0.55 * (x1 - x0)) :], right[:, : round(x0 + 0.45 * (x1 - x0))] = False, False
     label = int(pictures.categories[0, 0])
-    found = refinement(pictures.frame(0), ([left, right], [label] * 2, [0.5, 0.4], [box_of(truth)] * 2))
-    assert found[1] == [label]
-    assert mask_iou(found[0][0], truth) > mask_iou(left, truth) + 0.1
+    box = box_of(truth)
+    (found,) = refinement(pictures.frame(0), [Instance(left, label, 0.5, box), Instance(right, label, 0.4, box)])
+    assert found.label == label
+    assert mask_iou(found.mask, truth) > mask_iou(left, truth) + 0.1
 
 
 def test_in_bfloat16_the_masks_are_the_same_but_for_their_borders(trained: Path) -> None:
@@ -260,10 +258,10 @@ def test_in_bfloat16_the_masks_are_the_same_but_for_their_borders(trained: Path)
     assert half is not None
     for i in range(2):
         mask = dilated(pictures.ee[i] > 0)
-        found: Instances = ([mask], [int(pictures.categories[i, 0])], [0.5], [box_of(mask)])
-        expected, seen = whole(pictures.frame(i), found), half(pictures.frame(i), found)
-        assert mask_iou(expected[0][0], seen[0][0]) > 0.95
-        assert seen[2] == pytest.approx(expected[2], abs=0.05)
+        found = Instance(mask, int(pictures.categories[i, 0]), 0.5, box_of(mask))
+        (expected,), (seen,) = whole(pictures.frame(i), [found]), half(pictures.frame(i), [found])
+        assert mask_iou(expected.mask, seen.mask) > 0.95
+        assert seen.score == pytest.approx(expected.score, abs=0.05)
 
 
 def test_without_a_refiner_masks_are_the_detector_s(detector: Path) -> None:
@@ -273,11 +271,11 @@ def test_without_a_refiner_masks_are_the_detector_s(detector: Path) -> None:
     load_detector(network, tensors, description)
     frame = toys(1).frame(0)
     expected = Segmenter(network, bfloat16=False).instances(frame, EVERYTHING)
-    masks, *others = Segmenter.load(detector, bfloat16=False).instances(frame, EVERYTHING)
-    assert others == list(expected[1:])
-    assert len(masks) > 1
-    for mask, before in zip(masks, expected[0], strict=True):
-        np.testing.assert_array_equal(mask, before)
+    found = Segmenter.load(detector, bfloat16=False).instances(frame, EVERYTHING)
+    assert [i[1:] for i in found] == [i[1:] for i in expected]
+    assert len(found) > 1
+    for one, before in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one.mask, before.mask)
 
 
 @pytest.mark.parametrize(

@@ -136,24 +136,25 @@ def test_losses_are_of_the_masks_of_true_detections_and_of_the_iou_of_all() -> N
 def test_the_mirrored_image_s_masks_are_the_mirrored_masks() -> None:
     """Of any refiner, though an untrained one draws something else in the mirror: the mean knows no left and right."""
     refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
-    frame, (before, labels, scores, [(x0, y0, x1, y1)]) = noise()
-    masks, _, [score], _ = refinement(frame, (before, labels, scores, [(x0, y0, x1, y1)]))
+    frame, [before] = noise()
+    x0, y0, x1, y1 = before.box
+    (seen,) = refinement(frame, [before])
     mirrored = RgbdFrame(frame.rgb[:, ::-1].copy(), frame.depth[:, ::-1].copy(), frame.intrinsics)
-    there = ([before[0][:, ::-1].copy()], labels, scores, [(80 - x1, y0, 80 - x0, y1)])
-    mirrored_masks, _, [mirrored_score], _ = refinement(mirrored, there)
-    assert mirrored_score == pytest.approx(score, abs=1e-3)
-    assert 50 < masks[0].sum() < 1400
-    assert mask_iou(mirrored_masks[0][:, ::-1], masks[0]) > 0.97
-    assert mask_iou(mirrored_masks[0], masks[0]) < 0.9
-    assert mask_iou(before[0], masks[0]) < 0.9
+    there = before._replace(mask=before.mask[:, ::-1].copy(), box=(80 - x1, y0, 80 - x0, y1))
+    (again,) = refinement(mirrored, [there])
+    assert again.score == pytest.approx(seen.score, abs=1e-3)
+    assert 50 < seen.mask.sum() < 1400
+    assert mask_iou(again.mask[:, ::-1], seen.mask) > 0.97
+    assert mask_iou(again.mask, seen.mask) < 0.9
+    assert mask_iou(before.mask, seen.mask) < 0.9
 
 
 @pytest.mark.parametrize("unknown", [np.nan, np.inf])
 def test_unknown_depth_is_the_same_as_zero_nan_or_infinity(unknown: float) -> None:
     refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
-    expected, found = refinement(*noise(0.0)), refinement(*noise(unknown))
-    assert found[2] == expected[2]
-    np.testing.assert_array_equal(found[0][0], expected[0][0])
+    (expected,), (found,) = refinement(*noise(0.0)), refinement(*noise(unknown))
+    assert found.score == expected.score
+    np.testing.assert_array_equal(found.mask, expected.mask)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from toolee_robot.end_effectors import Category
 from toolee_robot.perception.detection.detector import TOOL, Detector, RawDetections
 from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, working_size
-from toolee_robot.perception.detection.instances import Box, Instances
+from toolee_robot.perception.detection.instances import Box, Instance
 from toolee_robot.perception.detection.passes import (
     CERTAIN,
     MAGNIFICATION,
@@ -41,10 +41,9 @@ def mask_of(box: Box, image: tuple[int, int] = IMAGE) -> NDArray[np.bool_]:
     return mask
 
 
-def instances(*found: tuple[int, float, Box], image: tuple[int, int] = IMAGE) -> Instances:
+def instances(*found: tuple[int, float, Box], image: tuple[int, int] = IMAGE) -> list[Instance]:
     """Of (label, score, box); every mask is its box."""
-    masks = [mask_of(box, image) for _, _, box in found]
-    return masks, [label for label, _, _ in found], [score for _, score, _ in found], [box for _, _, box in found]
+    return [Instance(mask_of(box, image), label, score, box) for label, score, box in found]
 
 
 @st.composite
@@ -125,27 +124,27 @@ def test_what_a_crop_s_border_cuts_is_left_out_except_at_the_image_s() -> None:
     crop = Crop(64, 0, 128, 60, (96, 102))
     whole, at_crop, at_image = (10.0, 20.0, 20.0, 30.0), (0.0, 20.0, 9.0, 30.0), (40.0, 0.0, 64.0, 9.0)
     seen = instances((1, 0.9, whole), (2, 0.8, at_crop), (3, 0.7, at_image), image=(60, 64))
-    masks, labels, scores, boxes = placed(seen, crop, IMAGE)
-    assert (labels, scores) == ([1, 3], [0.9, 0.7])
-    assert boxes == [(74.0, 20.0, 84.0, 30.0), (104.0, 0.0, 128.0, 9.0)]
-    for mask, box in zip(masks, boxes, strict=True):
-        np.testing.assert_array_equal(mask, mask_of(box))
+    there = placed(seen, crop, IMAGE)
+    expected = [(1, 0.9, (74.0, 20.0, 84.0, 30.0)), (3, 0.7, (104.0, 0.0, 128.0, 9.0))]
+    assert [(i.label, i.score, i.box) for i in there] == expected
+    for one in there:
+        np.testing.assert_array_equal(one.mask, mask_of(one.box))
 
 
 WHERE = Crop(20, 20, 100, 80, (96, 128))
 EE, NEARLY = (40.0, 30.0, 60.0, 40.0), (41.0, 30.0, 61.0, 40.0)
 
 
-def scores_of(merged: Instances) -> list[tuple[int, float]]:
+def scores_of(merged: list[Instance]) -> list[tuple[int, float]]:
     """(label, score) of each, scores to twelve digits."""
-    return [(label, round(score, 12)) for label, score in zip(merged[1], merged[2], strict=True)]
+    return [(i.label, round(i.score, 12)) for i in merged]
 
 
 def test_things_in_both_passes_have_the_mean_score_and_the_second_mask() -> None:
     merged = merge(instances((1, 0.4, EE)), [instances((1, 0.8, NEARLY))], [WHERE], IMAGE)
     assert scores_of(merged) == [(1, 0.6)]
-    np.testing.assert_array_equal(merged[0][0], mask_of(NEARLY))
-    assert merged[3] == [NEARLY]
+    np.testing.assert_array_equal(merged[0].mask, mask_of(NEARLY))
+    assert merged[0].box == NEARLY
 
 
 def test_a_detection_of_one_pass_alone_has_half_its_score() -> None:
@@ -160,7 +159,7 @@ def test_a_tool_keeps_its_better_mask_and_must_be_in_the_first_pass() -> None:
     for second, expected in ((0.9, NEARLY), (0.3, EE)):
         merged = merge(instances((TOOL, 0.5, EE)), [instances((TOOL, second, NEARLY))], [WHERE], IMAGE)
         assert scores_of(merged) == [(TOOL, (0.5 + second) / 2)]
-        assert merged[3] == [expected]
+        assert merged[0].box == expected
     missed = merge(instances((TOOL, 0.5, EE)), [instances((TOOL, 0.9, (70.0, 60.0, 80.0, 70.0)))], [WHERE], IMAGE)
     assert scores_of(missed) == [(TOOL, 0.5)]
 
@@ -181,17 +180,16 @@ def test_nothing_is_lost_and_nothing_outside_of_the_crops_is_touched(
     first: list[tuple[int, float, Box]], later: list[tuple[int, float, Box]]
 ) -> None:
     within = [(label, score, box) for label, score, box in later if WHERE.holds(box, IMAGE)]
-    masks, labels, scores, boxes = merge(instances(*first), [instances(*within)], [WHERE], IMAGE)
-    assert labels[: len(first)] == [label for label, _, _ in first]
+    merged = merge(instances(*first), [instances(*within)], [WHERE], IMAGE)
+    assert [i.label for i in merged[: len(first)]] == [label for label, _, _ in first]
     for i, (label, score, box) in enumerate(first):
         away = box[2] <= WHERE.x0 or box[0] >= WHERE.x1 or box[3] <= WHERE.y0 or box[1] >= WHERE.y1
         if away:
-            assert (scores[i], boxes[i]) == (score, box)
-        assert scores[i] >= score / 2
-        assert label == TOOL or boxes[i] in (box, *(b for _, _, b in within))
-    assert all(label != TOOL for label in labels[len(first) :])
-    assert all(0 < s <= 1 for s in scores)
-    assert all(mask.any() for mask in masks)
+            assert (merged[i].score, merged[i].box) == (score, box)
+        assert merged[i].score >= score / 2
+        assert label == TOOL or merged[i].box in (box, *(b for _, _, b in within))
+    assert all(i.label != TOOL for i in merged[len(first) :])
+    assert all(0 < i.score <= 1 and i.mask.any() for i in merged)
 
 
 class ShortSighted(Detector):

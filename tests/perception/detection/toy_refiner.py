@@ -13,7 +13,7 @@ from torch import nn
 
 from tests.perception.toy_scenes import enlarged, toy_scenes
 from toolee_robot.perception.detection.inputs import DetectorConfig
-from toolee_robot.perception.detection.instances import Box, Instances
+from toolee_robot.perception.detection.instances import Box, Instance
 from toolee_robot.perception.detection.refiner import Refiner, RefinerConfig
 from toolee_robot.perception.detection.refiner_crops import CELLS, CHANNELS
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
@@ -101,7 +101,7 @@ def masks_of(found: Detections) -> NDArray[np.bool_]:
     return found.mask_at()(column.expand(len(found), -1, -1), row.expand(len(found), -1, -1)).numpy()
 
 
-def noise(unknown: float = 0.0) -> tuple[RgbdFrame, Instances]:
+def noise(unknown: float = 0.0) -> tuple[RgbdFrame, list[Instance]]:
     """An image with holes in its depth, said to be `unknown`, and something found in it."""
     rng = np.random.default_rng(4)
     rgb = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
@@ -110,4 +110,4 @@ def noise(unknown: float = 0.0) -> tuple[RgbdFrame, Instances]:
     mask = np.zeros(depth.shape, dtype=np.bool_)
     mask[20:41, 12:33] = True
     frame = RgbdFrame(rgb, depth, CameraIntrinsics(200.0, 200.0, 39.5, 29.5, 80, 60))
-    return frame, ([mask], [2], [0.5], [(12.0625, 20.0625, 32.9375, 40.9375)])
+    return frame, [Instance(mask, 2, 0.5, (12.0625, 20.0625, 32.9375, 40.9375))]
