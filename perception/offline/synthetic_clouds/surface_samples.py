@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,16 +69,14 @@ class SurfaceSamples:
         return np.array([numbers[name] for name in names], np.int64)
 
 
-_Row = tuple[Float32, Float32, NDArray[np.bool_], Float32, Float32, int, Float32, int, Float32, float, str]
-
-
-def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
+def _rows(job: tuple[ToolKind, int]) -> list[dict[str, Any]]:
+    """A tool's rows of `SurfaceSamples`, its fields by name."""
     kind, seed = job
     tool = make_tool(kind, seed)
     rng = np.random.default_rng([seed, TOOL_SPECS[kind].number, 7])
     points, normals, parts = tool.sample_surface(60_000, rng)
     shininess = np.array([part.material.metallic * (1 - part.material.roughness) for part in tool.parts])[parts]
-    rows: list[_Row] = []
+    rows = []
     for ee in tool.ees:
         X_ee_tool = inverse(ee.X_tool_ee)
         other = next((e for e in tool.ees if e is not ee), None)
@@ -89,20 +88,21 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
         rest_pick = rng.choice(rest, REST_SAMPLES, replace=bool(len(rest) < REST_SAMPLES))
         tells = np.array([part.label in ee.category.spec.spin_cues for part in tool.parts])[parts[ee_pick]]
         radius = tool.handle.grip_radius
+        other_end = np.full(3, NOWHERE) if other is None else (X_ee_tool @ other.X_tool_ee)[:3, 3]
         rows.append(
-            (
-                p[ee_pick].astype(np.float32),
-                n[ee_pick].astype(np.float32),
-                tells,
-                p[rest_pick].astype(np.float32),
-                X_ee_tool.astype(np.float32),
-                ee.category.spec.class_id - 1,
-                (X_ee_tool @ other.X_tool_ee)[:3, 3].astype(np.float32) if other else np.full(3, NOWHERE, np.float32),
-                (other or ee).category.spec.class_id - 1,
-                np.array([tool.handle.z_min, tool.handle.z_max, radius], np.float32),
-                float(shininess[ee_pick].mean()),
-                f"{tool.name}/{ee.category}",
-            )
+            {
+                "ee_points": p[ee_pick].astype(np.float32),
+                "ee_normals": n[ee_pick].astype(np.float32),
+                "asymmetric": tells,
+                "rest": p[rest_pick].astype(np.float32),
+                "X_ee_tool": X_ee_tool.astype(np.float32),
+                "category": np.int64(ee.category.spec.class_id - 1),
+                "other_end": other_end.astype(np.float32),
+                "other_category": np.int64((other or ee).category.spec.class_id - 1),
+                "handle": np.array([tool.handle.z_min, tool.handle.z_max, radius], np.float32),
+                "shininess": np.float32(shininess[ee_pick].mean()),
+                "names": f"{tool.name}/{ee.category}",
+            }
         )
     return rows
 
@@ -126,20 +126,9 @@ def sample_tools(held_out: bool, seeds_per_kind: int, workers: int | None = None
             results = list(pool.map(_rows, jobs, chunksize=8))
     else:
         results = [_rows(job) for job in jobs]
-    columns = list(zip(*[row for rows in results for row in rows], strict=True))
-    return SurfaceSamples(
-        np.stack(columns[0]),
-        np.stack(columns[1]),
-        np.stack(columns[2]),
-        np.stack(columns[3]),
-        np.stack(columns[4]),
-        np.array(columns[5], np.int64),
-        np.stack(columns[6]),
-        np.array(columns[7], np.int64),
-        np.stack(columns[8]),
-        np.array(columns[9], np.float32),
-        tuple(columns[10]),
-    )
+    rows = [row for of_tool in results for row in of_tool]
+    names = tuple(row.pop("names") for row in rows)
+    return SurfaceSamples(names=names, **{name: np.stack([row[name] for row in rows]) for name in rows[0]})
 
 
 def sample_hands(count: int = 64, seed: int = 0) -> Float32:
