@@ -1,4 +1,4 @@
-"""The pose's representation and the canonical view of a cloud."""
+"""Poses as the network sees them, depth completed, and candidates pooled."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.examples import examples
 from toolee_robot.end_effectors import Category
-from toolee_robot.perception.pose import canonical
+from toolee_robot.frames import Array
+from toolee_robot.perception.pose import PoseEstimator, PoseResult, canonical
 from toolee_robot.perception.pose.canonical import (
     PATCHES,
     POINTS,
@@ -26,6 +27,8 @@ from toolee_robot.perception.pose.canonical import (
     with_rest,
     with_rest_one,
 )
+from toolee_robot.perception.pose.depth_completion import RINGS, complete_depth
+from toolee_robot.perception.pose.estimator import NEAREST
 from toolee_robot.perception.pose.representation import DIM, decode, encode, mirrored
 from toolee_robot.symmetry import SymmetryKind
 
@@ -222,3 +225,83 @@ def test_the_rest_of_the_tool_lies_in_the_same_frame_and_far_background_is_left_
     few = with_rest(bare, points, torch.arange(600)[None] % 50 == 0, generator)
     assert not bool(few.rest_known[0])
     assert float(few.rest.abs().max()) == 0
+
+
+SIZE = 24
+
+
+def block(rows: slice, columns: slice) -> torch.Tensor:
+    mask = torch.zeros(1, SIZE, SIZE, dtype=torch.bool)
+    mask[:, rows, columns] = True
+    return mask
+
+
+@examples(60)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.05, 0.95))
+def test_a_completed_depth_lies_between_the_depths_that_are_known_and_only_where_it_is_wanted(
+    seed: int, share: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    depth = torch.as_tensor(rng.uniform(0.3, 1.1, (2, SIZE, SIZE)), dtype=torch.float32)
+    known = torch.as_tensor(rng.random((2, SIZE, SIZE)) < share)
+    wanted = torch.as_tensor(rng.random((2, SIZE, SIZE)) < 0.5)
+    completed = complete_depth(depth, known, wanted)
+    assert not bool((completed > 0)[known | ~wanted].any())
+    for image, depths, there in zip(completed, depth, known, strict=True):
+        made = image[image > 0]
+        if len(made):
+            assert float(made.min()) >= float(depths[there].min()) - 1e-6
+            assert float(made.max()) <= float(depths[there].max()) + 1e-6
+
+
+def test_the_rim_of_a_slanting_face_continues_it() -> None:
+    rows = torch.arange(SIZE, dtype=torch.float32)
+    plane = (0.6 + 0.001 * rows)[None, None].expand(1, SIZE, SIZE)
+    guess = complete_depth(plane, block(slice(6, 18), slice(6, 18)), block(slice(4, 20), slice(4, 20)))
+    made = guess > 0
+    assert int(made.sum()) == 16**2 - 12**2
+    # Two pixels beyond the last known one a mean of neighbours lags by their slope.
+    assert float((guess - plane)[made].abs().max()) < 0.0025
+
+
+def test_an_outline_belongs_to_what_is_in_front() -> None:
+    depth = torch.full((1, SIZE, SIZE), 1.2)
+    depth[:, :, :10] = 0.6
+    gap = block(slice(0, SIZE), slice(10, 11))
+    torch.testing.assert_close(complete_depth(depth, ~gap, gap)[0, :, 10], torch.full((SIZE,), 0.6))
+
+
+def test_far_from_everything_measured_nothing_is_completed() -> None:
+    depth = torch.full((1, SIZE, SIZE), 0.7)
+    guess = complete_depth(depth, block(slice(0, SIZE), slice(0, 2)), torch.ones(1, SIZE, SIZE, dtype=torch.bool))
+    reached = torch.nonzero((guess[0] > 0).any(0))[:, 0]
+    assert reached.tolist() == list(range(2, 2 + RINGS))
+    assert not bool(complete_depth(depth, torch.zeros_like(guess, dtype=torch.bool), guess >= 0).any())
+
+
+def face_and_handle(distance: float) -> tuple[Array, Array]:
+    """A hammer's face of 13 mm radius with 10 mm of its side, and its handle: points (N, 3), (M, 3) [m] in front of the
+    camera, the face turned away from the optical axis by 30 degrees.
+    """
+    rng = np.random.default_rng(0)
+    radius, angle = 0.013 * np.sqrt(rng.uniform(size=400)), rng.uniform(0, 2 * np.pi, 400)
+    face = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(400)])
+    side = rng.uniform(-0.5 * np.pi, 0.5 * np.pi, 200)
+    side = np.column_stack([0.013 * np.sin(side), -0.013 * np.cos(side), rng.uniform(0, 0.01, 200)])
+    handle = np.column_stack([rng.uniform(-0.012, 0.012, 600), rng.uniform(0.02, 0.25, 600), np.full(600, 0.04)])
+    c, s = np.cos(np.deg2rad(30)), np.sin(np.deg2rad(30))
+    R = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+    place = [0.02, 0.01, distance]
+    return np.concatenate([face, side]) @ R.T + place, handle @ R.T + place
+
+
+def estimate(distance: float) -> PoseResult:
+    points, rest = face_and_handle(distance)
+    return PoseEstimator.load().estimate(points, Category.HAMMER_HEAD, rest)
+
+
+def test_a_cloud_nearer_than_those_of_the_training_is_trusted_as_one_at_their_edge() -> None:
+    near, edge = estimate(0.30), estimate(NEAREST)
+    np.testing.assert_allclose(near.X_camera_ee[:3, 3] - [0.02, 0.01, 0.30], [0, 0, 0], atol=0.01)
+    assert near.confidence == pytest.approx(edge.confidence, abs=0.05)
+    assert near.usable == edge.usable

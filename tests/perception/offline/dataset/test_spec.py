@@ -1,17 +1,39 @@
-"""Sensor and kinds of tools in a data set's specification."""
+"""A data set's specification: sensor, kinds and numbers of tools, and that nothing is trained on a test set."""
 
 from __future__ import annotations
 
 import json
+import pickle
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.errors import raises
+from toolee_robot.cli.app import run
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.dataset.catalogue import GENERATED, generated_tools
-from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec, generated_catalogue_of
+from toolee_robot.frames import transform
+from toolee_robot.perception.offline.dataset.catalogue import (
+    FIRST_KINDS,
+    GENERATED,
+    CustomToolRecord,
+    CustomTools,
+    generated_tools,
+)
+from toolee_robot.perception.offline.dataset.instances import object_id
+from toolee_robot.perception.offline.dataset.spec import (
+    DESCRIPTION,
+    PHOTOGRAPHS,
+    TEST_SEEDS,
+    DatasetSpec,
+    generated_catalogue_of,
+    refuse_test_set,
+)
 from toolee_robot.sensor_kinds import KINDS, SensorKind
+from toolee_robot.tools import TOOL_SPECS
 
 
 @pytest.mark.parametrize("sensor", KINDS)
@@ -56,3 +78,111 @@ def test_an_unknown_sensor_and_one_for_a_camera_without_noise_are_refused() -> N
         DatasetSpec("hard", 10, sensor="radar")  # type: ignore[arg-type]
     with pytest.raises(UserError, match="choose hard"):
         DatasetSpec("paper", 10, sensor="active-stereo")
+
+
+CUSTOM = range(1950, 15000)
+"""Numbers that belong to custom tools; data sets of custom tools were written with them when there were 13 kinds."""
+
+
+def test_custom_tools_keep_the_numbers_and_object_ids_of_data_sets_already_written() -> None:
+    record = CustomToolRecord(
+        "mine", "", (Category.HAMMER_HEAD,), (tuple(transform().ravel()),), ((-0.1, 0.1),) * 3, "wood", "rubber"
+    )
+    custom = CustomTools(Path(), (record, record))
+    assert custom.numbers("test") == [1950, 1951]
+    assert [object_id(number, 0) for number in custom.numbers("test")] == [7801, 7805]
+    assert custom.name(1951) == "mine"
+
+
+def test_no_generated_tool_has_a_number_of_the_custom_ones() -> None:
+    numbers = GENERATED.numbers("train") + GENERATED.numbers("test")
+    assert len(set(numbers)) == len(numbers) == 150 * len(TOOL_SPECS)
+    assert not set(numbers) & set(CUSTOM)
+    assert (GENERATED.name(0), GENERATED.name(1949)) == ("claw_hammer-0000", "socket_wrench-0149")
+    assert GENERATED.name(15000) == "hanging_claw_hammer-0000"
+    for number in (-1, CUSTOM[0], CUSTOM[-1], max(numbers) + 1):
+        with raises(UserError, code="user"):
+            GENERATED.name(number)
+
+
+def test_data_sets_of_the_first_kinds_draw_the_tools_that_they_always_drew() -> None:
+    first = generated_tools(FIRST_KINDS)
+    pool = first.pool(np.random.default_rng(5), "train")
+    assert pool == (453, 91, 41, 15, 773, 1010, 938, 1168, 991, 1745, 1636, 1825)
+    with raises(UserError, code="user"):
+        first.name(15000)
+    assert pickle.loads(pickle.dumps(first)) is first
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_pools_show_every_kind_and_mostly_the_common_ones(split: str) -> None:
+    rng = np.random.default_rng(0)
+    drawn = [number for _ in range(400) for number in GENERATED.pool(rng, split)]
+    assert {GENERATED.split(number) for number in drawn} == {split}
+    kinds = Counter(GENERATED.listed(number).about["kind"] for number in drawn)
+    assert set(kinds) == set(map(str, TOOL_SPECS))
+    later = sum(number >= CUSTOM.stop for number in drawn) / len(drawn)
+    assert later == pytest.approx(1 / 3, abs=0.03)
+
+
+MARKED = DatasetSpec("hard", 10, 5, test_set=True)
+
+
+def described(folder: Path, spec: DatasetSpec) -> Path:
+    """A data set's folder with its description and no image yet; its training split."""
+    split = folder / "train"
+    split.mkdir(parents=True)
+    (folder / DESCRIPTION).write_text(json.dumps(spec.to_json()))
+    return split
+
+
+@pytest.mark.parametrize("spec", [MARKED, *(DatasetSpec("hard", 10, seed) for seed in sorted(TEST_SEEDS))])
+def test_a_test_set_is_refused_whole_and_by_its_split(spec: DatasetSpec, tmp_path: Path) -> None:
+    split = described(tmp_path / "set", spec)
+    (tmp_path / "link").symlink_to(split)
+    for folder in (tmp_path / "set", split, tmp_path / "link"):
+        with raises(UserError, "user.test_set") as raised:
+            refuse_test_set(folder)
+        assert f"seed {spec.seed}" in str(raised.value)
+        assert "take another seed" in str(raised.value)
+
+
+def test_other_data_and_folders_without_a_description_pass(tmp_path: Path) -> None:
+    refuse_test_set(described(tmp_path / "set", replace(MARKED, test_set=False)))
+    refuse_test_set(tmp_path / "missing")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["trust", "--data", "{data}"],
+        ["clouds", "{data}", "--out", "{out}/clouds.npz"],
+        ["clouds", "{data}", "--out", "{out}/clouds.npz", "--true-masks"],
+        ["segmentation", "--data", "{data}", "--out", "{out}"],
+        ["refinement", "--data", "{data}", "--out", "{out}"],
+    ],
+    ids=lambda command: " ".join(command[:1] + command[5:]),
+)
+def test_every_training_on_a_folder_refuses_a_test_set(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = described(tmp_path / "set", MARKED)
+    assert run(["train", *(word.format(data=data, out=tmp_path / "out") for word in command)]) == 2
+    assert "take another seed" in capsys.readouterr().err
+    assert not list((tmp_path / "out").glob("*"))
+
+
+def test_photographs_of_a_test_set_are_no_backgrounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = described(tmp_path / "set", replace(MARKED, test_set=False))
+    photographs = tmp_path / "photographs"
+    photographs.mkdir()
+    refuse_test_set(photographs)
+    (photographs / PHOTOGRAPHS).write_text(json.dumps({"frames": []}))
+    refuse_test_set(photographs)
+    (photographs / PHOTOGRAPHS).write_text(json.dumps({"test_set": True, "frames": []}))
+    with raises(UserError, "user.test_set"):
+        refuse_test_set(photographs)
+    arguments = ["--data", str(data), "--out", str(tmp_path / "out"), "--wide", "0.5"]
+    assert run(["train", "segmentation", *arguments, "--backgrounds", str(photographs)]) == 2
+    assert "take other photographs" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

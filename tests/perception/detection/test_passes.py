@@ -1,7 +1,8 @@
-"""The zoom pass: which crops it takes, what the network sees in them, and how both passes are merged."""
+"""Passes of the detector over parts of an image: enlarged crops of tools, a coarse look, the crop about the hand."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,26 +10,34 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from toolee_robot.end_effectors import Category
+from toolee_robot.frames import random_rotation, transform
 from toolee_robot.perception.detection.detector import TOOL, Detector, RawDetections
-from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, working_size
+from toolee_robot.perception.detection.inputs import MAX_ENLARGEMENT, DetectorConfig, RgbdBatch, working_size
 from toolee_robot.perception.detection.instances import Box, Instance
 from toolee_robot.perception.detection.passes import (
     CERTAIN,
     MAGNIFICATION,
+    MAX_REDUCTION,
     MIN_MAGNIFICATION,
     MIN_TOOL_SCORE,
+    MM_PER_PIXEL,
+    PIXELS,
     Crop,
+    coarse_size,
     crop_about,
     crops,
     cut,
+    hand_crop,
     merge,
+    merge_coarse,
     placed,
 )
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.types import CameraIntrinsics, RgbdFrame
+from toolee_robot.types import CameraIntrinsics, HeldRegion, RgbdFrame
 
 IMAGE = (96, 128)
 PIXELS = 96 * 128
@@ -270,3 +279,153 @@ def test_the_zoom_pass_of_an_image_with_four_times_the_pixels_gives_the_same() -
     np.testing.assert_allclose(large_found.box, 2 * np.array(small_found.box), atol=2.0)
     assert large_found.mask.shape == large.depth.shape
     assert large_found.score == pytest.approx(small_found.score)
+
+
+WIDE_EE = (60.0, 40.0, 80.0, 56.0)
+NEARLY_WIDE = (61.0, 40.0, 80.0, 56.0)
+AWAY = (10.0, 10.0, 30.0, 30.0)
+
+
+def scene(focal: float, depth: float = 0.6) -> RgbdFrame:
+    """A tool with a red end effector; a pixel is 1000 * depth / focal [mm] wide."""
+    rgb = np.zeros((*IMAGE, 3), np.uint8)
+    rgb[46:50, 30:62] = 200
+    rgb[mask_of(WIDE_EE)] = (255, 0, 0)
+    intrinsics = CameraIntrinsics(focal, focal, 64.0, 48.0, IMAGE[1], IMAGE[0])
+    return RgbdFrame(rgb, np.full(IMAGE, depth, np.float32), intrinsics)
+
+
+class LongSighted(ShortSighted):
+    """Does not know an end effector that is too wide in the network's input."""
+
+    def __init__(self, most_width: float, score: float = 0.8) -> None:
+        super().__init__(least_width=1)
+        self.most_width, self.score = most_width, score
+
+    def detect(self, batch: RgbdBatch, *_args: Any, **_kwargs: Any) -> list[RawDetections]:
+        raw = super().detect(batch)[0]
+        known = (raw.labels == TOOL) | (raw.boxes[:, 2] - raw.boxes[:, 0] <= self.most_width)
+        scores = raw.scores[known].where(raw.labels[known] == TOOL, raw.scores.new_tensor(self.score))
+        return [RawDetections(raw.boxes[known], scores, raw.labels[known], raw.masks[known], raw.mask_boxes[known])]
+
+
+@pytest.mark.parametrize("working", [(96, 128), (192, 256)])
+def test_the_scale_is_that_of_the_scene_whatever_the_working_size(working: tuple[int, int]) -> None:
+    frame = scene(focal=1500.0)  # 0.4 mm a pixel
+    size = coarse_size(frame, working)
+    assert size is not None
+    assert 0.4 * IMAGE[0] / size[0] == pytest.approx(MM_PER_PIXEL, rel=0.02)
+    assert 0.4 * IMAGE[1] / size[1] == pytest.approx(MM_PER_PIXEL, rel=0.02)
+
+
+def test_a_scene_that_is_nearly_as_coarse_or_without_depth_is_not_seen_again() -> None:
+    just = 1000 * 0.6 / (MM_PER_PIXEL * MAX_REDUCTION)
+    assert coarse_size(scene(just * 0.99), IMAGE) is None
+    assert coarse_size(scene(just * 1.01), IMAGE) is not None
+    assert coarse_size(scene(1500.0, depth=0.0), IMAGE) is None
+    half = scene(1500.0)
+    half.depth[:, :60] = np.nan
+    assert coarse_size(half, IMAGE) == coarse_size(scene(1500.0), IMAGE)
+
+
+def test_a_thing_of_both_passes_keeps_its_fine_mask_and_the_better_score() -> None:
+    for fine, coarse in ((0.3, 0.7), (0.7, 0.3)):
+        (merged,) = merge_coarse(instances((1, fine, WIDE_EE)), instances((1, coarse, NEARLY_WIDE)))
+        assert (merged.label, merged.score, merged.box) == (1, 0.7, WIDE_EE)
+        np.testing.assert_array_equal(merged.mask, mask_of(WIDE_EE))
+
+
+def test_things_of_one_pass_stay() -> None:
+    merged = merge_coarse(instances((1, 0.4, WIDE_EE)), instances((1, 0.6, AWAY), (2, 0.5, NEARLY_WIDE)))
+    assert sorted((i.label, i.score) for i in merged) == [(1, 0.4), (1, 0.6), (2, 0.5)]
+
+
+def test_an_end_effector_too_large_for_the_first_pass_is_found_at_its_place() -> None:
+    detector = LongSighted(most_width=15)  # it is 20 px wide, in the coarse pass 10
+    found = Segmenter(detector).detect(scene(focal=1000.0))
+    assert [d.score for d in found] == [pytest.approx(0.8)]
+    np.testing.assert_allclose(found[0].box, WIDE_EE, atol=2.0)
+    assert (found[0].mask & mask_of(WIDE_EE)).sum() > 0.7 * (found[0].mask | mask_of(WIDE_EE)).sum()
+    assert found[0].tool_mask is not None
+
+
+def test_far_from_the_camera_there_is_no_coarse_pass() -> None:
+    detector = LongSighted(most_width=100)
+    segmenter = Segmenter(detector)
+    segmenter.detect(scene(focal=100.0))
+    looks = len(detector.looks)
+    segmenter.detect(scene(focal=1000.0))
+    assert len(detector.looks) == 2 * looks + 1
+
+
+def test_end_effectors_of_a_low_score_are_left_out_and_tools_stay() -> None:
+    segmenter = Segmenter(LongSighted(most_width=100, score=0.07))
+    assert segmenter.detect(scene(focal=100.0)) == []
+    assert [i.label for i in segmenter.instances(scene(focal=100.0))] == [TOOL]
+    weak = segmenter.instances(scene(focal=100.0), score_threshold=0.01)
+    assert sorted(i.label for i in weak) == [1, TOOL]
+
+
+def test_the_size_of_the_image_alone_does_not_matter() -> None:
+    frame = scene(focal=1500.0)
+    K = replace(frame.intrinsics, fx=3000.0, fy=3000.0, cx=128.0, cy=96.0, width=256, height=192)
+    large = RgbdFrame(frame.rgb.repeat(2, 0).repeat(2, 1), frame.depth.repeat(2, 0).repeat(2, 1), K)
+    assert coarse_size(large, IMAGE) == coarse_size(frame, IMAGE)
+
+
+CAMERA = CameraIntrinsics(365.5, 380.0, 254.9, 205.4, 512, 424)
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    points=hnp.arrays(float, (3, 3), elements=st.floats(-0.2, 0.2)),
+    radius=st.floats(0.01, 0.3),
+    place=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.3, 1.5)),
+)
+def test_what_the_camera_sees_of_the_region_is_in_the_crop(
+    seed: int, points: np.ndarray, radius: float, place: tuple[float, float, float]
+) -> None:
+    rng = np.random.default_rng(seed)
+    X = transform(random_rotation(rng), place)
+    crop = hand_crop(X, HeldRegion(points, radius), CAMERA)
+    weights = rng.dirichlet(np.ones(len(points)), 300)
+    away = rng.normal(size=(300, 3))
+    away *= radius * rng.uniform(0.9, 1.0, (300, 1)) / np.linalg.norm(away, axis=1, keepdims=True)
+    inside = weights @ points @ X[:3, :3].T + X[:3, 3] + away
+    inside = inside[inside[:, 2] > 0.01]
+    u = CAMERA.fx * inside[:, 0] / inside[:, 2] + CAMERA.cx
+    v = CAMERA.fy * inside[:, 1] / inside[:, 2] + CAMERA.cy
+    seen = (np.round(u) >= 0) & (np.round(u) < CAMERA.width) & (np.round(v) >= 0) & (np.round(v) < CAMERA.height)
+    # Pixel centres are at integer coordinates; half a pixel at the image's border is not worth a look.
+    if crop is None:
+        assert np.count_nonzero((u > 1) & (u < CAMERA.width - 2) & (v > 1) & (v < CAMERA.height - 2)) == 0
+        return
+    columns, rows = np.round(u[seen]), np.round(v[seen])
+    assert ((columns >= crop.x0) & (columns < crop.x1) & (rows >= crop.y0) & (rows < crop.y1)).all()
+
+
+def test_a_ball_s_crop_is_its_outline_to_the_network_s_stride() -> None:
+    crop = hand_crop(transform(p=(0.0, 0.0, 0.8)), HeldRegion(np.zeros((1, 3)), 0.1), CAMERA)
+    assert crop is not None
+    scale = crop.size[1] / (crop.x1 - crop.x0)
+    assert scale == pytest.approx(MAX_ENLARGEMENT, rel=0.02)
+    outline = 2 * 0.1 * CAMERA.fx / np.sqrt(0.8**2 - 0.1**2)
+    assert outline <= crop.x1 - crop.x0 <= outline + 1 + 32 / scale
+
+
+def test_a_near_hand_is_shown_smaller() -> None:
+    crop = hand_crop(transform(p=(0.0, 0.0, 0.4)), HeldRegion(np.zeros((1, 3)), 0.19), CAMERA)
+    assert crop is not None
+    assert crop.size[0] * crop.size[1] == pytest.approx(PIXELS, rel=0.25)
+    assert crop.size[1] < crop.x1 - crop.x0 or crop.size[0] < crop.y1 - crop.y0
+
+
+@pytest.mark.parametrize("p", [(0.0, 0.0, -0.8), (2.0, 0.0, 0.8), (0.0, -2.0, 0.8)])
+def test_a_hand_that_the_camera_does_not_see_has_no_crop(p: tuple[float, float, float]) -> None:
+    assert hand_crop(transform(p=p), HeldRegion(np.zeros((1, 3)), 0.1), CAMERA) is None
+
+
+def test_a_hand_about_the_camera_is_looked_for_everywhere() -> None:
+    crop = hand_crop(transform(p=(0.0, 0.0, 0.05)), HeldRegion(np.zeros((1, 3)), 0.1), CAMERA)
+    assert crop is not None
+    assert (crop.x0, crop.y0, crop.x1, crop.y1) == (0, 0, 512, 424)
