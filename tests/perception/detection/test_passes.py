@@ -40,7 +40,7 @@ from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.types import CameraIntrinsics, HeldRegion, RgbdFrame
 
 IMAGE = (96, 128)
-PIXELS = 96 * 128
+WORKING_PIXELS = 96 * 128
 
 
 def mask_of(box: Box, image: tuple[int, int] = IMAGE) -> NDArray[np.bool_]:
@@ -103,7 +103,7 @@ def test_only_tools_without_a_certain_end_effector_are_looked_at_again() -> None
     on_left = (34.0, 40.0, 44.0, 52.0)
 
     def looked_at(*found: tuple[int, float, Box]) -> list[bool]:
-        again = crops(instances(*found), IMAGE, IMAGE, PIXELS)
+        again = crops(instances(*found), IMAGE, IMAGE, WORKING_PIXELS)
         return [any(c.x0 <= b[0] and b[2] <= c.x1 for c in again) for b in (left, right)]
 
     tools = ((TOOL, 0.9, left), (TOOL, MIN_TOOL_SCORE, right))
@@ -207,7 +207,12 @@ class ShortSighted(Detector):
     def __init__(self, least_width: int) -> None:
         super().__init__(
             DetectorConfig(
-                widths=(4, 4, 4, 4), fpn_channels=16, box_features=8, mask_layers=1, mask_width=8, working_pixels=PIXELS
+                widths=(4, 4, 4, 4),
+                fpn_channels=16,
+                box_features=8,
+                mask_layers=1,
+                mask_width=8,
+                working_pixels=WORKING_PIXELS,
             )
         )
         self.least_width = least_width
@@ -252,7 +257,7 @@ def test_an_end_effector_too_small_for_the_first_pass_is_found_at_its_place_by_t
     assert found[0].tool_mask is not None
     assert found[0].tool_score == pytest.approx(0.8)
     assert len(detector.looks) == 2
-    assert detector.looks[1][0] * detector.looks[1][1] <= PIXELS
+    assert detector.looks[1][0] * detector.looks[1][1] <= WORKING_PIXELS
     assert detector.metres[1] == pytest.approx(detector.metres[0], rel=0.1), "the larger picture is of the same size"
 
 
