@@ -39,9 +39,9 @@ class Stages:
     """Stages after the network's first pass, each of which costs time."""
 
     coarse: bool
-    """A scene seen finer than the tools of the training is seen again at their scale (`coarse_pass`)."""
+    """A scene seen finer than the tools of the training is seen again at their scale (`passes`)."""
     zoomed: bool
-    """Tools whose end effector is missing or doubtful are detected again, enlarged (`zoom_pass`)."""
+    """Tools whose end effector is missing or doubtful are detected again, enlarged (`passes`)."""
     mirrored: bool
     """Detections are classified and segmented again in the mirror image of the part about them."""
     refined: bool
