@@ -225,7 +225,7 @@ def test_training_writes_weights_that_load_to_the_same_network(
     for damaged in (b"", sound[: len(sound) // 2], bytes(len(sound))):
         checkpoint.write_bytes(damaged)
         with raises(UserError, code="user.checkpoint") as refused:
-            Trainer(trained, small(0.03), (samples, samples), hands, DefaultRecipe(TINY, draws=2), CPU).run()
+            Trainer(trained, small(0.03), (samples, samples), hands, CPU, network=TINY).run()
         assert str(checkpoint) in str(refused.value)
     checkpoint.write_bytes(sound)
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
