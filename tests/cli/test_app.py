@@ -255,6 +255,33 @@ def test_ctrl_c_during_the_imports_is_no_traceback(delay: float, tmp_path: Path)
     assert (process.returncode, said) == (130, "Interrupted.\n")
 
 
+def test_an_interrupt_in_a_callback_is_not_lost() -> None:
+    """Nothing can be raised from a weak reference's callback: Python says so, and goes on."""
+    program = """
+import os, signal, time, weakref
+import toolee_robot.cli.app as app
+from toolee_robot.cli import main
+
+class Thing: pass
+
+def run(args, start):
+    start()
+    try:
+        thing = Thing()
+        kept = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGINT))
+        del thing
+        time.sleep(20.0)
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+app.run = run
+main([])
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert (ended.returncode, ended.stderr) == (130, "")
+
+
 @pytest.mark.parametrize(("to", "code", "said"), [("> /dev/full", 1, "No space left on device"), (">&-", 0, "")])
 def test_output_that_cannot_be_written_ends_nothing(to: str, code: int, said: str) -> None:
     program = "from toolee_robot.cli import main; main()"

@@ -78,18 +78,31 @@ def _may_move() -> None:
     """From here on Ctrl-C is an exception, at which the arm is stopped."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, _interrupt)
+        sys.unraisablehook = _unraisable
 
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt, but after an import that is going on: libraries swallow it there, or break."""
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
-            again = threading.Timer(0.05, os.kill, (os.getpid(), signum))
-            again.daemon = True
-            again.start()
+            _interrupt_again(signum)
             return
         frame = frame.f_back
     raise KeyboardInterrupt
+
+
+def _interrupt_again(signum: int = signal.SIGINT) -> None:
+    again = threading.Timer(0.05, os.kill, (os.getpid(), signum))
+    again.daemon = True
+    again.start()
+
+
+def _unraisable(ignored: sys.UnraisableHookArgs) -> None:
+    """An interrupt that came in a callback, from which nothing can be raised, comes again."""
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        _interrupt_again()
+    else:
+        sys.__unraisablehook__(ignored)
 
 
 def _let_threads_sleep() -> None:
