@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.calibration.board import SHEETS, Board
-from toolee_robot.calibration.hand_eye.motion_spread import check_motion
 from toolee_robot.calibration.hand_eye.refinement import refine
-from toolee_robot.calibration.hand_eye.reprojection import Views
+from toolee_robot.calibration.hand_eye.reprojection import Views, check_motion
 from toolee_robot.calibration.hand_eye.solve import TARGET_DISTANCE, start
 from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.observation import camera_board

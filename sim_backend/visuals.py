@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from toolee_robot.frames import Array, frame_from_axes, transform
+from toolee_robot.render.material import skin_tone
 from toolee_robot.render.mesh import Mesh, box, cylinder, sphere
-from toolee_robot.render.palette import skin_tone
 from toolee_robot.robots import arm_meshes, hand_model
 from toolee_robot.robots.tree import FLANGE_FRAME
 from toolee_robot.sim_backend.options import PlacedBoard
@@ -31,7 +31,7 @@ class VisualBody:
         mesh: Mesh in the body's frame; built once and kept.
         X_base_body: Current pose, 4x4.
         finish: Material for the texture ("wood", "steel_bright", "rubber", "plastic", "skin", ...), see
-            `toolee_robot.render.palette.finish`.
+            `toolee_robot.render.material.finish`.
         color: Color, sRGB in [0, 1].
         roughness: Roughness of the surface in [0, 1].
         metallic: Metalness of the surface in [0, 1].

@@ -22,8 +22,7 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, read_intrinsics
-from toolee_robot.calibration.signed import read_signed, write_signed
+from toolee_robot.calibration.record import INTRINSICS_FORMAT, read_intrinsics, write_signed
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.image_files import read_depth, read_rgb
 from toolee_robot.perception.io import bop_images, parse_intrinsics, read_pose
@@ -185,8 +184,8 @@ def test_a_signed_record_of_no_camera_is_refused(change: dict[str, Any], tmp_pat
     board = {"columns": 8, "rows": 5, "square": 0.03}
     camera = {"fx": 615.0, "fy": 615.0, "cx": 320.0, "cy": 240.0, "width": 640, "height": 480}
     said = {
-        "format": FORMAT, "measured_at": "2026-11-20T10:00:00", "software": "0.1", "camera_serial": "1", "board": board,
-        "distortion": [0.0] * 4, "sigma": [1.0] * 4, "sigma_distortion": [0.1] * 4, "reprojection": 0.1,
+        "format": INTRINSICS_FORMAT, "measured_at": "2026-11-20T10:00:00", "software": "0.1", "camera_serial": "1",
+        "board": board, "distortion": [0.0] * 4, "sigma": [1.0] * 4, "sigma_distortion": [0.1] * 4, "reprojection": 0.1,
         "held_out": 0.1, "largest_distortion": 0.1, "covered": 0.9, "views": 20,
     }  # fmt: skip
     write_signed(tmp_path / "sound.json", said | {"intrinsics": camera})
@@ -267,11 +266,10 @@ def test_jobs_that_begin_in_the_same_second_have_a_folder_each(tmp_path: Path) -
 
 # -- mutations --------------------------------------------------------------------------------------------------------
 
-_RECORD = IntrinsicsRecord
 READERS: dict[str, Callable[[Path], Any]] = {
     "lab.yaml": load_station,
     "plan.yaml": load_plan,
-    "signed.json": lambda path: read_signed(path, _RECORD, "record"),
+    "signed.json": read_intrinsics,
     "pose.json": read_pose,
     "pose.txt": read_pose,
     "pose.npy": read_pose,

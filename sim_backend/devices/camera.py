@@ -10,15 +10,13 @@ import numpy as np
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.hal import Clock
+from toolee_robot.render.depth_sensors import random_reading
 from toolee_robot.render.lab import laboratory
-from toolee_robot.render.material import Material
+from toolee_robot.render.material import Material, finish
 from toolee_robot.render.mesh import FloatArray
-from toolee_robot.render.palette import finish
 from toolee_robot.render.renderer import render
 from toolee_robot.render.scene import Body, Rendering, Scene
-from toolee_robot.render.sensors.color_camera import Photo, photograph
-from toolee_robot.render.sensors.depth_camera import measure_depth
-from toolee_robot.render.sensors.depth_sensors import random_reading
+from toolee_robot.render.sensor_models import Photo, measure_depth, photograph
 from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.sim_backend.visuals import VisualBody, VisualWorld
 from toolee_robot.station import CameraConfig

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from tests.calibration.pictures import BOARD, CAMERA, picture
 from tests.errors import raises
 from toolee_robot.calibration.intrinsics import DISTORTED_FLAT, calibrate_intrinsics
-from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, read_intrinsics, write_intrinsics
 from toolee_robot.calibration.observation import BoardView, find_board
+from toolee_robot.calibration.record import IntrinsicsRecord, read_intrinsics, write_record
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array, transform
 
@@ -146,7 +146,7 @@ def test_a_lens_that_four_numbers_do_not_describe_is_refused(
 def test_a_record_of_intrinsics_is_signed(tilted: list[BoardView], tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("intrinsics") / "intrinsics.json"
     record = _calibrate(tilted)
-    write_intrinsics(path, record)
+    write_record(path, record)
     assert read_intrinsics(path) == record
     path.write_text(path.read_text().replace('"cam-7"', '"cam-8"'))
     with raises(ConfigError, "config.calibration_altered"):

@@ -16,7 +16,7 @@ from tests.calibration.pictures import BOARD, CAMERA, picture
 from tests.devices.cameras.toy_recording import say_undistorted, toy_recording
 from tests.errors import raises
 from toolee_robot.app.calibrate_intrinsics import camera_of
-from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, read_intrinsics, write_intrinsics
+from toolee_robot.calibration.record import INTRINSICS_FORMAT, IntrinsicsRecord, read_intrinsics, write_record
 from toolee_robot.cli.app import EXIT_USER, run
 from toolee_robot.devices.cameras import Lens, LensModel
 from toolee_robot.errors import ConfigError
@@ -35,14 +35,15 @@ PINHOLE = ("fx", "fy", "cx", "cy", "width", "height")
 def record(serial: str = SERIAL) -> IntrinsicsRecord:
     k = replace(CAMERA.intrinsics, fx=383.2, fy=383.2, cx=319.1, cy=241.6, width=640, height=480)
     return IntrinsicsRecord(
-        FORMAT, "2026-11-28T00:00:00+00:00", "0", serial, BOARD, k, DISTORTION, (0.1,) * 4, (1e-4,) * 4, 0.1, 0.1, 5.0,
+        INTRINSICS_FORMAT, "2026-11-28T00:00:00+00:00", "0", serial,
+        BOARD, k, DISTORTION, (0.1,) * 4, (1e-4,) * 4, 0.1, 0.1, 5.0,
         0.9, 30,
     )  # fmt: skip
 
 
 def lab(folder: Path, serial: str = SERIAL, **camera: Any) -> Path:
     """A lab's file that names the record, with some fields of its own."""
-    write_intrinsics(folder / "intrinsics.json", record(serial))
+    write_record(folder / "intrinsics.json", record(serial))
     said = yaml.safe_load(LAB.read_text())
     said["camera"] = {name: value for name, value in said["camera"].items() if name not in PINHOLE}
     said["camera"] |= {"intrinsics": "intrinsics.json", **camera}

@@ -17,7 +17,7 @@ from tests.calibration.pictures import BOARD, CAMERA, draw_session, picture
 from tests.devices.cameras.toy_recording import say_undistorted, toy_recording
 from toolee_robot.calibration.observation import find_board
 from toolee_robot.calibration.record import read_record, write_record
-from toolee_robot.calibration.touch_check import see_corner
+from toolee_robot.calibration.touches import see_corner
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import HALF_TURN, BaseFrame, transform, transform_points

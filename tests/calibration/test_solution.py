@@ -80,7 +80,7 @@ def test_a_clean_set_has_small_held_out_errors_and_a_board_of_its_size() -> None
     assert calibration.leave_one_out.shifts.max() < 1e-3
     scale, sigma = calibration.scale
     assert abs(scale - 1.0) < 4 * sigma < 0.01
-    assert calibration.methods["Park"] < 0.05
+    assert calibration.methods["Horaud"] < 0.05
 
 
 def _transposed(X: Array) -> Array:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
 from toolee_robot.calibration.nail import locate_nail
-from toolee_robot.calibration.tip import locate_tip
+from toolee_robot.calibration.touches import locate_tip
 from toolee_robot.cli.app import run
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import UserError

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolee_robot.calibration.tip import add_touch
+from toolee_robot.calibration.touches import add_touch
 from toolee_robot.cli.app import run
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, plan_handover
 from toolee_robot.control.planning.straight import plan_over_nail

@@ -12,7 +12,7 @@ import yaml
 
 from tests.devices.cameras.toy_recording import INTRINSICS, SERIAL, say_undistorted, toy_recording
 from toolee_robot.calibration.board import SHEETS
-from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, write_intrinsics
+from toolee_robot.calibration.record import INTRINSICS_FORMAT, IntrinsicsRecord, write_record
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
 from toolee_robot.devices.cameras.recording import open_recording
 
@@ -113,10 +113,11 @@ def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
 def measured_lens(folder: Path, serial: str) -> str:
     """Write a record of LENS beside the station file; returns its name."""
     record = IntrinsicsRecord(
-        FORMAT, "2026-11-28T00:00:00+00:00", "0", serial, SHEETS["a3"].board, INTRINSICS, LENS, (0.1,) * 4,
+        INTRINSICS_FORMAT, "2026-11-28T00:00:00+00:00", "0", serial,
+        SHEETS["a3"].board, INTRINSICS, LENS, (0.1,) * 4,
         (1e-4,) * 4, 0.1, 0.1, 5.0, 0.9, 30,
     )  # fmt: skip
-    write_intrinsics(folder.parent / "intrinsics.json", record)
+    write_record(folder.parent / "intrinsics.json", record)
     return "intrinsics.json"
 
 

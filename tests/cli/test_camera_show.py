@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from toolee_robot.calibration.board import SHEETS
-from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord, write_intrinsics
+from toolee_robot.calibration.record import INTRINSICS_FORMAT, IntrinsicsRecord, write_record
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
 from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.stream import CameraMode
@@ -137,10 +137,11 @@ def test_a_distortion_that_is_the_cameras_own_is_not_refused(
 def record(folder: Path, k: CameraIntrinsics, serial: str = SERIAL) -> str:
     """Write a record of a measured lens beside the station file; returns its name."""
     measured = IntrinsicsRecord(
-        FORMAT, "2026-11-28T00:00:00+00:00", "0", serial, SHEETS["a3"].board, k, (0.05, -0.1, 0.0, 0.0), (0.1,) * 4,
+        INTRINSICS_FORMAT, "2026-11-28T00:00:00+00:00", "0", serial,
+        SHEETS["a3"].board, k, (0.05, -0.1, 0.0, 0.0), (0.1,) * 4,
         (1e-4,) * 4, 0.1, 0.1, 5.0, 0.9, 30,
     )  # fmt: skip
-    write_intrinsics(folder / "intrinsics.json", measured)
+    write_record(folder / "intrinsics.json", measured)
     return "intrinsics.json"
 
 

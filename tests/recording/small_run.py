@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, transform
 from toolee_robot.hal import ArmState, MotionOutcome, MotionReport
+from toolee_robot.recording.mcap_file import tool_model
 from toolee_robot.recording.messages import plain
 from toolee_robot.recording.recorder import RunRecorder
-from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.robots import ARM_JOINTS, load_robot
 from toolee_robot.station import sim_station
 from toolee_robot.tools import ToolKind, make_tool

@@ -27,9 +27,9 @@ from tests.recording import small_run
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionReport
+from toolee_robot.recording.history import SeenStatus
 from toolee_robot.recording.reading import finish_copy, read_history
 from toolee_robot.recording.recorder import FLUSH_PERIOD, RunRecorder
-from toolee_robot.recording.series import SeenStatus
 from toolee_robot.types import RgbdFrame
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from toolee_robot.depth_noise import DepthNoise
-from toolee_robot.render.sensors.color_camera import Photo, photograph
-from toolee_robot.render.sensors.depth_camera import measure_depth
+from toolee_robot.render.sensor_models import Photo, measure_depth, photograph
 from toolee_robot.types import CameraIntrinsics
 
 K = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)

@@ -8,12 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolee_robot.perception.offline.synthesis.example import Series, make_example
+from toolee_robot.render.depth_sensors import SystematicErrors, random_reading
 from toolee_robot.render.scene import Rendering
-from toolee_robot.render.sensors.depth_sensors import random_reading
-from toolee_robot.render.sensors.lab_time_of_flight import SystematicErrors
-from toolee_robot.render.sensors.registration import Registration, hidden_from
-from toolee_robot.render.sensors.surface import Surface, in_patches, smooth_noise
-from toolee_robot.render.sensors.triangulation import TriangulatingCamera
+from toolee_robot.render.triangulation import (
+    Registration,
+    Surface,
+    TriangulatingCamera,
+    hidden_from,
+    in_patches,
+    smooth_noise,
+)
 from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.types import CameraIntrinsics
 

@@ -16,12 +16,10 @@ from toolee_robot.frames import Array, transform
 from toolee_robot.render import Body, Light, Material, Mesh, Pattern, Scene, caster, render
 from toolee_robot.render.device import checked
 from toolee_robot.render.mesh import box, cylinder, plane, sphere
-from toolee_robot.render.rays.bvh import BvhTracer
-from toolee_robot.render.rays.tracer import Tracer
+from toolee_robot.render.rays import BvhTracer, Tracer
 from toolee_robot.render.renderer import Shot
 from toolee_robot.render.scene import Backdrop, Patch, Rendering
-from toolee_robot.render.sensors.color_camera import Photo, photograph
-from toolee_robot.render.sensors.depth_camera import measure_depth
+from toolee_robot.render.sensor_models import Photo, measure_depth, photograph
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.types import CameraIntrinsics
 

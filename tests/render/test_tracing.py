@@ -13,10 +13,8 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.render.device import DeviceArray, checked, put
 from toolee_robot.render.mesh import FloatArray, Mesh
-from toolee_robot.render.rays.bvh import BvhTracer
-from toolee_robot.render.rays.embree import EmbreeTracer
-from toolee_robot.render.rays.tracer import Tracer, in_camera
-from toolee_robot.render.sensors.filters import gaussian, white
+from toolee_robot.render.rays import BvhTracer, EmbreeTracer, Tracer, in_camera
+from toolee_robot.render.sensor_models import gaussian, white
 
 Meshes = list[tuple[Mesh, Array]]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import rerun as rr
 
-from toolee_robot.viewer.station_scene import TIMELINE
+from toolee_robot.viewer.station_view import TIMELINE
 
 
 class Logged:

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolee_robot.recording.history import RunHistory
-from toolee_robot.recording.series import Series
+from toolee_robot.recording.history import RunHistory, Series
 from toolee_robot.sim_backend.physics.wood import NailSpec
 from toolee_robot.sim_backend.visuals import NailVisuals
 from toolee_robot.station import NailConfig, sim_station

@@ -22,11 +22,10 @@ from toolee_robot.recording.reading import read_history
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.robots import load_robot
 from toolee_robot.station import sim_station
-from toolee_robot.viewer.live_page import LivePage
-from toolee_robot.viewer.rerun_page import RerunPage
+from toolee_robot.viewer.rerun_page import LivePage, RerunPage
 from toolee_robot.viewer.run_state import RunStates
 from toolee_robot.viewer.run_view import RunView, blueprint
-from toolee_robot.viewer.station_scene import CAMERA_BOX
+from toolee_robot.viewer.station_view import CAMERA_BOX
 
 RUNS = Path(__file__).parents[2] / "docs" / "benchmark" / "runs"
 pytestmark = pytest.mark.sim(seconds=15)
@@ -151,7 +150,7 @@ def test_a_browser_shows_the_page(tmp_path: Path) -> None:
 
 
 def test_a_live_page_ends_with_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("toolee_robot.viewer.live_page.SEEN_S", 0.0)
+    monkeypatch.setattr("toolee_robot.viewer.rerun_page.SEEN_S", 0.0)
     page = LivePage(sim_station(), 8310)
     with urllib.request.urlopen(page.address) as served:
         assert served.status == 200

@@ -15,8 +15,8 @@ import toolee_robot
 from toolee_robot.app.observer import Listener, Waiting
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.intrinsics import calibrate_intrinsics, read_views
-from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord, read_intrinsics
 from toolee_robot.calibration.observation import BoardView
+from toolee_robot.calibration.record import IntrinsicsRecord, read_intrinsics
 from toolee_robot.devices.cameras import StatedLens, StreamedCamera
 from toolee_robot.devices.cameras.recording import recording_of
 from toolee_robot.errors import ConfigError, StaleDataError, UserError

@@ -11,7 +11,6 @@ import numpy as np
 
 from toolee_robot.app.observer import Listener
 from toolee_robot.calibration.board import SHEETS, Board
-from toolee_robot.calibration.board_sight import KnownCamera
 from toolee_robot.calibration.nail import (
     LocatedNail,
     OnWood,
@@ -23,7 +22,7 @@ from toolee_robot.calibration.nail import (
     see_nail,
 )
 from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart, read_record
-from toolee_robot.calibration.tip import read_touches
+from toolee_robot.calibration.touches import KnownCamera, read_touches
 from toolee_robot.calibration.wood import WoodPlane, fit_wood
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, NotReadyError, UserError

@@ -18,9 +18,9 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.recording import PICTURE, RECORDING
+from toolee_robot.recording.mcap_file import tool_model
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
-from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.runtime.files import json_line, run_folder, write_atomic
 from toolee_robot.runtime.gc_pause import gc_settled
 from toolee_robot.runtime.latency_monitor import LatencyMonitor

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.intrinsics_record import FORMAT, IntrinsicsRecord
 from toolee_robot.calibration.observation import MIN_CORNERS, BoardView, find_board
+from toolee_robot.calibration.record import INTRINSICS_FORMAT, IntrinsicsRecord
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.types import CameraIntrinsics
@@ -145,7 +145,7 @@ def calibrate_intrinsics(
         )
     width, height = size
     return IntrinsicsRecord(
-        format=FORMAT,
+        format=INTRINSICS_FORMAT,
         measured_at=measured_at,
         software=software,
         camera_serial=camera_serial,

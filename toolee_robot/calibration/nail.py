@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.board_sight import KnownCamera, see_board
 from toolee_robot.calibration.observation import find_board
+from toolee_robot.calibration.touches import KnownCamera, see_board
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, angle_between, transform_points
 

@@ -1,16 +1,26 @@
-"""The record of a camera calibration: one JSON file, signed against alteration, that a station file names."""
+"""The records of a calibrated camera, of its pose and of its intrinsics: JSON files that a station file names.
+
+Each holds a hash over its content: it shows alteration by mistake or by an editor, not by somebody who signs again.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
+from itertools import zip_longest
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.signed import read_signed, write_signed
+from toolee_robot.errors import ConfigError, words_of
 from toolee_robot.frames import HALF_TURN, Array, is_rigid
+from toolee_robot.runtime.files import read_json, write_atomic
+from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.types import CameraIntrinsics, DhCalibration
 
 FORMAT = "toolee camera calibration 1"
@@ -23,6 +33,15 @@ Row = tuple[float, ...]
 Rows = tuple[Row, ...]
 """A matrix, row by row."""
 _STRICT = {"extra": "forbid", "allow_inf_nan": False}
+INTRINSICS_FORMAT = "toolee camera intrinsics 1"
+"""Name and version of the format."""
+DISTORTED = 0.3
+"""Displacement of a pixel by the lens from which on images must be undistorted [px]."""
+ROUNDED = 1e-4
+"""Largest difference of two coefficients that are the same but for rounding: under 0.05 px at the image's corners."""
+SIGNATURE = "sha256"
+"""The file's key that holds the hash."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -165,13 +184,64 @@ class CalibrationRecord:
         return replace(self, checks=(*self.checks, check))
 
 
+@dataclass(frozen=True)
+class IntrinsicsRecord:
+    """Intrinsics, and how far they can be relied on.
+
+    Attributes:
+        format: `INTRINSICS_FORMAT`.
+        measured_at: Date and time, ISO 8601.
+        software: Version of this software.
+        camera_serial: Serial number of the camera.
+        board: The board, its square as measured.
+        intrinsics: The pinhole model.
+        distortion: k1, k2, p1, p2 of OpenCV's model; they hold for images as the camera gives them.
+        sigma: Standard deviations of fx, fy, cx, cy [px].
+        sigma_distortion: Standard deviations of the distortion.
+        reprojection: Root mean square reprojection error of all views [px].
+        held_out: The same of views that took no part, each by the others of its fifth left out [px].
+        largest_distortion: Largest displacement of a pixel by the lens, in the part of the image that has corners [px].
+        covered: Share of the image's parts that have corners.
+        views: Number of views.
+        left_out: Number of corners that did not fit the others and took no part.
+    """
+
+    __pydantic_config__ = _STRICT
+    format: str
+    measured_at: str
+    software: str
+    camera_serial: str
+    board: Board
+    intrinsics: CameraIntrinsics
+    distortion: tuple[float, ...]
+    sigma: tuple[float, ...]
+    sigma_distortion: tuple[float, ...]
+    reprojection: float
+    held_out: float
+    largest_distortion: float
+    covered: float
+    views: int
+    left_out: int = 0
+
+    def __post_init__(self) -> None:
+        if self.format != INTRINSICS_FORMAT:
+            raise ValueError(f"format {self.format!r}: this software reads {INTRINSICS_FORMAT!r}")
+        if wrong := self.intrinsics.problems():
+            raise ValueError(f"intrinsics.{wrong[0][0]}: {wrong[0][1]}")
+
+    @property
+    def distorts(self) -> bool:
+        """Whether images must be undistorted before anything is measured in them."""
+        return self.largest_distortion > DISTORTED
+
+
 def rows(matrix: Array) -> Rows:
     """A matrix as a record holds it."""
     return tuple(tuple(float(v) for v in row) for row in matrix)
 
 
-def write_record(path: Path, record: CalibrationRecord) -> str:
-    """Sign and write a record; see `signed`.
+def write_record(path: Path, record: CalibrationRecord | IntrinsicsRecord) -> str:
+    """Sign and write a record.
 
     Args:
         path: The file; its folder exists.
@@ -186,8 +256,16 @@ def write_record(path: Path, record: CalibrationRecord) -> str:
     return write_signed(path, asdict(record))
 
 
+def write_signed(path: Path, data: dict[str, Any]) -> str:
+    """As `write_record`, of what JSON can hold, finite numbers only."""
+    signature = _signature(data)
+    text = json.dumps({**data, SIGNATURE: signature}, indent=1, allow_nan=False)
+    write_atomic(path, (text + "\n").encode())
+    return signature
+
+
 def read_record(path: Path) -> CalibrationRecord:
-    """Read a record and check its signature; see `signed`.
+    """Read the record of a camera's pose and check its signature.
 
     Args:
         path: The file.
@@ -196,9 +274,53 @@ def read_record(path: Path) -> CalibrationRecord:
         The record.
 
     Raises:
-        ConfigError: As `read_signed`.
+        ConfigError: It cannot be read (`config.unreadable`), was altered (`config.calibration_altered`), or is no valid
+            record (`config.invalid`).
     """
-    return read_signed(path, CalibrationRecord, "camera calibration")
+    return _read_signed(path, CalibrationRecord, "camera calibration")
+
+
+def read_intrinsics(path: Path) -> IntrinsicsRecord:
+    """As `read_record`, of a camera's intrinsics."""
+    return _read_signed(path, IntrinsicsRecord, "record of intrinsics")
+
+
+def _read_signed(path: Path, kind: type[T], what: str) -> T:
+    """A record of a kind; `what` is its name in errors, which `read_record` lists."""
+    try:
+        data = read_json(path)
+    except (OSError, ValueError) as error:
+        message = f"cannot read the {what} {path} that `toolee calibrate` writes: {words_of(error)}"
+        raise ConfigError(message, code="config.unreadable") from error
+    if not isinstance(data, dict) or SIGNATURE not in data:
+        raise ConfigError(f"{path} is no {what}: name a file that `toolee calibrate` wrote", code="config.invalid")
+    signature = data.pop(SIGNATURE)
+    if signature != _signature(data):
+        raise ConfigError(
+            f"{path} was altered since it was written: nothing in it can be relied on; take the original, or calibrate "
+            "again",
+            code="config.calibration_altered",
+        )
+    return to_record(data, path, kind, what)
+
+
+def _signature(data: dict[str, Any]) -> str:
+    # As the file will be read: tuples are lists there.
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def same_distortion(a: Sequence[float] | None, b: Sequence[float] | None) -> bool:
+    """Whether two distortions are the same but for rounding.
+
+    Args:
+        a: k1, k2, p1, p2 and possibly k3; None for none, which is the same as zeros.
+        b: The other.
+
+    Returns:
+        Whether they are.
+    """
+    return all(abs(x - y) <= ROUNDED for x, y in zip_longest(a or (), b or (), fillvalue=0.0))
 
 
 def camera_is_elsewhere(place: Array, expected: Array) -> bool:

@@ -218,7 +218,7 @@ class Touch(MotionOptions):
 
     def run(self) -> int:
         console = self.console
-        from toolee_robot.calibration.tip import add_touch, read_touches
+        from toolee_robot.calibration.touches import add_touch, read_touches
         from toolee_robot.tasks.bring_up.slow_motions import MotionFrame
 
         if self.touches is not None and self.touches.exists():

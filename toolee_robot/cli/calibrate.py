@@ -25,7 +25,7 @@ from toolee_robot.runtime.clock import check_real_time_factor
 
 if TYPE_CHECKING:
     from toolee_robot.app.calibrate_nail import Located
-    from toolee_robot.calibration.intrinsics_record import IntrinsicsRecord
+    from toolee_robot.calibration.record import IntrinsicsRecord
     from toolee_robot.frames import Array
     from toolee_robot.station import StationConfig
 
@@ -60,7 +60,7 @@ class PrintBoard:
 
     def run(self) -> int:
         from toolee_robot.calibration.board import SHEETS
-        from toolee_robot.calibration.print import write_board
+        from toolee_robot.calibration.report import write_board
 
         sheet = SHEETS[self.sheet]
         write_board(self.out, sheet)
@@ -291,7 +291,7 @@ class Check(JsonOption):
         from toolee_robot.calibration.observation import find_board
         from toolee_robot.calibration.record import read_record, write_record
         from toolee_robot.calibration.session import read_image
-        from toolee_robot.calibration.touch_check import cause, see_corner, touch_check
+        from toolee_robot.calibration.touches import cause, see_corner, touch_check
         from toolee_robot.frames import BaseFrame
 
         record = read_record(self.record)
@@ -352,7 +352,7 @@ class Intrinsics(BoardOptions):
     def run(self) -> int:
         self._check()
         from toolee_robot.app.calibrate_intrinsics import IntrinsicsJob, camera_of, check_entry, enter
-        from toolee_robot.calibration.intrinsics_record import write_intrinsics
+        from toolee_robot.calibration.record import write_record
 
         camera = None if self.station is None else camera_of(self.station)
         if self.write:
@@ -371,7 +371,7 @@ class Intrinsics(BoardOptions):
             else:
                 record = job.live(camera, self.views, _metres(self.bars_mm))
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        write_intrinsics(self.out, record)
+        write_record(self.out, record)
         if self.write:
             assert self.station is not None
             enter(self.station, self.out)
@@ -450,7 +450,7 @@ class Mount(JsonOption):
     """The station file: the arm's model and kinematics."""
 
     def run(self) -> int:
-        from toolee_robot.calibration.tip import locate_tip, read_touches
+        from toolee_robot.calibration.touches import locate_tip, read_touches
         from toolee_robot.control import RobotModel
         from toolee_robot.station import load_station, sim_station
 

@@ -23,7 +23,7 @@ from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome,
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 if TYPE_CHECKING:
-    from toolee_robot.viewer.live_page import LivePage  # needs the extra `viewer`
+    from toolee_robot.viewer.rerun_page import LivePage  # needs the extra `viewer`
 
 # ruff: noqa: ARG002 - an observer receives more than it shows
 

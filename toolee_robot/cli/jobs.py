@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from toolee_robot.app.job import JobSpec
     from toolee_robot.app.sources import Source
     from toolee_robot.cli.job_console import ConsoleObserver
-    from toolee_robot.viewer.live_page import LivePage  # needs the extra `viewer`
+    from toolee_robot.viewer.rerun_page import LivePage  # needs the extra `viewer`
 
 EXIT_FAILED = 1
 PAGE_PORT = 8080
@@ -130,7 +130,7 @@ def _page(config: StationConfig, console: Console, *, shown: bool) -> Iterator[L
     if not shown:
         yield None
         return
-    from toolee_robot.viewer.live_page import LivePage
+    from toolee_robot.viewer.rerun_page import LivePage
 
     page = LivePage(config, PAGE_PORT)
     console.print(f"[dim]The job is shown at[/dim] [bold]{page.address}[/bold]")

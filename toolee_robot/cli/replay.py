@@ -13,7 +13,6 @@ from rich.progress import track
 from rich.table import Table
 
 from toolee_robot.cli.output import Flag, JsonOption, serve, text_table
-from toolee_robot.recording.runs import list_runs, recording_of
 
 if TYPE_CHECKING:
     from toolee_robot.recording.history import RunHistory
@@ -48,7 +47,7 @@ class Replay(JsonOption):
     """Copy what can be read of a killed run's recording into a new file that every reader opens, and open no page."""
 
     def run(self) -> int:
-        from toolee_robot.recording.reading import finish_copy, read_history
+        from toolee_robot.recording.reading import finish_copy, read_history, recording_of
 
         console = self.console
         path = recording_of(self.recording)
@@ -98,6 +97,8 @@ class Runs(JsonOption):
     """The folder: what a job's --out names."""
 
     def run(self) -> int:
+        from toolee_robot.recording.reading import list_runs
+
         runs = list_runs(self.folder)
         self.tell(runs)
         if self.json:

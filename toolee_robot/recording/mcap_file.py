@@ -1,16 +1,23 @@
-"""An MCAP file, written with Foxglove's SDK. A full disk ends it, and nothing else."""
+"""The files of a recording: the MCAP file, written with Foxglove's SDK, and the tool's shape in it.
+
+A full disk ends the MCAP file, and nothing else.
+"""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
 
+import numpy as np
+import trimesh
 from foxglove import Channel, Context, Schema, open_mcap
 from foxglove.mcap import MCAPWriteOptions
 
 from toolee_robot.errors import UserError, words_of
+from toolee_robot.tools import ToolShape
 
 CHUNK_SIZE = 256 * 1024
 """Size at which a chunk is compressed and written [bytes]."""
@@ -121,3 +128,34 @@ class _Sink:
     def close(self) -> None:
         with suppress(OSError):
             self._file.close()
+
+
+def tool_model(shape: ToolShape) -> bytes:
+    """A tool's surface as a glTF binary, coloured by part, in the frame `tool`.
+
+    Args:
+        shape: The tool.
+
+    Returns:
+        The file.
+    """
+    colors = np.array([[*(round(255 * c) for c in part.material.color), 255] for part in shape.parts], dtype=np.uint8)
+    # The faces' corners apart, so that each has its part's colour.
+    triangles = shape.mesh.vertices.view(np.ndarray)[shape.mesh.faces.view(np.ndarray)].reshape(-1, 3)
+    mesh = trimesh.Trimesh(triangles, np.arange(len(triangles)).reshape(-1, 3), process=False)
+    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.repeat(colors[shape.face_parts], 3, axis=0))
+    data = mesh.export(file_type="glb")
+    assert isinstance(data, bytes)
+    return data
+
+
+def read_tool_model(data: bytes) -> trimesh.Trimesh:
+    """The surface of a tool from its file, frame `tool`.
+
+    Args:
+        data: The file.
+
+    Returns:
+        The mesh, coloured by vertex.
+    """
+    return trimesh.load_mesh(io.BytesIO(data), file_type="glb")

@@ -1,4 +1,4 @@
-"""Ray casting and shading of a scene in the camera frame.
+"""Ray casting and shading of a scene in the camera frame, its environment maps and background images.
 
 The camera frame keeps float32 precise. Rays are (u, v, 1) from the origin, so that the ray parameter of a hit is its
 depth.
@@ -17,15 +17,71 @@ from scipy.ndimage import gaussian_filter
 from toolee_robot.frames import Array, inverse
 from toolee_robot.render.device import DeviceArray, empty, launch, put, rows_of
 from toolee_robot.render.kernels import light as kernels
-from toolee_robot.render.kernels import shadows
-from toolee_robot.render.kernels.texture import TABLE_SIZE, Surface
+from toolee_robot.render.kernels import surroundings
+from toolee_robot.render.kernels.surroundings import TABLE_SIZE, Surface
 from toolee_robot.render.mesh import Mesh
-from toolee_robot.render.rays.tracer import Found, Tracer
-from toolee_robot.render.scene import Light, Scene
-from toolee_robot.render.surroundings import sky_maps
+from toolee_robot.render.rays import BvhTracer, EmbreeTracer, Found, Tracer
+from toolee_robot.render.scene import Backdrop, Environment, Light, Scene
+
+_BLURS = (0.05, 0.25, 0.6, 1.0)
+"""Blur half-widths [rad] of the maps; the last map is the diffuse irradiance."""
+assert len(_BLURS) == surroundings.SKY_LEVELS
+
+
+def sky_maps(environment: Environment, device: str) -> DeviceArray:
+    """Blurred environment maps, in the layout of `kernels.surroundings.sky`.
+
+    Args:
+        environment: Light from all directions.
+        device: Warp device.
+
+    Returns:
+        The maps, row-major, (4 * 64 * 64,) vec3, linear RGB.
+    """
+    lobes = rows_of(surroundings.Lobe, [(lobe.direction, lobe.width, lobe.color) for lobe in environment.lobes])
+    maps = empty(surroundings.SKY_LEVELS * surroundings.SKY_SIZE**2, wp.vec3, device)
+    colors = (wp.vec3(c) for c in (environment.zenith, environment.horizon, environment.ground))
+    launch(
+        surroundings.bake,
+        maps.size,
+        *colors,
+        put(lobes, surroundings.Lobe, device),
+        _blurs(device),
+        maps,
+        device=device,
+    )
+    return maps
+
+
+def picture(backdrop: Backdrop, height: int, width: int, device: str) -> DeviceArray:
+    """Background image of a backdrop.
+
+    Args:
+        backdrop: The backdrop.
+        height: Height of the image [px].
+        width: Width of the image [px].
+        device: Warp device.
+
+    Returns:
+        The image, row-major, (H * W,) vec3, linear RGB.
+    """
+    rows = [(p.centre, p.half_axes, np.cos(p.angle), np.sin(p.angle), p.oval, p.color) for p in backdrop.patches]
+    patches = rows_of(surroundings.Patch, rows)
+    out = empty(height * width, wp.vec3, device)
+    colors = (wp.vec3(c) for c in (backdrop.corner, backdrop.right, backdrop.down))
+    launch(
+        surroundings.backdrop, out.size, width, *colors, put(patches, surroundings.Patch, device), out, device=device
+    )
+    return out
+
+
+@lru_cache
+def _blurs(device: str) -> DeviceArray:
+    return put(np.array(_BLURS, np.float32), wp.float32, device)
+
 
 _SHADOW_BLUR = 2
-"""Radius [px] of the smoothing of soft shadows."""
+"""Radius [px] of the smoothing of soft kernels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,14 +176,14 @@ class Caster:
                 seen[k].fill_(1.0)
                 continue
             asked = (origins, directions, reach)
-            launch(shadows.rays_to_lamp, n, found.ids, points, normals, look.lamps, k, first, *asked, device=device)
+            launch(kernels.rays_to_lamp, n, found.ids, points, normals, look.lamps, k, first, *asked, device=device)
             blocked = self._tracer.blocked(*asked)
             if light.softness == 0 or grid is None:
-                launch(shadows.seen_unblurred, n, reach, blocked, k, seen, device=device)
+                launch(kernels.seen_unblurred, n, reach, blocked, k, seen, device=device)
                 continue
             height, width = grid
-            launch(shadows.count_beside, n, reach, blocked, width, _SHADOW_BLUR, counts, device=device)
-            launch(shadows.seen_blurred, n, reach, counts, width, height, _SHADOW_BLUR, k, seen, device=device)
+            launch(kernels.count_beside, n, reach, blocked, width, _SHADOW_BLUR, counts, device=device)
+            launch(kernels.seen_blurred, n, reach, counts, width, height, _SHADOW_BLUR, k, seen, device=device)
         return seen
 
     @cached_property
@@ -206,10 +262,4 @@ def tracer_of(meshes: Sequence[tuple[Mesh, Array]], device: str) -> Tracer:
     Returns:
         The tracer.
     """
-    if device == "cpu":
-        from toolee_robot.render.rays.embree import EmbreeTracer
-
-        return EmbreeTracer(meshes)
-    from toolee_robot.render.rays.bvh import BvhTracer
-
-    return BvhTracer(meshes, device)
+    return EmbreeTracer(meshes) if device == "cpu" else BvhTracer(meshes, device)

@@ -15,12 +15,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
-from toolee_robot.render.caster import Caster, Hits
+from toolee_robot.render.caster import Caster, Hits, picture
 from toolee_robot.render.device import DeviceArray, checked, empty, launch, put
 from toolee_robot.render.kernels import image as kernels
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.scene import Rendering, Scene
-from toolee_robot.render.surroundings import picture
 from toolee_robot.types import CameraIntrinsics
 
 _MIDDLE_GREY = 0.2

@@ -10,13 +10,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from toolee_robot.calibration.intrinsics_record import same_distortion
 from toolee_robot.calibration.record import (
     CalibrationRecord,
     axes_swapped,
     camera_is_elsewhere,
     half_a_turn_apart,
     read_record,
+    same_distortion,
 )
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import HALF_TURN, BaseFrame

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.calibration.intrinsics_record import read_intrinsics, same_distortion
-from toolee_robot.calibration.record import rows
+from toolee_robot.calibration.record import read_intrinsics, rows, same_distortion
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, BaseFrame, transform
 from toolee_robot.station.calibration import SIMULATED

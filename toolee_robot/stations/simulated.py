@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board, Sheet
-from toolee_robot.calibration.board_sight import KnownCamera
 from toolee_robot.calibration.hand_eye.refinement import refine
 from toolee_robot.calibration.hand_eye.reprojection import Views
 from toolee_robot.calibration.hand_eye.solve import start
@@ -22,6 +21,7 @@ from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.nail import LocatedNail, OnWood
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.calibration.record import rows
+from toolee_robot.calibration.touches import KnownCamera
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.options import PlacedBoard, SimOptions
 from toolee_robot.sim_backend.station import SimStation

@@ -15,17 +15,16 @@ from PIL import Image
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import frame_from_axes, transform
 from toolee_robot.recording.history import RunHistory
-from toolee_robot.recording.tool_file import read_tool_model
-from toolee_robot.render.material import Material
+from toolee_robot.recording.mcap_file import read_tool_model
+from toolee_robot.render.material import Material, finish, linear
 from toolee_robot.render.mesh import Mesh, box
-from toolee_robot.render.palette import finish, linear
 from toolee_robot.render.renderer import render
 from toolee_robot.render.scene import Body, Environment, Light, Scene
 from toolee_robot.sim_backend.visuals import BodyId
 from toolee_robot.station import StationConfig
 from toolee_robot.types import CameraIntrinsics
 from toolee_robot.viewer.run_state import RunState, RunStates
-from toolee_robot.viewer.station_scene import bodies
+from toolee_robot.viewer.station_view import bodies
 
 Picture = NDArray[np.uint8]
 LENGTH_S, RATE = 10.0, 10.0

@@ -13,8 +13,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError, PerceptionError
 from toolee_robot.frames import Array
 from toolee_robot.perception import ToolPerception
-from toolee_robot.recording.history import RunHistory
-from toolee_robot.recording.series import SeenEstimate
+from toolee_robot.recording.history import RunHistory, SeenEstimate
 from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.look import Views

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.recording.history import RunHistory
-from toolee_robot.recording.series import SeenEstimate, Series
+from toolee_robot.recording.history import RunHistory, SeenEstimate, Series
 from toolee_robot.sim_backend.visuals import nail_of
 from toolee_robot.station import StationConfig
 

@@ -8,12 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array
-from toolee_robot.recording.history import RunHistory
-from toolee_robot.recording.series import SeenDecision, Series
+from toolee_robot.recording.history import RunHistory, SeenDecision, Series
 from toolee_robot.sim_backend.visuals import BodyId
 from toolee_robot.station import StationConfig
 from toolee_robot.viewer.run_state import RunStates
-from toolee_robot.viewer.station_scene import (
+from toolee_robot.viewer.station_view import (
     BACKGROUND,
     TIMELINE,
     axes,

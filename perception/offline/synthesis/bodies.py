@@ -11,8 +11,16 @@ import numpy as np
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.perception.offline.dataset.records import SHOWN_HAND
 from toolee_robot.render import Body, Material, Mesh, Pattern
-from toolee_robot.render.palette import any_color, any_glove_color, any_skin_tone, finish, linear, skin_tone
-from toolee_robot.render.robot_look import LookPart, arm_link_parts
+from toolee_robot.render.material import (
+    LookPart,
+    any_color,
+    any_glove_color,
+    any_skin_tone,
+    arm_link_parts,
+    finish,
+    linear,
+    skin_tone,
+)
 from toolee_robot.robots import arm_link_poses, arm_meshes, wrap_fingers
 from toolee_robot.robots.description import robot_tree
 from toolee_robot.tools import ToolShape, make_tool

@@ -17,9 +17,9 @@ from toolee_robot.perception.offline.dataset.spec import CONFIGS, SPLITS, Datase
 from toolee_robot.perception.offline.synthesis.hard import hard_scene
 from toolee_robot.perception.offline.synthesis.placement import Pool, SceneSample
 from toolee_robot.perception.offline.synthesis.station import paper_scene, station_scene
+from toolee_robot.render.depth_sensors import random_reading
 from toolee_robot.render.renderer import Shot
-from toolee_robot.render.sensors.color_camera import Photo, photograph
-from toolee_robot.render.sensors.depth_sensors import random_reading
+from toolee_robot.render.sensor_models import Photo, photograph
 from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.types import CameraIntrinsics
 

@@ -38,9 +38,8 @@ from toolee_robot.perception.offline.synthesis.placement import (
     tool_in_view,
 )
 from toolee_robot.render import Body, Scene
-from toolee_robot.render.lab import environment, lamps
+from toolee_robot.render.lab import environment, lamps, uneven_light
 from toolee_robot.render.mesh import box, cylinder
-from toolee_robot.render.uneven_light import uneven_light
 from toolee_robot.tools import ToolShape
 from toolee_robot.types import CameraIntrinsics
 

@@ -50,8 +50,8 @@ from toolee_robot.perception.offline.synthesis.placement import (
 )
 from toolee_robot.render import Body, Material, Scene
 from toolee_robot.render.lab import environment, lamps
+from toolee_robot.render.material import any_color, finish, linear, skin_tone
 from toolee_robot.render.mesh import box, cylinder, sphere
-from toolee_robot.render.palette import any_color, finish, linear, skin_tone
 from toolee_robot.robots import wrap_fingers
 from toolee_robot.robots.description import arm_tree
 from toolee_robot.tools import ToolShape

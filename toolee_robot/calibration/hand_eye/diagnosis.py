@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.hand_eye.closed_form import closed_form
 from toolee_robot.calibration.hand_eye.refinement import Refined
+from toolee_robot.calibration.hand_eye.reprojection import closed_form
 from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, is_rigid, transform

@@ -1,16 +1,21 @@
-"""The measurement model: corners of the board on the flange, projected into the fixed camera."""
+"""The measurement model of a board on the flange, the closed form that starts from it, and the motion that it needs.
+
+With the camera fixed and the board on the flange, X_camera_board = X_base_camera^-1 X_base_flange X_flange_board.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.observation import Observation
-from toolee_robot.frames import Array, skew, transform
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array, inverse, is_rigid, skew, transform
 from toolee_robot.types import CameraIntrinsics
 
 CAMERA, BOARD, SCALE = slice(0, 6), slice(6, 12), 12
@@ -136,3 +141,117 @@ class Views:
             (by_parameters * keep[..., None]).reshape(n, 2 * m, 13),
             (by_flange * keep[..., None]).reshape(n, 2 * m, 6),
         )
+
+
+METHOD = "Horaud"
+
+
+def closed_form(Xs_base_flange: Sequence[Array], Xs_camera_board: Sequence[Array]) -> Estimate | None:
+    """Calibrate in closed form.
+
+    Args:
+        Xs_base_flange: Poses of the flange, (4, 4) each.
+        Xs_camera_board: Poses of the board at the same times, (4, 4) each.
+
+    Returns:
+        Camera and board; None if the method fails on these poses.
+    """
+    flange, board = np.asarray(Xs_base_flange), np.asarray(Xs_camera_board)
+    back = inverse(flange)
+    rotations, positions = [list(X[:, :3, :3]) for X in (back, board)], [list(X[:, :3, 3]) for X in (back, board)]
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        R, p = cv2.calibrateHandEye(
+            rotations[0], positions[0], rotations[1], positions[1], method=cv2.CALIB_HAND_EYE_HORAUD
+        )
+    except cv2.error:
+        return None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    X_base_camera = transform(R, np.asarray(p).ravel())
+    return Estimate(X_base_camera, mean_pose(back @ X_base_camera @ board)) if is_rigid(X_base_camera, 1e-4) else None
+
+
+def mean_pose(Xs: Array) -> Array:
+    """Average poses, (N, 4, 4): the median of the positions, and the chordal mean of the rotations."""
+    U, _, Vt = np.linalg.svd(Xs[:, :3, :3].sum(axis=0))
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return transform(R, np.median(Xs[:, :3, 3], axis=0))
+
+
+MIN_POSES = 8
+"""Fewest poses of a calibration."""
+MIN_ROTATION = np.deg2rad(25.0)
+"""Least rotation between two poses, about each of two axes at right angles to each other [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSpread:
+    """Rotations between the poses of the flange.
+
+    Attributes:
+        first: Largest rotation between two poses [rad].
+        axis: Its axis in the flange, (3,).
+        second: Largest rotation between two poses about an axis at a right angle to `axis` [rad]: the part of their
+            rotation vector there.
+    """
+
+    first: float
+    axis: Array
+    second: float
+
+    @property
+    def sufficient(self) -> bool:
+        """Whether both rotations are large enough."""
+        return min(self.first, self.second) >= MIN_ROTATION
+
+
+def motion_spread(Xs_base_flange: Sequence[Array]) -> MotionSpread:
+    """Measure the rotations between poses.
+
+    The translation of a hand-eye calibration is undetermined along the axis of all rotations where they share one
+    (Tsai and Lenz, 1989).
+
+    Args:
+        Xs_base_flange: Poses of the flange, (4, 4) each, two or more.
+
+    Returns:
+        The rotations.
+    """
+    R = Rotation.from_matrix(np.asarray(Xs_base_flange)[:, :3, :3])
+    i, j = np.triu_indices(len(Xs_base_flange), 1)
+    vectors = (R[i].inv() * R[j]).as_rotvec()
+    angles = np.linalg.norm(vectors, axis=1)
+    largest = int(np.argmax(angles))
+    axis = vectors[largest] / max(angles[largest], 1e-12)
+    across = vectors - np.outer(vectors @ axis, axis)
+    return MotionSpread(float(angles[largest]), axis, float(np.linalg.norm(across, axis=1).max()))
+
+
+def check_motion(Xs_base_flange: Sequence[Array]) -> MotionSpread:
+    """Refuse poses that do not determine a calibration.
+
+    Args:
+        Xs_base_flange: Poses of the flange, (4, 4) each.
+
+    Returns:
+        The rotations between them.
+
+    Raises:
+        UserError: There are too few, or they turn the board too little or about one axis only.
+    """
+    if len(Xs_base_flange) < MIN_POSES:
+        raise UserError(
+            f"{len(Xs_base_flange)} poses show the board: give {MIN_POSES} or more, better 20",
+            code="user.calibration_few_poses",
+        )
+    spread = motion_spread(Xs_base_flange)
+    if not spread.sufficient:
+        raise UserError(
+            f"the poses turn the board by at most {np.rad2deg(spread.first):.0f}° about one axis and "
+            f"{np.rad2deg(spread.second):.0f}° about any axis across it; {np.rad2deg(MIN_ROTATION):.0f}° about both "
+            "are needed, or the camera's place is undetermined: tilt the board left, right, up and down, and turn it",
+            code="user.calibration_degenerate",
+        )
+    return spread

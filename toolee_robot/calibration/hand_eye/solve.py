@@ -8,11 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.hand_eye.closed_form import METHOD, closed_form
 from toolee_robot.calibration.hand_eye.diagnosis import check_fit, check_place, check_poses, check_scale
-from toolee_robot.calibration.hand_eye.motion_spread import MotionSpread, check_motion
 from toolee_robot.calibration.hand_eye.refinement import Refined, refine
-from toolee_robot.calibration.hand_eye.reprojection import SCALE, Estimate, Views
+from toolee_robot.calibration.hand_eye.reprojection import (
+    METHOD,
+    SCALE,
+    Estimate,
+    MotionSpread,
+    Views,
+    check_motion,
+    closed_form,
+)
 from toolee_robot.calibration.observation import Observation, camera_board
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform_points

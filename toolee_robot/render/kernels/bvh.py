@@ -56,7 +56,7 @@ def closest(
     found: wp.array2d[wp.float32],
     ids: wp.array2d[wp.int32],
 ):
-    """Find the first hits of rays from the origin; outputs as in `rays.tracer.Found`.
+    """Find the first hits of rays from the origin; outputs as in `rays.Found`.
 
     Args:
         loose: Id of the tree of all loose meshes, camera frame; 0 for none.

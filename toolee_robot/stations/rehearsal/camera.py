@@ -23,8 +23,7 @@ from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Clock
 from toolee_robot.render.scene import Rendering
-from toolee_robot.render.sensors.color_camera import Photo, photograph
-from toolee_robot.render.sensors.depth_camera import measure_depth
+from toolee_robot.render.sensor_models import Photo, measure_depth, photograph
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, Pictures, SoftwareRealSense
 from toolee_robot.sim_backend.options import PlacedBoard

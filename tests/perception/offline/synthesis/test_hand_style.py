@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.perception.offline.synthesis.bodies import HandStyle
-from toolee_robot.render.palette import any_glove_color, any_skin_tone
+from toolee_robot.render.material import any_glove_color, any_skin_tone
 
 
 def test_skin_covers_the_monk_scale_and_stays_skin() -> None:

@@ -14,7 +14,7 @@ from toolee_robot.perception.offline.dataset.records import WIDTH
 from toolee_robot.perception.offline.synthesis.bench import across, leaning, lying, standing
 from toolee_robot.perception.offline.synthesis.hard import hard_scene
 from toolee_robot.perception.offline.synthesis.placement import Pool, Stance, random_intrinsics
-from toolee_robot.render.uneven_light import uneven_light
+from toolee_robot.render.lab import uneven_light
 from toolee_robot.tools import Family, Tool, ToolKind, kinds_of, make_tool
 
 POINT = np.array([0.3, -0.2, -0.45])

@@ -14,14 +14,168 @@ much of the noise neighbours share.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from toolee_robot.render.mesh import FloatArray
-from toolee_robot.render.sensors.registration import hidden_from
-from toolee_robot.render.sensors.surface import Surface, in_patches, smooth_noise
+from toolee_robot.render.renderer import Image
+from toolee_robot.render.scene import Rendering
 from toolee_robot.types import CameraIntrinsics
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The surfaces in a camera's pixels.
+
+    Attributes:
+        depth: True depth, (H, W) float32 [m]; 0 where there is nothing.
+        cos_incidence: Cosine of the angle between ray and surface normal, (H, W) float32.
+        shininess: Shininess in [0, 1], (H, W) float32.
+        brightness: Linear brightness in [0, 1] as the colour camera sees it, (H, W) float32; the best guess here at
+            what the surface returns of the sensor's own light.
+    """
+
+    depth: FloatArray
+    cos_incidence: FloatArray
+    shininess: FloatArray
+    brightness: FloatArray
+
+    @staticmethod
+    def of(image: Image | Rendering) -> Surface:
+        """The surfaces of a rendered image.
+
+        Args:
+            image: The image, on any device or in memory.
+
+        Returns:
+            The surfaces, in memory.
+        """
+        brightness = (_in_memory(image.rgb).mean(axis=2, dtype=np.float32) / np.float32(255.0)) ** np.float32(2.2)
+        depth, cos_incidence, shininess = map(_in_memory, (image.depth, image.cos_incidence, image.shininess))
+        return Surface(depth, cos_incidence, shininess, brightness)
+
+
+def _in_memory(part: Any) -> Any:
+    return part if isinstance(part, np.ndarray) else part.numpy()
+
+
+def smooth_noise(shape: tuple[int, ...], size: float, rng: np.random.Generator) -> FloatArray:
+    """A random field of zero mean and unit variance.
+
+    Args:
+        shape: Height and width [px].
+        size: Distance over which neighbours are alike [px]; at 1 and below they are independent.
+        rng: Random generator.
+
+    Returns:
+        The field, (H, W) float32.
+    """
+    height, width = shape
+    if size <= 1.0:
+        return rng.standard_normal((height, width), dtype=np.float32)
+    rows, columns = (int(np.ceil(n / size)) + 3 for n in (height, width))
+    coarse = rng.standard_normal((rows, columns), dtype=np.float32)
+    fine = cv2.resize(coarse, (round(columns * size), round(rows * size)), interpolation=cv2.INTER_CUBIC)
+    # The grid lies anywhere over the image, and its nodes vary more than what is between them.
+    top, left = int(rng.integers(max(1, int(size)))), int(rng.integers(max(1, int(size))))
+    field: FloatArray = fine[top : top + height, left : left + width] / np.float32(max(float(fine.std()), 1e-6))
+    return field
+
+
+def in_patches(chance: FloatArray, size: float, rng: np.random.Generator) -> np.ndarray:
+    """Choose pixels in connected patches.
+
+    Args:
+        chance: Probability of each pixel to be chosen, (H, W).
+        size: Size of the patches [px].
+        rng: Random generator.
+
+    Returns:
+        Whether each pixel is chosen, (H, W) bool.
+    """
+    chosen: np.ndarray = ndtr(smooth_noise(chance.shape, size, rng)) < chance
+    return chosen
+
+
+_MARGIN = 0.015
+"""Depth by which something must be in front to hide a pixel [m]."""
+
+
+def hidden_from(depth: FloatArray, K: CameraIntrinsics, baseline: float) -> NDArray[np.bool_]:
+    """Find the pixels that a second eye beside the camera does not see, because something nearer is in between.
+
+    Args:
+        depth: Depth, (H, W) [m]; 0 where there is nothing.
+        K: Intrinsics of the camera.
+        baseline: Place of the second eye along the image's x [m].
+
+    Returns:
+        Whether each pixel is hidden from it, (H, W) bool. A pixel outside its image is not.
+    """
+    height, width = depth.shape
+    known = depth > 0
+    rows, columns = np.nonzero(known)
+    z = depth[known]
+    there = np.rint(columns - K.fx * baseline / z).astype(np.int64)
+    inside = (there >= 0) & (there < width)
+    nearest = np.full(height * width, np.float32(np.inf))
+    place = rows * width + np.clip(there, 0, width - 1)
+    np.minimum.at(nearest, place[inside], z[inside])
+    # Surfaces that the second eye sees wider leave gaps of a column: they are closed.
+    columns_of_three = np.ones((1, 3), np.uint8)
+    closed = cv2.dilate(cv2.erode(nearest.reshape(height, width), columns_of_three), columns_of_three)
+    nearest = closed.reshape(-1)
+    hidden = np.zeros(depth.shape, np.bool_)
+    hidden[known] = inside & (z > nearest[place] + np.float32(_MARGIN))
+    return hidden
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Registration of a depth camera beside the colour camera.
+
+    Attributes:
+        baseline: Place of the depth camera along the image's x [m].
+        shift: What the registration is off by, along x and y [px].
+    """
+
+    baseline: float = 0.0
+    shift: tuple[float, float] = (0.0, 0.0)
+
+    @staticmethod
+    def random(baseline: float, rng: np.random.Generator, most: float = 1.5) -> Registration:
+        """A camera on either side, registered to `most` pixels.
+
+        Args:
+            baseline: Distance of the two cameras [m].
+            rng: Random generator.
+            most: Largest error along an axis [px]; assumed.
+
+        Returns:
+            The registration.
+        """
+        x, y = rng.uniform(-most, most, 2)
+        return Registration(float(rng.choice([-baseline, baseline])), (float(x), float(y)))
+
+    def apply(self, reading: FloatArray, true_depth: FloatArray, K: CameraIntrinsics) -> FloatArray:
+        """Register a reading.
+
+        Args:
+            reading: What the depth camera reads, in the colour camera's pixels, (H, W) [m].
+            true_depth: Depth of the surfaces there, (H, W) [m].
+            K: Intrinsics of the colour camera.
+
+        Returns:
+            The reading without what the depth camera cannot see, shifted, (H, W) float32 [m].
+        """
+        kept = np.where(hidden_from(true_depth, K, self.baseline), np.float32(0.0), reading)
+        move = np.array([[1.0, 0.0, self.shift[0]], [0.0, 1.0, self.shift[1]]])
+        return cv2.warpAffine(kept, move, (K.width, K.height), flags=cv2.INTER_NEAREST).astype(np.float32)
+
 
 _EDGE = 0.02
 """Depth step that counts as an outline [m]."""
