@@ -336,7 +336,7 @@ _PIECES = st.sampled_from(
         st.tuples(st.floats(0, 1), st.integers(0, 40), _PIECES | st.binary(max_size=12)), min_size=1, max_size=4
     ),
 )
-@examples(150)
+@examples(500)
 def test_any_mutation_ends_in_an_error_of_ours_or_in_a_value(
     name: str, edits: list[tuple[float, int, bytes]], sound: Path
 ) -> None:

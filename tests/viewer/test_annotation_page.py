@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import viser
+from websockets import Origin, Subprotocol
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from tests.perception.offline.annotation.rendered import RenderedEnd, rendered_ends
 from tests.viewer.browser import ARGUMENTS, CHROMIUM
@@ -77,6 +82,22 @@ def test_a_ray_means_the_pixel_that_it_meets(page: tuple[AnnotationPage, Session
     z = float(depth[rows[n], columns[n]])
     point = np.array([(columns[n] - k.cx) / k.fx * z, (rows[n] - k.cy) / k.fy * z, z])
     assert scene.pixel_of(np.zeros(3), point) == pytest.approx((columns[n], rows[n]), abs=1.0)
+
+
+def test_another_sites_page_gets_nothing(page: tuple[AnnotationPage, Session]) -> None:
+    address = page[0].address
+    asked = urllib.request.Request(address, headers={"Host": "evil.example:8080"})
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(asked)
+    protocol = Subprotocol(f"viser-v{viser.__version__}")
+    socket = address.replace("http", "ws", 1)
+    with (
+        pytest.raises(InvalidStatus, match="403"),
+        connect(socket, origin=Origin("http://evil.example"), subprotocols=[protocol]),
+    ):
+        pass
+    with connect(socket, origin=Origin(address), subprotocols=[protocol], max_size=None) as own:
+        assert own.recv(timeout=30.0)
 
 
 def test_it_tells_the_pose_its_checks_and_what_is_missing(

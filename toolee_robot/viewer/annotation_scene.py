@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from http import HTTPStatus
 from typing import Any, Literal
 
 import numpy as np
@@ -44,6 +45,30 @@ _WITHIN = 0.02
 """How near a ray must pass to a point of the cloud [rad]."""
 
 
+@contextlib.contextmanager
+def _own_page_only() -> Iterator[None]:
+    """Let a server that begins meanwhile refuse other sites' pages: viser looks at neither Host nor Origin."""
+    from websockets.asyncio import server
+
+    serve = server.serve
+
+    def guarded(*args: Any, process_request: Callable[[Any, Any], Any], **options: Any) -> Any:
+        def checked(connection: Any, request: Any) -> Any:
+            host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+            ours = host.rpartition(":")[0] in ("127.0.0.1", "localhost")
+            if not ours or origin not in (None, f"http://{host}"):
+                return connection.respond(HTTPStatus.FORBIDDEN, "only this computer's own page\n")
+            return process_request(connection, request)
+
+        return serve(*args, process_request=checked, **options)
+
+    server.serve = guarded  # type: ignore[assignment,misc]
+    try:
+        yield
+    finally:
+        server.serve = serve  # type: ignore[misc]
+
+
 class AnnotationScene:
     """The page's picture, until it is closed.
 
@@ -67,7 +92,7 @@ class AnnotationScene:
                 f"the page needs viser ({error}): run `python -m pip install -e '.[viewer]'`, or give --clicks",
                 code="user.missing_package",
             ) from error
-        with contextlib.redirect_stdout(io.StringIO()):  # a banner of its own
+        with contextlib.redirect_stdout(io.StringIO()), _own_page_only():  # it prints a banner
             self.server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
         self.view: View = "photograph"
         self._clicked = clicked
