@@ -19,7 +19,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.errors import TooleeError, UserError, words_of
 from toolee_robot.perception.offline.training.options import TrainingOptions
 from toolee_robot.perception.precision import torch_device
 from toolee_robot.runtime.files import written_whole
@@ -297,8 +297,8 @@ class TrainingRun(ABC):
             self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
         except (OSError, EOFError, RuntimeError, KeyError, TypeError, ValueError, UnpicklingError) as error:
             raise UserError(
-                f"cannot go on from {path}, which is damaged or of another network ({type(error).__name__}): give "
-                "another --out, or delete it to begin again",
+                f"cannot go on from {path}, which is damaged or of another network: give another --out, or delete "
+                f"it to begin again. {words_of(error).splitlines()[0]}",
                 code="user.checkpoint",
             ) from error
         self.reseed()

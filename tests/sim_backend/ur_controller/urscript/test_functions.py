@@ -42,8 +42,9 @@ def test_pose_functions(X: Array, Y: Array, alpha: float) -> None:
     np.testing.assert_allclose(of(f"pose_inv({pose(X)})"), inverse(X), atol=1e-8)
     back = of(f"pose_add({pose(X)}, pose_sub({pose(Y)}, {pose(X)}))")
     np.testing.assert_allclose(back, Y, atol=1e-8)
-    between = of(f"interpolate_pose({pose(X)}, {pose(Y)}, {alpha})")
-    np.testing.assert_allclose(between, poses.interpolated(X, Y, alpha), atol=1e-8)
+    if np.trace(X[:3, :3].T @ Y[:3, :3]) > -1.0 + 1e-6:  # half a turn has two ways round
+        between = of(f"interpolate_pose({pose(X)}, {pose(Y)}, {alpha})")
+        np.testing.assert_allclose(between, poses.interpolated(X, Y, alpha), atol=1e-8)
     assert robot.value(f"point_dist({pose(X)}, {pose(Y)})") == pytest.approx(np.linalg.norm(X[:3, 3] - Y[:3, 3]))
     rolled = written(robot, f"rpy2rotvec(rotvec2rpy([{', '.join(map(str, poses.vector(X)[3:]))}]))", 3)
     np.testing.assert_allclose(poses.rotation(rolled), X[:3, :3], atol=1e-7)
