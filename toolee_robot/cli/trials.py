@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import dataclass
 from functools import partial
@@ -16,6 +15,7 @@ from rich.markup import escape
 from toolee_robot.cli.jobs import console_observer
 from toolee_robot.cli.output import Flag, JsonOption
 from toolee_robot.errors import UserError
+from toolee_robot.runtime.files import read_json
 
 if TYPE_CHECKING:
     from toolee_robot.app.job import JobSpec
@@ -79,7 +79,7 @@ class Trials(JsonOption):
                 write_report(plan, out)
             raise
         page = write_report(plan, out, self.results)
-        made = json.loads((out / FIGURES).read_text())
+        made = read_json(out / FIGURES)
         for arm, of in made["arms"].items():
             flush = of["flush"]
             console.print(

@@ -11,6 +11,7 @@ import json
 import os
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -109,24 +110,20 @@ class Results:
 
     def __init__(self, plan: TrialPlan, folder: Path) -> None:
         self._plan, self._path = plan, folder / RESULTS
-        self._claim = claimed(folder)
 
     def __enter__(self) -> Self:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._claim.__enter__()
-        try:
+        with ExitStack() as stack:
+            stack.enter_context(claimed(self._path.parent))
             self.done, self.events = _begun(self._path, self._plan)
-            self._file = self._path.open("a")
-        except BaseException:
-            self._claim.__exit__(None, None, None)
-            raise
+            self._file = stack.enter_context(self._path.open("a"))
+            self._open = stack.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
-        self._claim.__exit__(None, None, None)
+        self._open.close()
 
     @property
     def records(self) -> list[Record]:

@@ -24,7 +24,7 @@ from toolee_robot.perception.offline.annotation.clicks import (
     write_clicks,
 )
 from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd, annotate_end, clicked_box
-from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.files import read_json, write_atomic
 from toolee_robot.types import RgbdFrame
 
 FRAMES = "frames.json"
@@ -172,7 +172,7 @@ class FrameSet:
         if not path.exists():
             return
         try:
-            ours = _SOURCE in json.loads(path.read_text())
+            ours = _SOURCE in read_json(path)
         except (OSError, ValueError, TypeError):
             ours = False
         if not ours:

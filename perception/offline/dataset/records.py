@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError, words_of
 from toolee_robot.robots import SHADOW_HAND
-from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.files import from_json, read_text, write_atomic
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 SUMS = "SHA256SUMS"
@@ -65,7 +65,7 @@ def read_json(path: Path) -> Any:
         AssetError: The file is missing or not valid JSON; the message names it.
     """
     try:
-        return json.loads(path.read_text())
+        return from_json(read_text(path))
     except (OSError, ValueError) as error:
         raise AssetError(
             f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"

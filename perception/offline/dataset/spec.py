@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from toolee_robot.perception.offline.dataset.catalogue import (
     generated_tools,
 )
 from toolee_robot.perception.offline.dataset.records import read_json
+from toolee_robot.runtime.files import from_json, read_text
 from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.tools import TOOL_SPECS
 
@@ -164,7 +164,7 @@ class DatasetSpec:
         """
         path = root / DESCRIPTION
         try:
-            data = json.loads(path.read_text())
+            data = from_json(read_text(path))
             config, kinds = data["config"], data.get("kinds", len(TOOL_SPECS) if "tools" in data else FIRST_KINDS)
             if kinds > len(TOOL_SPECS):
                 raise UserError(

@@ -8,7 +8,6 @@ where it is known, a pose; ranges to ignore hold what is neither found nor a fal
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from toolee_robot.perception.image_files import read_depth, read_rgb
 from toolee_robot.perception.io import make_intrinsics
 from toolee_robot.perception.offline.annotation.poses import Box, position_sigma, rotation_sigma
 from toolee_robot.perception.pipeline import ToolPerception
+from toolee_robot.runtime.files import read_json
 from toolee_robot.types import CameraIntrinsics, RgbdFrame, ToolEstimate
 
 HALVES = ("A", "B")
@@ -87,7 +87,7 @@ def read_photographs(folder: Path, limit: int | None = None) -> list[Photograph]
     """
     path = folder / "frames.json"
     try:
-        entries = json.loads(path.read_text())["frames"]
+        entries = read_json(path)["frames"]
         places: dict[str, int] = {}
         found = []
         for entry in entries:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from toolee_robot.errors import UserError, words_of
-from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.files import read_json, write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
 
 CONFIG, CHECKPOINT = "config.json", "checkpoint.pt"
@@ -119,7 +119,7 @@ def remember(out: Path, resume: bool, config: dict[str, Any], name: str = CONFIG
     """
     path = out / name
     if resume and path.is_file():
-        before = json.loads(path.read_text())
+        before = read_json(path)
         # The duration may change, what is learnt may not.
         changed = {k for k in before.keys() | config.keys() if before.get(k) != config.get(k)} - _MAY_CHANGE
         if changed:

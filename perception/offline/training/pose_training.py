@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Sequence
@@ -32,6 +31,7 @@ from toolee_robot.perception.pose import weights
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
 from toolee_robot.perception.pose.weights import Calibration
+from toolee_robot.runtime.files import read_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +199,7 @@ class Trainer(TrainingRun):
         """
         self._take_average(weights.load(self.out)[0].state_dict())
         self.start = {}  # already mixed into the weights
-        described = json.loads((self.out / f"{self.name}.json").read_text())["report"]
+        described = read_json(self.out / f"{self.name}.json")["report"]
         self.step, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
         return self.finish(self.judged(), described["train"])
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -167,3 +169,11 @@ def test_every_message_is_answered(header: int, values: list[int]) -> None:
     frame = Bench().hand.answer(header, struct.pack(f"<{len(values)}h", *values))
     assert frame[0] == frame[-1] == 0x7E
     assert foreign(frame)[1] & 0xF0 == 0x40
+
+
+def test_an_emulator_that_nobody_enters_keeps_no_line_open() -> None:
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(50):
+        AbilityEmulator()
+    gc.collect()
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before
