@@ -1,7 +1,9 @@
-"""Spelling and terms: codespell over the repository, and the terms of `terms.toml` over documents and Python prose.
+"""Spelling, terms and length: codespell, the terms of `terms.toml`, and its limits on sentences and pages.
 
-Prose is the Markdown outside of code, and the docstrings, comments and strings with spaces of Python files.
+Terms hold for Markdown outside of code, and for docstrings, comments and strings with spaces of Python files.
+Lengths hold for the documents. A page that `terms.toml` allows more may not get worse.
 Exit code 1: something was found, one line each. Example: `python scripts/check_language.py`
+`--shrink` lowers what `terms.toml` allows to what the pages need now. `--pages` prints each page's counts.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import subprocess
 import sys
 import tokenize
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +22,13 @@ ROOT = Path(__file__).parents[1]
 HISTORY = ("docs/research_log.md", "CHANGELOG.md")
 """Documents that tell what was."""
 CODE = re.compile(r"^```.*?^```|`[^`\n]*`", re.MULTILINE | re.DOTALL)
+
+PAGE = re.compile(r"(README|CONTRIBUTING|CHANGELOG|docs/.*)\.md$")
+"""Documents that have limits; the history has none."""
+ITEM = r"([-*+]|\d+\.) "
+NO_PROSE = re.compile(r"<!--(?:[^-]|-(?!->))*-->|^--8<--.*$|^:::.*\n(?: +.*\n)*", re.MULTILINE)
+"""Comments, included files, and entries that mkdocstrings writes."""
+SENTENCE_END = re.compile(r"(?<!e\.g\.)(?<!i\.e\.)(?<=[.!?])[\"')*_]*\s+(?=[\"'(*_]*[A-Z0-9])")
 
 
 @dataclass(frozen=True)
@@ -89,6 +98,93 @@ def findings(path: str, text: str, terms: list[Term]) -> Iterator[str]:
                 yield f"{path}:{line}: {match[0]!r}: write {term.use}"
 
 
+@dataclass(frozen=True)
+class Counts:
+    """How long a page is: also what a page may have."""
+
+    words: int
+    """Words of the whole file, code and tables included."""
+    long: int
+    """Sentences over the limit."""
+    mean: float
+    """Mean length of a sentence outside of tables [words]."""
+
+    def line(self, path: str) -> str:
+        """The page's line in `terms.toml`."""
+        return f'"{path}" = {{words = {self.words}, long = {self.long}, mean = {self.mean:.1f}}}'
+
+
+def sentences(text: str) -> Iterator[tuple[int, str, bool]]:
+    """Line number and text of each sentence of a Markdown page, and whether it stands in a table."""
+    text = NO_PROSE.sub(lambda m: "\n" * m[0].count("\n"), text)
+    text = CODE.sub(lambda m: "\n" * m[0].count("\n") if m[0].startswith("```") else "Code", text)
+    text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)|<[^>\n]+>", r"\1", text)
+    blocks: list[tuple[int, str, bool]] = []
+    new = True
+    for number, raw in enumerate(text.splitlines(), 1):
+        line = raw.strip()
+        if not line or line.startswith(("#", "!!!", "???")):
+            new = True
+        elif line.startswith("|"):
+            blocks.extend((number, cell.strip(), True) for cell in line.strip("|").split("|"))
+            new = True
+        elif new or re.match(ITEM, line):
+            blocks.append((number, line, False))
+            new = False
+        else:
+            blocks[-1] = (blocks[-1][0], f"{blocks[-1][1]} {line}", False)
+    for number, block, in_table in blocks:
+        for sentence in SENTENCE_END.split(re.sub(rf"^{ITEM}", "", block)):
+            if words_of(sentence):
+                yield number, sentence, in_table
+
+
+def words_of(text: str) -> int:
+    """Words of a text: what holds a letter or a digit."""
+    return sum(any(letter.isalnum() for letter in word) for word in text.split())
+
+
+def long_sentences(text: str, limit: int) -> list[tuple[int, str]]:
+    """Line number and text of the sentences of a page that have more words than `limit`."""
+    return [(line, sentence) for line, sentence, _ in sentences(text) if words_of(sentence) > limit]
+
+
+def count(text: str, limit: int) -> Counts:
+    """The counts of a page."""
+    lengths = [words_of(sentence) for _, sentence, in_table in sentences(text) if not in_table]
+    mean = sum(lengths) / max(len(lengths), 1)
+    return Counts(len(text.split()), len(long_sentences(text, limit)), round(mean, 1))
+
+
+def too_long(pages: dict[str, str], limits: Mapping[str, float], allowed: Mapping[str, Counts]) -> Iterator[str]:
+    """What is longer than the limits and than what is allowed, one line each."""
+    sentence = int(limits["sentence"])
+    for path, text in pages.items():
+        now, most = count(text, sentence), allowed.get(path, Counts(0, 0, 0.0))
+        if now.words > (limit := max(most.words, limits["page"])):
+            yield f"{path}: {now.words} words; at most {limit:g}"
+        if now.mean > (limit := max(most.mean, limits["mean"])):
+            yield f"{path}: {now.mean:g} words a sentence in the mean; at most {limit:g}"
+        if now.long > most.long:
+            yield f"{path}: {now.long} sentences over {sentence} words; at most {most.long}"
+            yield from (
+                f"{path}:{line}: {words_of(long)} words: {long}" for line, long in long_sentences(text, sentence)
+            )
+    total = sum(len(text.split()) for path, text in pages.items() if path.startswith("docs/"))
+    if total > limits["site"]:
+        yield f"docs: {total} words; at most {limits['site']:g}"
+
+
+def shrink(listed: str, pages: dict[str, str], limits: Mapping[str, float], allowed: Mapping[str, Counts]) -> str:
+    """The text of `terms.toml` with no more allowed than the pages need."""
+    for path, most in allowed.items():
+        now = count(pages[path], int(limits["sentence"])) if path in pages else Counts(0, 0, 0.0)
+        least = Counts(min(now.words, most.words), min(now.long, most.long), min(now.mean, most.mean))
+        kept = least.words > limits["page"] or least.long or least.mean > limits["mean"]
+        listed = listed.replace(most.line(path) + "\n", least.line(path) + "\n" if kept else "")
+    return listed
+
+
 def tracked_files() -> list[str]:
     """Markdown and Python files under version control."""
     listed = subprocess.run(
@@ -100,14 +196,22 @@ def tracked_files() -> list[str]:
 
 def main() -> int:
     """Check the repository; the exit code."""
-    terms = load_terms(Path(__file__).with_name("terms.toml"))
+    listed = Path(__file__).with_name("terms.toml")
+    terms, lengths = load_terms(listed), tomllib.loads(listed.read_text())
+    limits, allowed = lengths["limits"], {path: Counts(**most) for path, most in lengths["allowed"].items()}
     paths = tracked_files()
+    pages = {path: (ROOT / path).read_text() for path in paths if PAGE.match(path) and path != HISTORY[0]}
+    if "--shrink" in sys.argv:
+        listed.write_text(shrink(listed.read_text(), pages, limits, allowed))
+        return 0
+    if "--pages" in sys.argv:
+        print("\n".join(count(text, int(limits["sentence"])).line(path) for path, text in pages.items()))
+        return 0
     found = [line for path in paths for line in findings(path, (ROOT / path).read_text(), terms)]
+    found += too_long(pages, limits, allowed)
     print("\n".join(found), end="\n" if found else "")
     spelling = subprocess.run(["codespell", *paths], cwd=ROOT, check=False)
-    print(
-        f"{len(paths)} files, {len(found)} terms to replace, spelling {'ok' if spelling.returncode == 0 else 'wrong'}"
-    )
+    print(f"{len(paths)} files, {len(found)} findings, spelling {'ok' if spelling.returncode == 0 else 'wrong'}")
     return int(bool(found) or spelling.returncode != 0)
 
 

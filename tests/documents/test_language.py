@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from scripts.check_language import ROOT, Term, findings, load_terms
+from scripts.check_language import ROOT, Counts, Term, count, findings, load_terms, long_sentences, shrink, too_long
 
 TERMS = [
     Term(re.compile(r"\bmagic box\b", re.IGNORECASE), "robot", documents_only=False),
@@ -48,3 +48,68 @@ def test_a_finding_says_where_and_what_to_write() -> None:
 
 def test_the_projects_own_terms_load() -> None:
     assert len(load_terms(ROOT / "scripts/terms.toml")) > 10
+
+
+LIMITS: dict[str, float] = {"sentence": 6, "mean": 5, "page": 20, "site": 30}
+LONG = "One two three four five six seven."
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        LONG,
+        "- One two three\n  four five\n  six seven.",
+        "| a | b |\n|---|---|\n| c | One two three four five six seven |",
+        "One two `three` [four five](http://a.b) six, e.g. Seven.",
+    ],
+)
+def test_a_long_sentence_is_counted(text: str) -> None:
+    assert len(long_sentences(f"# A heading of more words than a sentence may have\n\n{text}", 6)) == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "One two three. Four five six? `Seven` eight.",
+        "- One two three four\n- five six seven",
+        "```\none two three four five six seven\n```",
+        "<!-- one two three four five six seven -->",
+        "[One](http://a.b/two-three) two 0.5 mm three.",
+    ],
+)
+def test_short_sentences_and_code_are_not(text: str) -> None:
+    assert not long_sentences(text, 6)
+
+
+def test_the_mean_leaves_tables_out() -> None:
+    assert count("One two three four.\n\n| a |\n|---|\n| b |\n\nOne two.", 6) == Counts(words=13, long=0, mean=3.0)
+
+
+def test_each_limit_has_a_finding() -> None:
+    words = "One two three. " * 7
+    found = list(too_long({"README.md": LONG, "docs/a.md": words, "docs/b.md": words}, LIMITS, {}))
+    assert [line.split(";")[0] for line in found] == [
+        "README.md: 7 words a sentence in the mean",
+        "README.md: 1 sentences over 6 words",
+        f"README.md:1: 7 words: {LONG}",
+        "docs/a.md: 21 words",
+        "docs/b.md: 21 words",
+        "docs: 42 words",
+    ]
+
+
+def test_a_page_that_is_allowed_more_may_not_get_worse() -> None:
+    allowed = {"docs/a.md": count(LONG, 6)}
+    assert not list(too_long({"docs/a.md": LONG}, LIMITS, allowed))
+    assert len(list(too_long({"docs/a.md": f"{LONG} {LONG}"}, LIMITS, allowed))) == 3
+
+
+def test_the_list_of_allowed_pages_only_shrinks() -> None:
+    allowed = {path: Counts(30, 2, 9.0) for path in ("docs/gone.md", "docs/good.md", "docs/better.md", "docs/worse.md")}
+    listed = "".join(f"{most.line(path)}\n" for path, most in allowed.items())
+    pages = {"docs/good.md": "One two.", "docs/better.md": LONG, "docs/worse.md": f"{LONG} " * 5}
+    assert shrink(f"[allowed]\n{listed}", pages, LIMITS, allowed).splitlines() == [
+        "[allowed]",
+        Counts(7, 1, 7.0).line("docs/better.md"),
+        Counts(30, 2, 7.0).line("docs/worse.md"),
+    ]
