@@ -102,6 +102,10 @@ def _of(hits: int, of: int) -> str:
     return str(share([True] * hits + [False] * (of - hits)))
 
 
+def _readme_row(condition: str, flush: Sequence[bool]) -> str:
+    return f"| nail flush | {condition} | {len(flush)} | {100.0 * sum(flush) / len(flush):.1f} % |"
+
+
 def _flush(records: Sequence[Record]) -> str:
     return str(share([record.success for record in records]))
 
@@ -111,8 +115,8 @@ def test_two_hundred_hammers_are_counted_as_the_page_says() -> None:
     arms = [of_arm(records, arm) for arm in plan.arms]
     full, *_, uncorrected = arms
     assert len({record.figures["tool"] for record in full}) == plan.trials == len(full)
-    hits = [share([record.success for record in arm]).hits for arm in arms]
-    assert "| flush of 200: corrected, true poses, uncorrected | {}, {}, {} |".format(*hits) in README
+    for condition, arm in zip(("pose from the camera", "true pose", "no correction"), arms, strict=True):
+        assert _readme_row(f"UR10, {condition}", [record.success for record in arm]) in README
     failed = {record.trial.seed for record in full if not record.success}
     (told,) = re.findall(r"^(13\d{3}) is a .*$", PAGE, re.MULTILINE)
     assert {int(told)} == failed
@@ -147,7 +151,7 @@ def test_jobs_with_the_robots_own_stops_are_counted_as_the_page_says(row: str) -
         return
     assert {int(seed) for seed in re.findall(r"13\d{3}", failed)} == {r.trial.seed for r in mine if not r.success}
     if row == "whole system":
-        assert f"| with protective stops: corrected | {_flush(mine).split(' (')[0]} |" in README
+        assert _readme_row("UR10, with its protective stops", [record.success for record in mine]) in README
 
 
 FIGURES: dict[str, tuple[tuple[str, ...], str]] = {
@@ -229,8 +233,6 @@ def test_what_was_told_exactly_is_counted_as_the_page_says() -> None:
     driver = json.loads((KEPT / "hammer_ur_rtde.json").read_text())
     groups = (direct["correction"], direct["no correction"], driver["correction"])
     shares = [share([figures["success"] for figures in group]) for group in groups]
-    corrected, uncorrected, through = (f"{of.hits} of {of.of}" for of in shares)
-    assert f"| earlier, told exactly: corrected, not, `ur-rtde` | {corrected}, {uncorrected}, {through} |" in README
     rows = {line.split("|")[1].strip(): line for line in PAGE.splitlines() if line.startswith("|")}
     for row, of in zip(
         ("with correction, seeds 7401 to 7500", "no correction, 7401 to 7420",
@@ -330,4 +332,8 @@ def test_the_table_of_other_stations_is_of_their_records(kind: str, row: str) ->
     ended = {hand: [one["figures"]["success"] for one in jobs if one["job"] == f"{hand}-{kind}"] for hand in STATIONS}
     *cells, every = _rows("Other stations")[row]
     assert cells == [f"{sum(flush)} of {len(flush)}" for flush in ended.values()]
-    assert every == str(share([success for flush in ended.values() for success in flush]))
+    together = [success for flush in ended.values() for success in flush]
+    assert every == str(share(together))
+    if kind == "10e":
+        assert _readme_row("UR10e, three hands and a mount", together) in README
+        assert _readme_row("UR10e, mount alone", ended["mount"]) in README
