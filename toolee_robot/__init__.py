@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from toolee_robot.tasks.hammering.task import HammeringTask
     from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "CameraIntrinsics",

@@ -15,7 +15,7 @@ def code_version() -> str:
     """The package's version and, from a git checkout, its commit.
 
     Returns:
-        Such as "0.1.0" or "0.1.0 a1b2c3d4e5f6", with "-dirty" appended where tracked files differ from the commit.
+        Such as "0.2.0" or "0.2.0 a1b2c3d4e5f6", with "-dirty" appended where tracked files differ from the commit.
     """
     version = toolee_robot.__version__
     folder = Path(toolee_robot.__file__).parent
