@@ -111,8 +111,8 @@ POSITION, HALF = [0.60, -0.15, 1.50], [0.5, 0.5, 0.5, 0.5]
     [
         ({"position": POSITION, "quaternion": [0.5, 0.5, 0.5, 0.51]}, "config.camera_pose_quaternion", "x, y, z, w"),
         ({"position": POSITION, "quaternion": [0.0, 0.0, 0.0, 0.0]}, "config.camera_pose_quaternion", "norm 0.0000"),
-        (_changed(0, 0, 1.002), "config.camera_pose_rotation", "no rotation"),
-        (_changed(0, 1, 0.01), "config.camera_pose_rotation", "no rotation"),
+        (_changed(0, 0, 1.002), "config.camera_pose_rotation", "not a rotation"),
+        (_changed(0, 1, 0.01), "config.camera_pose_rotation", "not a rotation"),
         (_changed(0, 0, -1.0), "config.camera_pose_reflection", "x right, y down, z forward"),
         (_matrix(DOWN[[1, 0, 2, 3]]), "config.camera_pose_reflection", "or two are swapped"),
         (_changed(3, 3, 1.01), "config.camera_pose_last_row", "[0, 0, 0, 1]"),

@@ -134,7 +134,7 @@ def test_the_nails_frame_points_into_the_wood_and_sinks_with_it() -> None:
         ({}, ("R1", "C1"), "2026-06-20", ["31 days old"]),
         ({"valid_days": None}, ("R1", "C1"), "2036-06-20", []),
         ({}, ("R1", "C1"), "2026-05-19", []),  # measured where it is a day later already
-        ({}, ("R1", "C1"), "2026-05-18", ["still to come"]),
+        ({}, ("R1", "C1"), "2026-05-18", ["in the future"]),
         ({}, ("R2", "C1"), "2026-05-20", ["robot 'R1'"]),
         ({}, ("", ""), "2026-05-20", ["robot", "camera"]),
         ({}, ("R1", "C2"), "2026-05-20", ["camera 'C1'"]),
@@ -328,7 +328,7 @@ def test_a_head_beside_the_handle_is_refused(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump(data))
     with raises(ConfigError, "config.invalid") as caught:
         load_station(path)
-    assert "z along the handle" in str(caught.value)
+    assert "z runs along the handle" in str(caught.value)
 
 
 def test_a_file_that_is_not_there_names_the_interview(tmp_path: Path) -> None:

@@ -117,15 +117,15 @@ def test_a_nail_is_in_the_wood_of_the_turned_block() -> None:
     """In the corner of a block of 80 mm that is turned by 45 degrees, which reaches 57 mm along x."""
     corner = replace(WORK, block_xy=(0.75, 0.1), nail_xy=(0.80, 0.1), block_turn=np.pi / 4)
     assert inverse(corner.X_base_block)[:3, :3] @ [1.0, 0.0, 0.0] == pytest.approx([0.5**0.5, -(0.5**0.5), 0.0])
-    with pytest.raises(ValueError, match="outside of the block"):
+    with pytest.raises(ValueError, match="outside the block"):
         replace(corner, block_turn=0.0)
 
 
 def test_a_block_under_the_table_and_a_turn_in_degrees_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
     for text, words in (
-        ("work: {stand_height: -0.30}\nscene: {table_height: -0.25}", "50 mm under the table's top"),
-        ("work: {stand_height: -0.10}", "100 mm under the table's top"),
+        ("work: {stand_height: -0.30}\nscene: {table_height: -0.25}", "50 mm below the table's top"),
+        ("work: {stand_height: -0.10}", "100 mm below the table's top"),
         ("work: {block_turn: 30}", "block_turn"),
     ):
         path.write_text(f"frame: base_link\n{text}\n")

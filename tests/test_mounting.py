@@ -137,7 +137,7 @@ def test_what_is_no_direction_is_refused(tmp_path: Path) -> None:
     path.write_text("frame: base_link\narm: {up: [0, 0, 0]}\n")
     with raises(ConfigError, "config.invalid") as caught:
         load_station(path)
-    assert "up is no direction" in str(caught.value)
+    assert "up is not a direction" in str(caught.value)
 
 
 def test_a_base_that_is_level_enough_is_upright() -> None:
@@ -152,7 +152,7 @@ def test_a_tilted_base_is_refused_by_what_takes_z_for_up(purpose: Purpose) -> No
     tilted = replace(lab, arm=replace(lab.arm, up=CEILING))
     with raises(ConfigError, "config.mounting_tilted") as caught:
         LabStation(tilted, print, purpose=purpose)
-    assert f"tilted by 180.0°, and {purpose} takes z of `base` for straight up" in str(caught.value)
+    assert f"tilted by 180.0°, but {purpose} needs it upright" in str(caught.value)
 
 
 def test_no_simulated_world_is_built_around_a_tilted_base() -> None:

@@ -124,7 +124,7 @@ def test_write_enters_the_record_and_corrects_what_the_file_gives(
     command = ["calibrate", "intrinsics", "--images", str(views), "--station", str(path), "--bars-mm", *bars]
     command += ["--out", str(tmp_path / "of the lens.json"), "--write"]
     assert run(command) == EXIT_USER, "the place of the camera was calibrated with other intrinsics"
-    assert "take its section `calibration` out" in " ".join(capsys.readouterr().err.split())
+    assert "Delete its section `calibration`" in " ".join(capsys.readouterr().err.split())
     del said["calibration"]
     path.write_text(yaml.safe_dump(said))
     assert run(command) == 0
@@ -177,7 +177,7 @@ def test_a_rehearsal_writes_over_no_number_of_a_real_camera(
         == EXIT_USER
     )
     told = " ".join(capsys.readouterr().err.split())
-    assert f"gives camera.{next(iter(typed))}: a rehearsal's would take their place" in told
+    assert f"gives camera.{next(iter(typed))}, which a rehearsal must not replace" in told
     assert path.read_bytes() == before
     assert not out.exists(), "nothing was measured"
 
@@ -217,12 +217,12 @@ def test_images_that_were_undistorted_are_refused(tmp_path: Path, capsys: pytest
     [
         ([], "give --station"),
         (["--images", "views"], "--camera-serial is missing"),
-        (["--images", "views", "--camera-serial", "7"], "measure the two scale bars"),
-        (["--station", str(LAB)], "measure the two scale bars"),
+        (["--images", "views", "--camera-serial", "7"], "Measure the two scale bars"),
+        (["--station", str(LAB)], "Measure the two scale bars"),
         (["--station", str(LAB), "--rehearse", "--bars-mm", "360", "257"], "the emulated person measures"),
         (["--rehearse"], "give --station"),
-        (["--station", str(LAB), "--rehearse", "--images", "views"], "--rehearse without --station"),
-        (["--station", str(LAB), "--rehearse", "--write"], "take its section `calibration` out"),
+        (["--station", str(LAB), "--rehearse", "--images", "views"], "give --rehearse with --station alone"),
+        (["--station", str(LAB), "--rehearse", "--write"], "Delete its section `calibration`"),
         (["--images", "v", "--camera-serial", "7", "--bars-mm", "360", "257", "--write"], "--write needs --station"),
     ],
 )

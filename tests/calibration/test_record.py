@@ -108,7 +108,7 @@ def test_a_rehearsal_does_not_take_the_place_of_a_real_record(
     path.write_text(yaml.safe_dump(said))
     before = path.read_bytes()
     assert run(["calibrate", "camera", "--station", str(path), "--rehearse", "--write"]) == 2
-    assert "names the calibration of robot 20185500001" in " ".join(capsys.readouterr().err.split())
+    assert "names the calibration of the real robot 20185500001" in " ".join(capsys.readouterr().err.split())
     assert path.read_bytes() == before
 
 
@@ -149,12 +149,12 @@ def test_a_record_does_not_hold_for_another_distortion(calibrated: Path, tmp_pat
         (
             ("[0.93, -0.60, 0.86]", "[0.60, 0.93, 0.86]"),
             "config.calibration_place",
-            "again (x, y, z in this order); if",
+            "again (x, y, z in this order). If",
         ),
         (
             ("[0.93, -0.60, 0.86]", "[-0.60, 0.93, 0.86]"),
             "config.calibration_place",
-            "in this order), or x and y are swapped there",
+            "in this order), or swap x and y, which are exchanged there",
         ),
     ],
 )

@@ -209,7 +209,7 @@ def test_wood_that_is_too_steep_and_a_head_at_another_height_are_refused(
     steep = [level.p_base_entry + np.array([x, y, 0.2 * x]) for x, y in TRIANGLE]
     (tmp_path / "wood.yaml").write_text(yaml.safe_dump({"touches": _joints(steep, np.random.default_rng(0))}))
     assert run(["calibrate", "nail", *options[:2], *options[4:], "--config", str(tmp_path / "lab.yaml")]) == 2
-    assert "11.3° off the level" in " ".join(capsys.readouterr().err.split())
+    assert "the touches tilt the wood by 11.3°" in " ".join(capsys.readouterr().err.split())
 
 
 def _refusal(command: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -271,7 +271,7 @@ def test_a_lab_that_does_not_say_which_arm_it_has_and_how_it_stands_is_refused(
     ("work", "reason"),
     [
         ("nail_xy: [0.75, 0.1]\n  nail_lean: [0.1, 0]", "tilt it by"),
-        ("nail_xy: [0.68, 0.1]\n  block_xy: [0.66, 0.1]", "outside of the block"),
+        ("nail_xy: [0.68, 0.1]\n  block_xy: [0.66, 0.1]", "outside the block"),
         ("nails: [{name: a, xy: [0.75, 0.12]}, {name: b, xy: [0.75, 0.08], lean: [0.1, 0]}]", "nail b: wood_rise"),
     ],
 )

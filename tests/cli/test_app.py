@@ -74,7 +74,7 @@ def _frame_args(
         (["sim", "hammer", "--config", "lab.yaml"], "work.nail_diametre"),
         (["sim", "hammer", "--out", "rgb.png"], "--out"),
         (["sim", "hammer", "--variant", "paper"], "toolee train paper"),
-        (["sim", "hammer", "--paper-weights", "scene"], "go together"),
+        (["sim", "hammer", "--paper-weights", "scene"], "--paper-weights DIR together"),
         (["sim", "hammer", "--nail", "left"], "the station's nails are nail"),
         (["rehearse", "hammer"], "STATION"),
         (["rehearse", "hammer", "lab.yaml"], "lab.yaml"),
@@ -98,7 +98,7 @@ def _frame_args(
         ([*_frame_args(), "--hand-pose", "no_pose.txt"], "16"),
         (["estimate", "--bop", "nowhere"], "nowhere is not a folder"),
         (["estimate", "--bop", "scene"], "scene_camera.json"),
-        (["estimate", "--bop", "scene", "--rgb", "rgb.png"], "leave out --rgb"),
+        (["estimate", "--bop", "scene", "--rgb", "rgb.png"], "leave --rgb out"),
     ],
 )
 def test_bad_input_is_exit_2_with_a_remedy(

@@ -181,15 +181,18 @@ def test_freedrive_tells_where_the_arm_is_and_leaves_it_there(
 @pytest.mark.parametrize(
     ("words", "expected_text"),
     [
-        (["move", "--robot-host", "192.0.2.7", "--joint", "1", "--by", "0.1", "--yes"], "--yes for 192.0.2.7"),
+        (
+            ["move", "--robot-host", "192.0.2.7", "--joint", "1", "--by", "0.1", "--yes"],
+            "192.0.2.7 may be a real robot",
+        ),
         (["transfer", "--to", "home", "--robot-host", "192.0.2.7"], "--config"),
         (["transfer", "--to", "home", "--robot-host", HOST], "standard input"),
-        (["move", "--robot-host", HOST, "--joint", "1", "--yes"], "--joint goes with --by"),
-        (["move", "--robot-host", HOST, "--along", "0", "0", "0.1", "--yes"], "--along with --frame"),
-        (["move", "--robot-host", HOST, "--yes"], "give one of"),
+        (["move", "--robot-host", HOST, "--joint", "1", "--yes"], "--joint together with --by"),
+        (["move", "--robot-host", HOST, "--along", "0", "0", "0.1", "--yes"], "--along together with --frame"),
+        (["move", "--robot-host", HOST, "--yes"], "give one motion"),
         (
             ["move", "--robot-host", HOST, "--joint", "1", "--by", "0.1", "--max-speed", "0", "--yes"],
-            "cap of the speed",
+            "the speed limit is",
         ),
         (["freedrive", "--robot-host", HOST, "--yes"], "--seconds"),
         (["lag", "--robot-host", HOST, "--write", "--yes"], "--config"),

@@ -107,7 +107,7 @@ def test_a_distortion_that_is_not_the_cameras_own_is_refused_and_the_cameras_own
     )
     assert words in told["refused_lens"]
     assert told["refused_lens"] in " ".join(people.split())
-    assert "Without the station file's lens, which a job refuses" in people
+    assert "Shown without the station file's lens. A job refuses it" in people
     assert told["distortion"]["from"] == "the camera's own"
     assert told["distortion"]["coefficients"] == pytest.approx(COEFFICIENTS, abs=1e-6)
     assert told["intrinsics"]["fx"] == pytest.approx(COLOR.fx, abs=1e-3)

@@ -158,7 +158,7 @@ def test_at_a_terminal_the_jogged_point_is_asked_for_and_compared(
     os.write(terminal, f"home\n{sign * x:.1f} {sign * y:.1f} {z:.1f}\n".encode())
     assert run(["doctor", "--config", lab]) == code
     said = capsys.readouterr().out
-    assert said.count("Which X Y Z of the TCP does its Move screen show now, with the feature Base") == 1, said
+    assert said.count("Which X Y Z of the TCP does the Move screen show with the feature Base") == 1, said
     assert "give three numbers" in said, "home is none"
     assert expected_text in said
 
@@ -334,11 +334,11 @@ def test_door_and_switch_are_seen_changing_and_nothing_moves(
 @pytest.mark.parametrize(
     ("args", "expected_text"),
     [
-        (["--inputs"], "--inputs needs --robot-host, or arm.host"),
+        (["--inputs"], "--inputs needs the controller's address"),
         (["--inputs", "--robot-host", "127.0.0.49"], "the station file has no `person`"),
-        (["--inputs", "--robot-host", "127.0.0.49", "--world", "pybullet"], "--inputs with --world"),
-        (["--world", "pybullet"], "--world needs --robot-host, or arm.host"),
-        (["--jogged-point", "1", "2", "3"], "--jogged-point needs --robot-host, or arm.host"),
+        (["--inputs", "--robot-host", "127.0.0.49", "--world", "pybullet"], "leave --inputs or --world out"),
+        (["--world", "pybullet"], "--world needs the controller's address"),
+        (["--jogged-point", "1", "2", "3"], "--jogged-point needs the controller's address"),
         (["--config", "none.yaml"], "none.yaml"),
         (["--arm", "ur-rtde"], "--arm"),
     ],

@@ -231,7 +231,7 @@ def test_without_correction_the_same_hammer_misses_the_nail(tmp_path: Path) -> N
     record = job.record
     assert job.returncode == 1, job.err
     assert (record["success"], record["outcome"], record["nail"]) == (False, "nail_missed", "standing")
-    assert "the nail is not where the face went" in record["reason"]
+    assert "the nail is not at the point of the strike" in record["reason"]
     assert record["correction"] is False
     assert record["pose_error_mm"] is None
     assert record["strike_offset_mm"] > 30.0
@@ -317,4 +317,4 @@ def test_a_camera_that_was_moved_is_noticed_and_allowed_for(tmp_path: Path) -> N
     assert job.record["errors"]["camera_mm"] > 15.0
     assert job.record["pose_error_mm"] < 5.0
     assert job.record["strike_offset_mm"] < 5.0
-    assert "calibrate it again" in " ".join(job.err.split())
+    assert "Calibrate it again" in " ".join(job.err.split())

@@ -65,7 +65,7 @@ def test_a_template_has_just_the_fields_that_apply_and_check_lists_what_is_empty
     assert "  hand.mounting: position, fingers, thumb" in told
     assert told.index("tool_envelope: head_radius") < told.index("toolee calibrate camera --station")
     assert run(["station", "new", str(path), *chosen]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     for wrong in (["--arm", "UR5"], ["--arm", "UR10e"]):
         assert run(["station", "new", str(tmp_path / "other.yaml"), *wrong]) == 2
 
@@ -119,7 +119,7 @@ def test_a_file_that_a_person_edited_is_not_written_by_the_interview(tmp_path: P
     path.write_bytes(LAB.read_bytes())
     told = _new(path, [])
     assert told.returncode == 2
-    assert "was edited by hand, and no command edits it" in " ".join(told.stderr.split())
+    assert "was edited by hand, so no command edits it" in " ".join(told.stderr.split())
     assert path.read_bytes() == LAB.read_bytes(), "its comments, too"
 
 
@@ -135,7 +135,7 @@ def test_enter_gives_the_answer_that_is_offered_and_an_answer_can_be_taken_back(
     told = _new(path, ["192.168.1.10", "", ""])
     assert told.returncode == 0, told.stdout
     assert "(Enter: 0.4)" in told.stdout
-    assert "with defaults: scene.obstacles, arm.acceleration, supervisor.unattended_speed;" in told.stdout
+    assert "with defaults: scene.obstacles, arm.acceleration, supervisor.unattended_speed." in told.stdout
     after = load_lab_station(path)
     assert (after.work.block_xy, after.arm.host, after.strike.speed) == (None, "192.168.1.10", 0.4)
 
@@ -177,7 +177,7 @@ def test_a_realsense_tells_its_intrinsics_in_the_mode_that_is_asked_for_before(
     assert "without camera.width and camera.height" in told
     told = answer(str(COLOR.width), "242", "<", str(COLOR.height))
     assert "424x240" in told, "another size is refused with the modes that there are"
-    assert "the camera tells 424x240" in told
+    assert "the camera reports 424x240" in told
     k = yaml.safe_load(path.read_text())["camera"]
     assert {name: k[name] for name in INTRINSICS} == pytest.approx({n: getattr(COLOR, n) for n in INTRINSICS}, abs=1e-3)
 
@@ -211,12 +211,15 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (["calibrate", "camera", "--rehearse"], "give the station file"),
-        (["calibrate", "camera", "--station", str(LAB)], "measure the two scale bars"),
+        (["calibrate", "camera", "--rehearse"], "--rehearse needs --station FILE"),
+        (["calibrate", "camera", "--station", str(LAB)], "Measure the two scale bars"),
         (["calibrate", "camera", "--station", str(LAB), "--bars-mm", "360", "257"], "--plate-distance"),
         (["calibrate", "camera", "--write"], "--write needs --station"),
         (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--bars-mm", "1", "2"], "with --rehearse"),
-        (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--write"], "take the section out first"),
+        (
+            ["calibrate", "camera", "--station", str(LAB), "--rehearse", "--write"],
+            "already gives a calibration by hand",
+        ),
         (["calibrate", "nail", "--camera", "--station", str(LAB), "--rehearse", "--write"], "leave --write out"),
     ],
 )

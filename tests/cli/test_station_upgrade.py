@@ -40,7 +40,7 @@ def test_what_programs_measured_moves_to_a_file_of_its_own(
     path.write_text(_version_2(servo))
     code, told = _upgrade(path, capsys)
     assert code == 0
-    assert "measured.yaml has what programs measured: servo.gain, servo.lookahead, servo.lag" in told
+    assert "measured.yaml holds the measured values: servo.gain, servo.lookahead, servo.lag" in told
     assert path.read_text() == LAB.read_text().replace(SERVO, ""), "every other word stays"
     assert (tmp_path / "lab.yaml.v2").read_text() == _version_2(servo)
     assert yaml.safe_load((tmp_path / "measured.yaml").read_text())["servo"] == {
@@ -50,7 +50,7 @@ def test_what_programs_measured_moves_to_a_file_of_its_own(
     after = path.read_bytes()
     code, told = _upgrade(path, capsys)
     assert code == 0
-    assert "of version 3 already: nothing was changed" in told
+    assert "already has version 3: nothing was changed" in told
     assert path.read_bytes() == after
 
 
@@ -83,7 +83,7 @@ def test_links_and_permissions_stay(tmp_path: Path, capsys: pytest.CaptureFixtur
     [
         ("version: 2\nwork: {nail_lenght: 0.03}\n", "did you mean nail_length?"),
         ("version: 1\n", "version 1 is unknown (line 1): this program reads version 3"),
-        ("version: 4\n", "a newer file needs a newer toolee_robot"),
+        ("version: 4\n", "A newer file needs a newer toolee_robot"),
         ("[1, 2]\n", "names no version"),
     ],
 )
@@ -105,7 +105,7 @@ def test_a_copy_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.
     kept.write_text("of last year\n")
     code, told = _upgrade(path, capsys)
     assert code == 2
-    assert "lab.yaml.v2 is there already: move it away" in told
+    assert "lab.yaml.v2 already exists: move it away" in told
     assert (path.read_text(), kept.read_text()) == (_version_2(), "of last year\n")
 
 

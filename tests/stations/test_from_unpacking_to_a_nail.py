@@ -93,7 +93,7 @@ def test_from_an_empty_folder_to_a_driven_nail(tmp_path: Path, monkeypatch: pyte
     person, said = Person(), yaml.safe_load(LAB.read_text())
 
     told = person.runs("toolee station new lab.yaml --ask", typed(said))
-    assert "the camera tells 640x480, fx 383.20" in told
+    assert "the camera reports 640x480, fx 383.20" in told
     assert "Still open" in told, "what the next commands measure"
     assert "behind the arm" not in told
     assert "then a rehearsal" in told

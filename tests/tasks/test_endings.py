@@ -50,7 +50,7 @@ def test_nobody_comes(empty: SimStation) -> None:
     ).run()
     assert (result.outcome, result.strikes, result.protrusion) == (Outcome.NO_HANDOVER, (), None)
     assert result.stage is Stage.HANDOVER
-    assert "run the job again" in result.reason
+    assert "Run the job again" in result.reason
     assert log.motions == ["to the handover", "home"]
     assert is_home(empty)
     assert at_rest(empty)
@@ -116,7 +116,7 @@ def test_the_arms_link_is_cut_in_mid_swing(bench: Bench) -> None:
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
     assert "network link" in result.reason
-    assert "put it away by hand" in result.reason
+    assert "Put it away by hand" in result.reason
     assert log.motions[-1] == "strike", "after the swing that was cut short nothing moves"
     assert log.stages[-1] == ("end", Stage.STRIKE)
     assert not is_home(bench.sim)
@@ -170,7 +170,7 @@ def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: 
     log.after[motion] = lambda: ends.append(bench.sim.world.X_base_hand()[:3, 3])
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.TOOL_LOST
-    assert "pick it up" in result.reason
+    assert "Pick it up" in result.reason
     assert log.motions[-2:] == [motion, "retreat"]
     before, after = ends[0], bench.sim.world.X_base_hand()[:3, 3]
     person = np.array(CONFIG.scene.person_center)
@@ -185,9 +185,9 @@ def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: 
 @pytest.mark.parametrize(
     ("X", "reason"),
     [
-        (transform(p=[0.13, 0.0, 0.0]), "130 mm and 0° away"),
-        (transform(R=np.diag([1.0, -1.0, -1.0])), "0 mm and 180° away"),
-        (np.full((4, 4), np.nan), "away from where a held hammer can have it"),
+        (transform(p=[0.13, 0.0, 0.0]), "130 mm and 0° outside"),
+        (transform(R=np.diag([1.0, -1.0, -1.0])), "0 mm and 180° outside"),
+        (np.full((4, 4), np.nan), "outside of where a held hammer can be"),
     ],
 )
 def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, reason: str) -> None:
@@ -218,7 +218,7 @@ def test_a_look_tells_how_far_the_camera_is_off(bench: Bench, millimetres: float
     assert said[1] == [], "once a job"
     (text,) = said[0]
     assert f"{millimetres:.0f} ± {1e3 * sigma:.0f} mm off" in text
-    assert ("calibrate it again" in text) is again
+    assert ("Calibrate it again" in text) is again
 
 
 @pytest.mark.parametrize("sees", [pytest.param(True, marks=pytest.mark.nightly), False])
@@ -227,10 +227,10 @@ def test_a_job_that_ends_without_a_pose_says_that_the_camera_is_too_near(bench: 
     perceiver.sees = sees
     result = bench.seeing_task(Log(), _with_least_range(0.6), perceiver).run()
     assert result.outcome is Outcome.POSE_UNKNOWN
-    assert "in 2 of 2 views, and it measures from 0.60 m on (camera.device.least_range)" in result.reason
-    assert "take a smaller depth image" in result.reason
+    assert "and the camera measures from 0.60 m (camera.device.least_range)" in result.reason
+    assert "Use a smaller depth image" in result.reason
     assert ("sigma 31 mm" in result.reason) is sees
-    told = float(result.reason.split(" m before it")[0].split()[-1])
+    told = float(result.reason.split(" m away")[0].split()[-1])
     assert 0.3 < told < 0.56
 
 
@@ -245,7 +245,7 @@ def test_a_camera_is_too_near_only_where_no_pose_was_found_within_its_least_rang
     with pytest.raises(PerceptionError) as error:
         look.fuse(0.0)
     assert error.value.code == ("perception.too_near" if least == 0.6 else "perception.not_usable")
-    assert ("0.50 m before it in 1 of 1 views" in str(error.value)) is (least == 0.6)
+    assert ("in 1 of 1 views the face is only 0.50 m away" in str(error.value)) is (least == 0.6)
 
 
 def _held(X_hand_ee: Array) -> HeldTool:
@@ -327,7 +327,7 @@ def test_a_nail_out_of_reach_is_refused_before_anyone_is_asked(bench: Bench) -> 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"nail_xy": (0.785, 0.10)}, "nail should be and met nothing"),
+        ({"nail_xy": (0.785, 0.10)}, "expected nail and met nothing"),
         pytest.param(
             {"nail_xy": (0.785, 0.10), "stand_height": CONFIG.work.stand_height - 0.006},
             "met nothing above the wood",
@@ -385,11 +385,11 @@ def test_a_strike_that_hits_something_before_the_nail(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("joint", "to", "reason"),
     [
-        (SLIDE, 0.011, "in one strike: the nail has bent away"),
+        (SLIDE, 0.011, "in one strike: the nail has bent"),
         pytest.param(
             HINGE_X,
             np.deg2rad(80),
-            "very soft wood has let it in: look at it (",
+            "the nail went deep into very soft wood: check it (",
             marks=pytest.mark.nightly,
         ),
     ],
@@ -417,7 +417,7 @@ def test_the_wood_is_too_hard(bench: Bench) -> None:
     log = Log()
     result = bench.blind_task(log, config).run()
     assert result.outcome is Outcome.STUCK
-    assert "2 strikes moved the head" in result.reason
+    assert "2 strikes together moved the head" in result.reason
     assert "1.20 m/s that strike.speed asks for" in result.reason
     assert len(result.strikes) == len(log.strikes) == 2
     assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.0015)

@@ -35,7 +35,7 @@ def test_a_tool_from_the_last_job_is_taken_out_of_the_hand_first(bench: Bench) -
     bench.people.takes = False
     log = Log()
     result = bench.blind_task(log).run()
-    stands(bench, result, Outcome.NOT_READY, "nobody took it")
+    stands(bench, result, Outcome.NOT_READY, "Take it out first")
     assert (log.motions, bench.people.asked, bench.hand.opened) == ([], ["take"], 0)
     bench.people.takes, bench.people.gives = True, False
     bench.people.asked.clear()

@@ -27,7 +27,7 @@ def test_two_strikes_that_do_nothing_after_fast_ones_tell_it() -> None:
     assert stall.suspected
     stall.measured(1, 0.0, 0.0009)
     assert stall.over
-    assert str(stall) == "2 strikes moved the head by 0.0 mm together"
+    assert str(stall) == "2 strikes together moved the head by 0.0 mm"
 
 
 def test_nothing_was_expected_of_the_first_strikes() -> None:

@@ -131,7 +131,7 @@ def test_a_nail_that_no_strike_was_felt_to_meet_is_not_called_flush(
     monkeypatch.setattr(NailGauge, "measure", misread)
     result = bench.blind_task(Log(), config).run()
     assert result.outcome is Outcome.NAIL_MISSED, result.reason
-    assert "look at the nail" in result.reason
+    assert "Check the nail" in result.reason
     assert nail.protrusion > config.task.flush_protrusion
 
 

@@ -149,7 +149,7 @@ def test_a_weight_that_is_too_uncertain_is_not_struck_with() -> None:
         assert result.outcome is Outcome.WEIGHT_UNKNOWN
         assert result.stage is Stage.WEIGH
         assert "on scales" in result.reason
-        assert "nothing opens it by itself" in result.reason
+        assert "Nothing opens it by itself" in result.reason
         assert not result.strikes
         assert list(observer.fastest) == ["to the handover", "to feel the empty hand", "to weigh the tool"], "and back"
         assert any("on scales" in text for text in observer.messages), "before it moves back"

@@ -264,7 +264,7 @@ def test_the_report_of_a_file_of_results_takes_a_folder_that_is_named(
     before = {file.name: file.read_bytes() for file in own.iterdir() if file.is_file()}
     command = ["trials", str(kept / "distinct_hammers.yaml"), "--results", str(kept / "distinct_hammers.jsonl")]
     assert run(command) == 2
-    assert "--results without --out: give the folder" in " ".join(capsys.readouterr().err.split())
+    assert "--results needs --out, the folder" in " ".join(capsys.readouterr().err.split())
     assert {file.name: file.read_bytes() for file in own.iterdir() if file.is_file()} == before
     assert run([*command, "--out", "trials"]) == 0
     assert (own / RESULTS).read_bytes() == before[RESULTS]

@@ -155,7 +155,8 @@ class CameraJob:
         expected = self.config.camera.uncalibrated.X_base_camera[:3, 3] if measured_camera else None
         if expected is None:
             self.listener.warn(
-                "without --config nobody tells where the camera is: a half turn of the base is not noticed"
+                "without --config the camera's position is not compared with the station file, and half a turn of "
+                "the base goes unnoticed"
             )
         return self._solve(session, board, bars, RobotModel.of_station(self.config), expected, images)[1]
 
@@ -164,7 +165,7 @@ class CameraJob:
         x, y = lab.bars
         self.listener.say(
             f"[bold]{what}[/bold]  [dim]seed {views.seed}[/dim]\n  the bars of the simulated print, whose scale is "
-            f"drawn, measure {x * 1e3:.1f} and {y * 1e3:.1f} mm: squares of {lab.plate.board.square * 1e3:.2f} mm"
+            f"random, measure {x * 1e3:.1f} and {y * 1e3:.1f} mm: squares of {lab.plate.board.square * 1e3:.2f} mm"
         )
         return lab
 
@@ -207,7 +208,7 @@ class CameraJob:
         if lacking:
             self.listener.warn(f"fewer than two views: {', '.join(lacking)}")
         for name in calibration.wrong:
-            self.listener.warn(f"{name} does not fit the others and hardly counts: look at it, or take it again")
+            self.listener.warn(f"{name} does not fit the other poses and hardly counts: check it, or take it again")
         record = build_record(
             calibration,
             session,
@@ -231,9 +232,8 @@ def _check_undistorted(images: Path) -> None:
     recording = recording_of(images)
     if recording is not None and recording.undistorted is False:
         raise UserError(
-            f"{recording.folder} says `undistorted: false`: its camera's lens was not known, and the camera's place is "
-            "computed from undistorted images. Measure the lens by `toolee calibrate intrinsics --station FILE "
-            "--write`, then record again",
+            f"{recording.folder} says `undistorted: false`, but a calibration needs undistorted images. Measure the "
+            "lens by `toolee calibrate intrinsics --station FILE --write`, then record again",
             code="user.calibration_distorted",
         )
 

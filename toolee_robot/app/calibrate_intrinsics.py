@@ -122,8 +122,8 @@ class IntrinsicsJob:
         board = SHEETS[self.sheet].board.measured(*held.bars)
         x, y = held.bars
         self.listener.say(
-            f"[bold]Rehearsal, camera and person emulated[/bold]  [dim]seed {seed}[/dim]\n  the bars of the simulated "
-            f"print, whose scale is drawn, measure {x * 1e3:.1f} and {y * 1e3:.1f} mm"
+            f"[bold]Rehearsal, camera and person emulated[/bold]  [dim]seed {seed}[/dim]\n  the bars of the "
+            f"simulated print, whose scale is random, measure {x * 1e3:.1f} and {y * 1e3:.1f} mm"
         )
         with (
             emulated_stream(camera, clock, held.seen_from) as stream,
@@ -137,8 +137,8 @@ class IntrinsicsJob:
         k = camera.profile.color.intrinsics
         views = HandHeldViews(board, (k.width, k.height), count)
         self.listener.say(
-            f"[bold]Views[/bold]  [dim]{count} wanted, in all corners of the image, tilted by 30 to 45°; hold the "
-            "board still until it is counted, then otherwise; Ctrl-C ends[/dim]"
+            f"[bold]Views[/bold]  [dim]{count} wanted, in all corners of the image, tilted by 30 to 45°. Hold the "
+            "board still until it is counted, then change it. Ctrl-C ends[/dim]"
         )
         try:
             with self.listener.waiting("looking") as waiting:
@@ -168,7 +168,7 @@ class IntrinsicsJob:
                 )
             elif clock.now() - last > PATIENCE:
                 raise UserError(
-                    f"no new view within {PATIENCE:.0f} s ({offered}): hold the board before the camera",
+                    f"no new view within {PATIENCE:.0f} s ({offered}). Hold the board in front of the camera",
                     code="user.board_not_held",
                 )
 
@@ -189,10 +189,10 @@ def _check_raw(what: str, undistorted: bool | None) -> None:
     if undistorted is False:
         return
     known = "whose images are undistorted" if undistorted else "which does not say whether its images are undistorted"
-    remedy = "" if undistorted else "; or, if they are not, add `undistorted: false` to its recording.json"
+    remedy = "" if undistorted else ". If they are not, add `undistorted: false` to its recording.json"
     raise UserError(
-        f"{what} is a recording by `toolee camera record`, {known}: let --station take them from the camera itself, or "
-        f"give --images as the lens gives them{remedy}",
+        f"{what} is a recording by `toolee camera record`, {known}. Let --station take them from the camera itself, "
+        f"or give --images as the lens gives them{remedy}",
         code="user.intrinsics_undistorted",
     )
 
@@ -220,7 +220,7 @@ def camera_of(path: Path) -> CameraConfig:
             known = read_intrinsics(path.parent / name).intrinsics
             kept = {**{field: getattr(known, field) for field in PINHOLE}, **kept}
         except ConfigError as error:
-            lost = f"; the record in camera.{INTRINSICS} does not give them any more ({error})"
+            lost = f"; the record in camera.{INTRINSICS} cannot be read ({error})"
     if not isinstance(device := kept.get("device"), dict):
         raise ConfigError(
             f"{path}: camera.device is missing: give camera.device.driver, .serial and .least_range; `toolee camera "
@@ -230,8 +230,8 @@ def camera_of(path: Path) -> CameraConfig:
     if "width" not in kept or "height" not in kept:
         if device.get("driver") in WITH_MODE:
             raise ConfigError(
-                f"{path}: give camera.width and camera.height, a size that the camera has: intrinsics hold for one "
-                f"size{lost}",
+                f"{path}: give camera.width and camera.height, a size that the camera has, because intrinsics "
+                f"belong to one size{lost}",
                 code="config.unmeasured",
             )
     elif not kept.keys() >= {*PINHOLE}:
@@ -255,23 +255,23 @@ def check_entry(path: Path, *, rehearsed: bool) -> None:
     """
     if read_station(path).get("calibration"):
         raise UserError(
-            f"{path} names a calibration of the camera's place, which holds with the intrinsics of then only: take its "
-            "section `calibration` out (of measured.yaml, if a command wrote it), measure the intrinsics, then "
-            "calibrate the place again",
+            f"{path} names a calibration of the camera's pose, which needs the intrinsics it was made with. Delete "
+            "its section `calibration` (of measured.yaml, if a command wrote it), measure the intrinsics, then "
+            "calibrate the pose again",
             code="user.calibration_is_older",
         )
     camera = _camera(path)
     name = camera.get(INTRINSICS)
     if rehearsed and (typed := [number for number in NUMBERS if camera.get(number) is not None]):
         raise UserError(
-            f"{path} gives {', '.join(f'camera.{number}' for number in typed)}: a rehearsal's would take their place. "
-            "Rehearse without --write, or with a copy of the file from which you take them out",
+            f"{path} gives {', '.join(f'camera.{number}' for number in typed)}, which a rehearsal must not replace. "
+            "Rehearse without --write, or with a copy of the file without them",
             code="user.calibration_is_real",
         )
     if rehearsed and isinstance(name, str) and not _rehearsed(path.parent / name):
         raise UserError(
-            f"{path} names the intrinsics of a real camera, or a record that cannot be read, whose place a rehearsed "
-            "record would take. Rehearse without --write, or with a copy of the file without camera.intrinsics",
+            f"{path} names a real camera's intrinsics, or an unreadable record, and a rehearsal must not replace "
+            "either. Rehearse without --write, or with a copy of the file without camera.intrinsics",
             code="user.calibration_is_real",
         )
 

@@ -216,8 +216,8 @@ class NailSight:
         """
         lab = simulated_nail_board(self.config, SHEETS[self.printed.sheet], seed)
         self.listener.say(
-            f"[bold]Simulated lab[/bold]  [dim]seed {seed}: a calibrated camera, a print of which the scale is drawn, "
-            "on wood that is not where the station file has it[/dim]"
+            f"[bold]Simulated lab[/bold]  [dim]seed {seed}: a calibrated camera, a print of random scale, and wood "
+            "that is not where the station file has it[/dim]"
         )
         with lab.build() as simulation:
             images = mean_frame(simulation.station.camera)
@@ -324,8 +324,8 @@ def touch_wood(config: StationConfig, touches: Path, touching: Touching, head: L
     check_near(p[:, :2], at)
     if wood.tilt > LARGEST_TILT:
         raise UserError(
-            f"by the touches the wood is {np.rad2deg(wood.tilt):.1f}° off the level, "
-            f"{np.rad2deg(LARGEST_TILT):.0f} are allowed: lay it flatter, or touch again what was not the wood",
+            f"the touches tilt the wood by {np.rad2deg(wood.tilt):.1f}°, and {np.rad2deg(LARGEST_TILT):.0f} are "
+            "allowed. Level it, or repeat touches that did not meet the wood",
             code="user.wood_tilted",
         )
     if head is None:
@@ -361,11 +361,11 @@ def known_camera(config: StationConfig, station_file: Path, station: Station) ->
     calibration = config.calibration
     if calibration is None:
         raise ConfigError(
-            "the station file names no calibration: `toolee calibrate camera` first", code="config.uncalibrated"
+            "the station file names no calibration. Run `toolee calibrate camera` first", code="config.uncalibrated"
         )
     if problems := calibration.problems(station.robot_serial, station.camera_serial, date.today()):
         raise NotReadyError(
-            f"the camera's calibration does not hold: {'; '.join(problems)}", code="not_ready.calibration"
+            f"the camera's calibration is not valid: {'; '.join(problems)}", code="not_ready.calibration"
         )
     if calibration.record is not None:
         return KnownCamera.of_record(read_record(station_file.parent / calibration.record))
@@ -391,10 +391,10 @@ def touched_station(path: Path, *, wood_alone: bool) -> StationConfig:
     needed = ["arm.model", "arm.up", *(["work.nail_xy"] if wood_alone else [])]
     left_out = unmeasured(path)
     if missing := [name for name in needed if name in left_out]:
-        head = ", or touch the nail's head, too (--touches)" if "work.nail_xy" in missing else ""
+        head = ", or also touch the nail's head (--touches)" if "work.nail_xy" in missing else ""
         raise ConfigError(
-            f"{path} leaves out {', '.join(missing)}, and the simulated station's values would stand in: measure and "
-            f"give them{head}; `toolee station check {path}` says how",
+            f"{path} leaves out {', '.join(missing)}, and the simulated station's values must not stand in. Measure "
+            f"and give them{head}; `toolee station check {path}` says how",
             code="config.unmeasured",
         )
     return config
@@ -417,8 +417,8 @@ def check_near(places: Array, at: Array) -> None:
     if off > FARTHEST:
         raise UserError(
             f"the nail at ({at[0]:.3f}, {at[1]:.3f}) m in base_link is {off * 1e3:.0f} mm outside the circle around "
-            f"the touches of the wood, whose middle is ({middle[0]:.3f}, {middle[1]:.3f}), and "
-            f"{FARTHEST * 1e3:.0f} mm are allowed: touch the wood around the nail, or correct the nail's place "
+            f"the touches of the wood, and {FARTHEST * 1e3:.0f} mm are allowed. The circle's middle is "
+            f"({middle[0]:.3f}, {middle[1]:.3f}). Touch the wood around the nail, or correct the nail's position "
             "(work.nail_xy, or its touches)",
             code="user.wood_far",
         )
@@ -437,8 +437,8 @@ def mistake(entry: Array, by_file: Array) -> str:
     if not camera_is_elsewhere(entry, by_file):
         return ""
     if half_a_turn_apart(entry, by_file):
-        return "half a turn of the base: the file's positions are of the other `frame`"
-    return "x and y are swapped there: look at the file's other positions, too" if axes_swapped(entry, by_file) else ""
+        return "half a turn of the base: the file's positions are in the other `frame`"
+    return "x and y are swapped there: check the file's other positions, too" if axes_swapped(entry, by_file) else ""
 
 
 def nail_fields(

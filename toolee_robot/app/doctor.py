@@ -125,19 +125,19 @@ class DoctorReport:
         """Check the person's inputs, with the station's own driver where somebody is there to change them."""
         name, config = "person", self.config
         if config.person is None:
-            message = "the station file names no inputs of door and switch: no handover, and nothing fast will move"
+            message = "the station file names no inputs for door and switch: no handover, and no fast motion"
             yield warn(name, message, "give `person`: docs/concepts/safety.md")
         elif self.tell is None:
             address = "" if host == config.arm.host else f" --robot-host {host}"
             remedy = f"before a handover: `toolee doctor --config {self.path}{address} --inputs`"
-            yield warn(name, "door and hold-to-run switch were not seen changing", remedy)
+            yield warn(name, "door and hold-to-run switch were not seen to change", remedy)
         else:
             clock = HostClock()
             try:
                 with ur_driver(config, host) as arm, open_person(config, arm, clock, self.tell) as person:
                     yield from check_inputs(person, clock, self.tell)
             except DeviceError as error:
-                yield Finding.of_error(name, error, "first mend what is said of the robot")
+                yield Finding.of_error(name, error, "first fix the faults of the robot")
 
     def _devices_behind(self, host: str, world: RemoteWorld) -> Iterator[Finding]:
         """Check the arm through its driver and the other devices of the simulated world."""
@@ -146,7 +146,7 @@ class DoctorReport:
             with ur_driver(self.config, host) as arm:
                 yield from self._devices(remote_station(world, self.config, _SEED, tool, arm, HostClock()))
         except DeviceError as error:
-            yield Finding.of_error("arm", error, "first mend what is said of the robot")
+            yield Finding.of_error("arm", error, "first fix the faults of the robot")
 
     def _devices(self, station: Station) -> Iterator[Finding]:
         self._robot_serial, self._camera_serial = station.robot_serial, station.camera_serial
@@ -158,7 +158,7 @@ class DoctorReport:
     def _without_world(self) -> Iterator[Finding]:
         """Check the station's own hand and camera; nothing moves."""
         unchecked = {
-            "config.hand_driver": ("has no driver here: nothing was checked", "look after it yourself"),
+            "config.hand_driver": ("has no driver here: nothing was checked", "check it yourself"),
             "config.hand_port": ("the station file names no port: nothing was checked", "give hand.port"),
         }
         try:
@@ -169,7 +169,7 @@ class DoctorReport:
             if error.code in unchecked and self.config.hand.port is None:
                 yield warn("hand", *unchecked[error.code])
             else:
-                yield Finding.of_error("hand", error, "mend it, then look again")
+                yield Finding.of_error("hand", error, "fix it, then check again")
         yield from self._own_camera()
 
     def _own_camera(self) -> Iterator[Finding]:
@@ -183,4 +183,4 @@ class DoctorReport:
                 yield from check_camera(camera, clock, self.config)
                 yield check_lens(camera)
         except (UserError, DeviceError) as error:
-            yield Finding.of_error("camera", error, "mend it, then look again")
+            yield Finding.of_error("camera", error, "fix it, then check again")

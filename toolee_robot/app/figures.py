@@ -134,15 +134,14 @@ def _judged(ran: Ran, truth: NailTruth | None) -> tuple[bool, str, str]:
 
         success = False
         which = f"the nail {truth.name}" if len(result.nails) > 1 else "the nail"
-        how = {NOT_BY_FACE: "strikes without the face drove it"}.get(truth.outcome, f"it is {truth.outcome}")
+        how = {NOT_BY_FACE: "only strikes beside the face drove it"}.get(truth.outcome, f"it is {truth.outcome}")
         reason = f"the robot takes {which} for flush ({reason}), but {how}"
         if truth.outcome == "bent":
             outcome = str(Outcome.BENT)
     if ran.machine_stalled:
         reason += (
-            f". This machine itself stalled meanwhile, for up to {(ran.longest_stall or 0.0) * 1e3:.0f} ms: the host "
-            "of a virtual machine takes its cores away. Try again, or with a smaller --real-time-factor, which "
-            "tolerates more"
+            f". This computer stalled for up to {(ran.longest_stall or 0.0) * 1e3:.0f} ms, probably because a "
+            "virtual machine lost its cores. Try again, or use a smaller --real-time-factor"
         )
     return success, outcome, reason
 

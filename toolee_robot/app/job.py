@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 QUESTION = "Look at the robot. r: resume the job, t: take the hammer out of the hand, q: quit? "
 QUESTION_LAST = "The job cannot go on. t: take the hammer out of the hand, q: quit? "
-FIRM = "Is somebody holding the hammer firmly? The hand opens. y: yes, n: no? "
+FIRM = "Does somebody hold the hammer firmly? The hand opens. y: yes, n: no? "
 """The questions."""
 ASKED_AFTER = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR, Outcome.TOOL_LOST, Outcome.WEIGHT_UNKNOWN)
 """Outcomes that leave the arm where it stopped, or at the handover with a tool whose weight is not known."""
@@ -69,7 +69,7 @@ def _take_out(task: HammeringTask, observer: JobObserver) -> None:
     except DeviceError as error:
         observer.message(f"the hand did not open: {error}")
         return
-    observer.message("the hand is open" if opened else "nobody confirmed that they hold the hammer: it stays closed")
+    observer.message("the hand is open" if opened else "nobody confirmed to hold the hammer: the hand stays closed")
 
 
 def _answer(observer: JobObserver, question: str) -> str:
@@ -84,7 +84,7 @@ STALLED = 0.8
 """Share of what the driver bears at most that a stall of the machine must have taken to excuse a job."""
 WRITTEN = {
     Variant.PERFECT_PERCEPTION: "poses from the simulation's ground truth",
-    Variant.NO_CORRECTION: "no correction: the nominal in-hand pose is believed",
+    Variant.NO_CORRECTION: "no correction: the job trusts the expected in-hand pose",
 }
 """How a title names variants, if not by their names."""
 
@@ -121,7 +121,7 @@ class JobSpec:
             from toolee_robot.perception.offline.research import HOW_TO_TRAIN
 
             raise UserError(
-                "--variant paper and --paper-weights DIR go together: the folder of a training of the paper's "
+                "give --variant paper and --paper-weights DIR together. DIR is a training of the paper's "
                 f"estimator, which is not shipped:\n{HOW_TO_TRAIN}",
                 code="user.no_paper_weights",
             )

@@ -60,7 +60,7 @@ class AlteredPoses:
         estimates = self._perceiver.estimate(frame, hand, categories)
         if self._pose_of is None:
             return estimates
-        assert hand is not None, "a task tells where the hand is"
+        assert hand is not None, "the task has to say where the hand is"
         nominal = hand.X_camera_hand @ self._nominal
         poses = [self._pose_of(frame, estimate.detection, nominal) for estimate in estimates]
         return [
@@ -122,8 +122,7 @@ def job_perceiver(variant: Variant, networks: Perceiver | None, opened: Opened) 
     config, nominal = opened.config, opened.grasp.X_hand_ee
     if opened.grasp.ee_off and variant in BELIEVES_NOMINAL:
         raise UserError(
-            f"--variant {variant} believes a part of the face's nominal pose, and the tool's face is not known: give "
-            "tool.face and tool.face_normal, or leave the option out",
+            f"--variant {variant} needs the tool's face. Give tool.face and tool.face_normal, or leave the option out",
             code="user.unknown_face",
         )
     if networks is None:

@@ -55,13 +55,13 @@ def simulated_station(
     """
     config = sim_station() if file is None else load_station(file)
     if config.calibration is not None and config.calibration.camera_serial != SIMULATED:
-        tell(f"the calibration in {file} is of a real camera: a simulation ignores it")
+        tell(f"the simulation ignores the calibration in {file}, which belongs to a real camera")
         config = replace(config, calibration=SIMULATED_CALIBRATION, camera=config.camera.uncalibrated)
     if setup is not None:
         before, config = config.tool, with_setup(config, setup)
         if config.tool is not before:
             raise UserError(
-                f"{setup} gives a tool, and a simulated one is drawn from the seed: leave `tool` out",
+                f"{setup} gives a tool, but the seed chooses a simulated tool: leave `tool` out",
                 code="user.option",
             )
     return config if robot is None else replace(config, arm=replace(config.arm, model=robot))
@@ -125,7 +125,9 @@ class Simulated:
         """See `Source`."""
         words = [f"seed {self.seed}"]
         if self.errors == EXACT:
-            words.append("what the job is told is exact" if self.config.camera.pose is None else "exact but the camera")
+            words.append(
+                "no simulated errors" if self.config.camera.pose is None else "no simulated errors except the camera's"
+            )
         if self.sensor is not None:
             words.append(f"{self.sensor} depth camera")
         return ", ".join(words)
@@ -237,4 +239,4 @@ def _check_seed(seed: int) -> None:
 
 
 def _words(tool: Tool) -> str:
-    return f"{tool.kind.replace('_', ' ').capitalize()}, {tool.mass:.2f} kg, held out from training"
+    return f"{tool.kind.replace('_', ' ').capitalize()}, {tool.mass:.2f} kg, never used in training"

@@ -134,7 +134,7 @@ class Lab:
     @contextmanager
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:
         """See `Source`."""
-        doing(f"this moves a real {self.config.arm.model}; `toolee rehearse hammer` moves none")
+        doing(f"this moves a real {self.config.arm.model}; `toolee rehearse hammer` moves nothing real")
         with LabStation(self.config, tell, doing=doing) as lab:
             tool = lab.tool
             words = f"{tool.name.capitalize()}, {tool.weight_in_words}"

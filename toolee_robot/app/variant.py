@@ -46,6 +46,6 @@ class Variant(StrEnum):
 
 SIMULATED_ONLY = {
     Variant.PERFECT_PERCEPTION: "it gets the tool's true pose, which only a simulation knows",
-    Variant.ICP: "it is told the tool's own shape, which nobody has measured",
+    Variant.ICP: "it gets the tool's own shape, which nobody has measured",
 }
 """Variants that a robot cannot have, and why."""

@@ -185,7 +185,7 @@ def _unknown(name: str, known: Mapping[str, object], path: tuple[str, ...]) -> U
     words = " or ".join(f"`toolee {' '.join(other)}`" for other in meant)
     call = " ".join(("toolee", *path))
     hint = f"did you mean {words}?" if meant else f"`{call} --help` lists the commands"
-    return UserError(f"`{call} {name}` is no command: {hint}")
+    return UserError(f"unknown command `{call} {name}`: {hint}")
 
 
 def _of_other_package(error: ModuleNotFoundError) -> bool:
@@ -197,9 +197,8 @@ def _of_other_package(error: ModuleNotFoundError) -> bool:
 def _missing_package(error: ModuleNotFoundError) -> UserError:
     what = "'.[train]'" if error.name == "isal" else "."
     return UserError(
-        f"this command needs the Python module {error.name}, which is not installed: run "
-        f"`python -m pip install -e {what}` in the repository; requirements-perception.txt is enough for "
-        "`toolee estimate` only",
+        f"this command needs the Python module {error.name}, which is not installed. Run `python -m pip install -e "
+        f"{what}` in the repository. For `toolee estimate` alone, requirements-perception.txt is enough",
         code="user.missing_package",
     )
 

@@ -54,9 +54,9 @@ class ArmOptions(JsonOption):
     ] = None
     """Address of the UR controller: a robot's, or the loopback address of `toolee emulate ur`."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """The station file, whose limits hold; a stand-in may do without."""
+    """The station file, which sets the limits. An emulated robot does not need it."""
     yes: Flag = False
-    """Ask nobody and mind no key: for scripts, with a stand-in on a loopback address only."""
+    """Do not ask, and ignore keys: for scripts, and only with an emulated robot on a loopback address."""
 
     def load(self) -> tuple[StationConfig, str]:
         """The station, and the address of its controller."""
@@ -69,10 +69,10 @@ class ArmOptions(JsonOption):
         if is_loopback(host):
             return station, host
         if self.yes:
-            raise UserError(f"--yes for {host}, which may be a robot: a person confirms each of its motions")
+            raise UserError(f"leave --yes out: {host} may be a real robot, and a person confirms its motions")
         if self.config is None:
             raise UserError(
-                f"--robot-host {host} without --config: a robot moves in its own station only", code="user.no_station"
+                f"--robot-host {host} also needs --config, the station file of the robot", code="user.no_station"
             )
         return load_lab_station(self.config), host
 
@@ -99,9 +99,9 @@ class MotionOptions(ArmOptions):
     """How fast a motion may be."""
 
     max_speed: Annotated[float, tyro.conf.arg(metavar="RAD/S")] = 0.1
-    """Cap of every joint's speed; a higher one is for later, and the station file's limits hold all the same."""
+    """Speed limit of every joint. Begin slowly; the station file's limits also apply."""
     max_acceleration: Annotated[float, tyro.conf.arg(metavar="RAD/S2")] = 1.0
-    """Cap of every joint's acceleration, likewise."""
+    """Acceleration limit of every joint. The station file's limits also apply."""
 
     def caps(self) -> Caps:
         """See `ArmOptions`."""
@@ -131,30 +131,30 @@ class Move(MotionOptions):
 
     Example: toolee arm move --robot-host 127.0.0.2 --along 0 0 0.05 --frame pendant_base
 
-    A person confirms the motion first. It takes no way around anything: it is refused if something is in the way. Any
-    key stops the arm on its path, and so does Ctrl-C.
+    A person confirms the motion first. The motion does not avoid obstacles: it is refused if something is in the way.
+    Any key stops the arm on its path, and so does Ctrl-C.
     """
 
     joint: Annotated[int | None, tyro.conf.arg(metavar="1..6", help_behavior_hint="")] = None
     """Joint to turn: 1 base, 2 shoulder, 3 elbow, 4 to 6 wrists."""
     by: Annotated[float | None, tyro.conf.arg(metavar="RAD", help_behavior_hint="")] = None
-    """By how much, with --joint."""
+    """Angle to turn, with --joint."""
     to: Annotated[
         tuple[float, float, float, float, float, float] | None,
         tyro.conf.arg(metavar="RAD RAD RAD RAD RAD RAD", help_behavior_hint=""),
     ] = None
     """Joint positions to move to, base to wrist 3."""
     along: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")] = None
-    """Way of the flange [m], with --frame."""
+    """Displacement of the flange [m], with --frame."""
     frame: Annotated[Frame | None, tyro.conf.arg(metavar="pendant_base|base_link|tool", help_behavior_hint="")] = None
-    """Frame of --along: the pendant's Base, ROS's base_link (half a turn about z from it), or the flange's axes."""
+    """Frame of --along: the pendant's Base, ROS's base_link (turned by half a turn about z), or the flange's axes."""
 
     def run(self) -> int:
         jog = self.joint is not None and self.by is not None
         if (self.joint is None) != (self.by is None) or (self.along is None) != (self.frame is None):
-            raise UserError("--joint goes with --by, and --along with --frame", code="user.option")
+            raise UserError("give --joint together with --by, and --along together with --frame", code="user.option")
         if jog + (self.to is not None) + (self.along is not None) != 1:
-            raise UserError("give one of --joint and --by, --to, or --along and --frame", code="user.option")
+            raise UserError("give one motion: --joint with --by, --to, or --along with --frame", code="user.option")
         return self.move("move", self._plan)
 
     def _plan(self, robot: BringUp) -> Trajectory:
@@ -178,8 +178,9 @@ class Transfer(MotionOptions):
     """
 
     to: Literal["home", "handover", "view", "nail"]
-    """handover: where a tool is handed over; view: where the camera would look at a tool; nail: where a strike would
-    begin, over the nail; home: scene.home."""
+    """handover: where a person hands a tool over; view: where the camera sees the tool; nail: above the nail, where
+    a strike begins; home: scene.home.
+    """
     view: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """Which view, with --to view."""
 
@@ -200,19 +201,21 @@ class Touch(MotionOptions):
 
     Example: toolee arm touch --config lab.yaml --along 0 0 -0.03 --frame base_link --touches wood.yaml
 
-    What is touched must be soft, such as a block of foam, and nothing of the station file: the hand may never touch
-    that. A tip on the flange, of which the station file says nothing, may touch the wood, and --touches notes where for
-    `toolee calibrate nail`. Any key stops the arm on its path, and so does Ctrl-C. Exit code 1: nothing was felt.
+    Touch something soft, such as a block of foam. It must not be in the station file, because the hand may not touch
+    what is. A calibration tip on the flange may touch the wood: --touches then lists the contact for `toolee calibrate
+    nail`. Any key stops the arm on its path, and so does Ctrl-C. Exit code 1: no contact.
     """
 
     along: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
-    """Longest way of the flange [m]."""
+    """Longest displacement of the flange [m]."""
     frame: Frame
-    """Frame of --along: the pendant's Base, ROS's base_link (half a turn about z from it), or the flange's axes."""
+    """Frame of --along: the pendant's Base, ROS's base_link (turned by half a turn about z), or the flange's axes."""
     force: Annotated[float | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
-    """Force that ends the approach (default: strike.touch_force); a noisy force raises it by half at most."""
+    """Force that ends the approach (default: strike.touch_force). If the force is noisy, it is raised by half at
+    most.
+    """
     speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 0.01
-    """Speed of the approach; a noisy force lowers it."""
+    """Speed of the approach. If the force is noisy, it is lowered."""
     touches: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """Add the joint positions of the contact to this list."""
 
@@ -226,20 +229,20 @@ class Touch(MotionOptions):
         with self.robot(console) as robot:
 
             def show(plan: Trajectory, force: float, speed: float) -> None:
-                slower = "" if speed == self.speed else " for the noise of the force"
-                what = f"touch: until {force:.1f} N, at {1e3 * speed:.1f} mm/s{slower}, and back"
+                slower = "" if speed == self.speed else " because the force is noisy"
+                what = f"touch: approach at {1e3 * speed:.1f} mm/s until {force:.1f} N{slower}, then go back"
                 _show(console, robot, what, plan)
 
             def note(q: Array) -> None:
                 if self.touches is not None:
                     count = add_touch(self.touches, q)
-                    console.print(f"{self.touches} has {count} touch{'es' if count > 1 else ''}.", markup=False)
+                    console.print(f"{self.touches} now lists {count} touch{'es' if count > 1 else ''}.", markup=False)
 
             way, frame = np.array(self.along), MotionFrame(self.frame)
             # Noted before the way back: a stop on it does not cost the touch.
             touch = robot.touch(way, frame, self.speed, self.force, show, met=lambda touch: note(touch.q))
         if touch is None:
-            console.print("[yellow]Nothing was felt on the whole way.[/yellow] The arm is back where it began.")
+            console.print("[yellow]No contact within the given distance.[/yellow] The arm is back at its start.")
             self.tell({"contact": False})
             return 1
         where = _place_text(touch.X_base_flange)
@@ -257,9 +260,9 @@ class Lag(MotionOptions):
 
     Example: toolee arm lag --robot-host 192.168.1.10 --config lab.yaml --joint 1 --write
 
-    One joint moves by a sine, then a step, of rising speed, from gentle settings to sharp ones. It ends at the first
-    sign of vibration: listen to the arm, and press a key if it hums. Exit code 1: already the gentlest settings are
-    bad.
+    One joint moves in sines and steps of rising speed, first with gentle settings, then with sharper ones. The command
+    ends at the first sign of vibration. Listen to the arm, and press a key if it hums. Exit code 1: even the gentlest
+    settings vibrate or overshoot.
     """
 
     joint: Annotated[int, tyro.conf.arg(metavar="1..6")] = 1
@@ -276,8 +279,8 @@ class Lag(MotionOptions):
         from toolee_robot.tasks.bring_up.lag import PAIRS, SHARES, recommend
 
         def show(robot: BringUp, largest: Trajectory, reach: float) -> None:
-            _show(console, robot, f"lag of joint {self.joint}: up to {len(PAIRS) * len(SHARES)} times", largest)
-            console.print(f"to both sides of where it is, by {reach:.3f} rad at most")
+            _show(console, robot, f"lag of joint {self.joint}, up to {len(PAIRS) * len(SHARES)} motions", largest)
+            console.print(f"by at most {reach:.3f} rad to each side of its present position")
 
         person = TerminalPerson(console, absent=self.yes)
         trials: list[Trial] = []
@@ -288,7 +291,7 @@ class Lag(MotionOptions):
             console.print(_lag_row(trial), soft_wrap=True)
         best = recommend(trials)
         if best is None:
-            console.print("[red]Already the gentlest settings are bad:[/red] look at payload, mount and load.")
+            console.print("[red]Even the gentlest settings vibrate or overshoot.[/red] Check payload, mount and load.")
         else:
             words = f"gain {best.gain:g}, lookahead {best.lookahead:g} s, lag {best.lag:g} s"
             fastest = max(trial.figures.speed for trial in trials)
@@ -309,19 +312,19 @@ class Freedrive(ArmOptions):
 
     Example: toolee arm freedrive --robot-host 192.168.1.10 --config lab.yaml
 
-    Any key ends it; the arm then holds its place. With a wrong payload the arm sinks or rises as soon as it is let go.
+    Any key ends it, and the arm then holds its position. With a wrong payload the arm sinks or rises when you let go.
     """
 
     seconds: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None
-    """End by itself after so long."""
+    """End after this time."""
 
     def run(self) -> int:
         if self.yes and self.seconds is None:
-            raise UserError("--yes without --seconds: nobody would end it", code="user.option")
+            raise UserError("--yes needs --seconds, because nobody is there to end it", code="user.option")
         console = self.console
         with self.robot(console) as robot:
             fk = robot.slow.robot.arm.fk
-            robot.person.confirm("Freedrive: hold the arm, a wrong payload lets it sink or rise. Begin?")
+            robot.person.confirm("Freedrive: hold the arm. With a wrong payload it sinks or rises. Begin?")
             end = np.inf if self.seconds is None else time.monotonic() + self.seconds
             with robot.person.attending(), robot.arm.freedrive(), Live(console=console, auto_refresh=False) as live:
                 while robot.person.hold_to_run_held() and time.monotonic() < end:
@@ -330,7 +333,7 @@ class Freedrive(ArmOptions):
                     live.update(Text(f"joints, rad {joints}\nflange {_place_text(fk(q))}"), refresh=True)
                     time.sleep(_PERIOD)
             q = robot.q
-        console.print("\nThe arm holds its place.")
+        console.print("\nThe arm holds its position.")
         self.tell({"q": q.tolist(), **_place_figures(fk(q))})
         return 0
 

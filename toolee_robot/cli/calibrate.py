@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from toolee_robot.station import StationConfig
 
 _BARS_MISSING = (
-    "--bars-mm is missing: measure the two scale bars on your print and give their lengths in millimetres; no printer "
-    "keeps the scale"
+    "--bars-mm is missing. Measure the two scale bars on your print and give their lengths in millimetres; "
+    "printers change the scale"
 )
 _PLATE = 0.12, 1.2
 """Distance of a simulated print from the flange [m], and mass of its plate [kg]."""
 _MIN_VIEWS = 15
 """Fewest views that are asked of a person."""
-_STATION_MISSING = "--rehearse without --station: give the station file that is rehearsed"
+_STATION_MISSING = "--rehearse needs --station FILE, the station to rehearse"
 
 Rule = tuple[bool, str, str]
 """Whether options do not fit together, the message, and its code."""
@@ -49,8 +49,8 @@ class PrintBoard:
 
     Example: toolee calibrate board --sheet a3 --out board.pdf
 
-    It has two scale bars to be measured on the print. Glue the print on a flat, stiff plate. Printers scale: measure
-    both bars with a steel rule to a tenth of a millimetre, and tell the lengths to `toolee calibrate camera --bars-mm`.
+    Glue the print on a flat, stiff plate. Printers change the scale: measure the two scale bars on the print with a
+    steel rule, to 0.1 mm. Give both lengths to `toolee calibrate camera --bars-mm`.
     """
 
     sheet: Literal["a4", "a3"] = "a3"
@@ -66,8 +66,8 @@ class PrintBoard:
         write_board(self.out, sheet)
         x, y = sheet.board.size
         Console(highlight=False).print(
-            f"{self.out}: {sheet.board.columns} x {sheet.board.rows} squares, the bars nominally {x * 1e3:.0f} and "
-            f"{y * 1e3:.0f} mm.\nPrint it at 100 %, glue it on a flat plate, measure both bars on the print."
+            f"{self.out}: {sheet.board.columns} x {sheet.board.rows} squares, bars nominally {x * 1e3:.0f} and "
+            f"{y * 1e3:.0f} mm.\nPrint it at 100 %. Glue it on a flat plate. Measure both bars on the print."
         )
         return 0
 
@@ -79,16 +79,17 @@ class BoardOptions(JsonOption):
     station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """Your own station file, whose devices are opened."""
     rehearse: Flag = False
-    """With --station: emulate every device, and what a person does."""
+    """With --station: emulate every device and the person."""
     sheet: Literal["a4", "a3"] = "a3"
     """The board, as `toolee calibrate board` drew it. An A4 is too small for a camera of 512 pixels at 0.95 m."""
     bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
     """Lengths of the board's two scale bars, measured on the print. A simulated or rehearsed lab measures its own."""
     seed: int = 0
-    """Seed of all that is drawn: the planned views; simulated or rehearsed also the cell, the lens, the print, how it
-    lies or is held, the room and the noise."""
+    """Seed of the planned views. In a simulation or rehearsal also of the station's errors, the lens, the print and
+    the noise.
+    """
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
-    """With --rehearse: rate of the station's time relative to wall-clock time."""
+    """With --rehearse: speed of the rehearsal; 1 is real time, 0.5 half of it."""
     write: Flag = False
     """Enter the result in `measured.yaml` beside the station file."""
 
@@ -108,18 +109,18 @@ class Camera(BoardOptions):
 
     Example: toolee calibrate camera --images session --config lab.yaml --bars-mm 361.3 258.1
 
-    With --station the arm drives the board through poses before the camera, slowly and under the supervisor, while
-    somebody holds the switch; with --rehearse every device is emulated. With --images the poses and images of a folder
-    are taken. Without either a simulated lab is calibrated.
+    With --station the arm moves the board through poses in front of the camera, slowly, while a person holds the
+    hold-to-run switch. With --rehearse every device is emulated. With --images the command uses a folder of poses and
+    images. Without either, it calibrates a simulated lab.
 
-    Exit code 0: the record is written; 1: a device failed; 2: poses or images are refused, for the reason given. Images
-    that were taken until then stay, for --images.
+    Exit code 0: the record is written; 1: a device failed; 2: poses or images are refused, with the reason. Images
+    taken so far are kept for --images.
     """
 
     images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder with images and poses.json, see docs/how-to/calibrate.md."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """The station file without --station: the arm's kinematics, and where the camera was measured by hand."""
+    """The station file, with --images: it gives the arm's kinematics and the camera's position as measured by hand."""
     poses: Annotated[int, tyro.conf.arg(metavar="N")] = 20
     """Number of poses to drive to."""
     plate_distance: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="(simulated: 0.12)")] = None
@@ -150,7 +151,7 @@ class Camera(BoardOptions):
             except (TooleeError, KeyboardInterrupt):
                 if (folder.path / FILE).is_file():  # images were taken, which cost a person's time
                     kept = folder.keep()
-                    listener.warn(f"the images so far are kept: to compute with them, give --images {kept}")
+                    listener.warn(f"the images so far are kept in {kept}. To compute with them, give --images {kept}")
                 raise
             place = folder.keep()
         if self.write:
@@ -190,12 +191,12 @@ class Camera(BoardOptions):
             rows.append(("true error *", f"{f['true_error_mm']:.2f} mm"))
         rows += [("record", record), ("report", escape(str(folder / REPORT)))]
         if self.write:
-            lines = [f"Entered in {_measured(self.station)}. Look at the report before you rely on it."]
+            lines = [f"Entered in {_measured(self.station)}. Read the report before you rely on it."]
         else:
             entry = ["calibration:", f"  record: {record}"]
-            lines = ["Look at the report, then enter it in the station file:", "", *entry]
+            lines = ["Read the report, then enter this in the station file:", "", *entry]
         if simulated:
-            lines += ["", "[dim]* measured by the simulation; the calibration cannot see it[/dim]"]
+            lines += ["", "[dim]* known to the simulation only[/dim]"]
         _panel(self.console, "the camera is calibrated", rows, lines)
 
     def _check_entry(self, station: Path, config: StationConfig) -> None:
@@ -208,14 +209,14 @@ class Camera(BoardOptions):
         _refuse(
             (
                 known.record is None,
-                f"{station} gives its calibration by hand (measured_on and others): take the section out first, since "
-                "the record that --write enters says the same of its own",
+                f"{station} already gives a calibration by hand (measured_on and others). Delete that section, then "
+                "use --write",
                 "user.calibration_by_hand",
             ),
             (
                 self.rehearse and known.robot_serial != SIMULATED,
-                f"{station} names the calibration of robot {known.robot_serial}: that of a rehearsal would take its "
-                "place. Rehearse with a copy of the file, or without --write",
+                f"{station} names the calibration of the real robot {known.robot_serial}, and a rehearsal must not "
+                "replace it. Rehearse with a copy of the file, or without --write",
                 "user.calibration_is_real",
             ),
         )
@@ -228,11 +229,11 @@ class Camera(BoardOptions):
         self.refuse(
             _option(
                 self.images is not None and self.station is not None,
-                "--images with --station: images that were taken, or a station that takes them",
+                "give --images or --station, not both. --images uses images that exist; --station takes new ones",
             ),
             _option(
                 self.station is not None and self.config is not None,
-                "--config with --station: --station alone, it is the same file",
+                "leave --config out: --station already names the station file",
             ),
             (self.rehearse and self.station is None, _STATION_MISSING, "user.no_station"),
             _option(
@@ -241,11 +242,11 @@ class Camera(BoardOptions):
             (real and self.bars_mm is None, _BARS_MISSING, "user.board_scale_unknown"),
             (
                 moves and None in plate,
-                "--plate-distance and --plate-mass are missing: measure how far the print is from the flange, and "
-                "weigh plate and holder: the arm moves by them",
+                "--plate-distance and --plate-mass are missing. Measure the distance from the flange to the print, "
+                "and weigh plate and holder. The arm's motions depend on both",
                 "user.plate_unmeasured",
             ),
-            _option(self.write and self.station is None, "--write needs --station: the station file to write to"),
+            _option(self.write and self.station is None, "--write needs --station, the station file to write to"),
             _option(not 8 <= self.poses <= 100, "give --poses 8 to 100"),
         )
 
@@ -257,9 +258,9 @@ class Check(JsonOption):
     Example: toolee calibrate check --record camera.json --image board.png --bars-mm 251.2 179.4 --corner 0 --touched-mm
     602.1 -148.7 262.3 --frame pendant_base
 
-    Lay a board in the camera's view, where the arm reaches it; take an image; touch a corner with a pointed tip as the
-    TCP, and read X Y Z on the pendant. The result is added to the record, which is signed anew. Good residuals do not
-    guarantee accuracy: only this does.
+    Lay a board in the camera's view, within the arm's reach, and take an image. Touch a corner with a pointed tip as
+    the TCP, and read X Y Z on the pendant. The command adds the result to the record and signs it again. Small
+    residuals do not prove accuracy, but this check does.
 
     Exit code 0: the two agree; 1: they do not; 2: invalid input.
     """
@@ -273,9 +274,9 @@ class Check(JsonOption):
     corner: Annotated[int, tyro.conf.arg(metavar="N")]
     """Number of the inner corner: 0 is the first, beside the board's origin, counted along x first."""
     touched_mm: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
-    """Place of the tip on the corner."""
+    """Position of the tip on the corner."""
     frame: Literal["pendant_base", "base_link"]
-    """Frame of that place: the pendant's Base, or ROS's base_link."""
+    """Frame of that position: the pendant's Base, or ROS's base_link."""
     touch_error_mm: Annotated[float, tyro.conf.arg(metavar="MM")]
     """Standard deviation of a touch about one axis, such as 0.5: touch a corner five times, from different sides."""
     sheet: Literal["a4", "a3"] = "a4"
@@ -298,7 +299,7 @@ class Check(JsonOption):
         board = SHEETS[self.sheet].board.measured(*_metres(self.bars_mm))
         view = find_board(read_image(self.image, record.intrinsics), board)
         if view is None:
-            raise UserError(f"no board is seen in {self.image}: nearer, or more light", code="user.board_not_seen")
+            raise UserError(f"no board in {self.image}: move it nearer, or add light", code="user.board_not_seen")
         seen = see_corner(record, board, view, self.corner)
         X = BaseFrame(self.frame).X_base_this
         touched = X[:3, :3] @ (np.array(self.touched_mm) / 1e3)
@@ -310,9 +311,9 @@ class Check(JsonOption):
         agrees = check.error <= check.allowed
         color = "green" if agrees else "red"
         console.print(
-            f"seen at ({_mm(check.seen, '.1f')}) mm, touched at ({_mm(check.touched, '.1f')}) mm, in base_link\n"
-            f"[{color}]{check.error * 1e3:.2f} mm apart[/{color}], {check.allowed * 1e3:.2f} mm are explained by "
-            "calibration, image and touch (95 %)"
+            f"seen at ({_mm(check.seen, '.1f')}) mm, touched at ({_mm(check.touched, '.1f')}) mm, in "
+            f"base_link\n[{color}]{check.error * 1e3:.2f} mm apart[/{color}]; calibration, image and touch explain "
+            f"{check.allowed * 1e3:.2f} mm (95 %)"
         )
         if not agrees:
             console.print(f"[red]{cause(check)}[/red]", soft_wrap=True)
@@ -330,14 +331,12 @@ class Intrinsics(BoardOptions):
 
     Example: toolee calibrate intrinsics --images views --bars-mm 361.3 258.1 --camera-serial F1370001
 
-    With --station the camera is opened, and an image is taken each time the board is held still in a new way; with
-    --rehearse camera and person are emulated. With --images those of a folder are taken, as the lens gives them: no
-    frames of `toolee camera record`, which are undistorted.
+    With --station the command takes an image each time the board is held still in a new pose. With --rehearse camera
+    and person are emulated. With --images it uses a folder of raw images. Frames of `toolee camera record` are
+    undistorted, so they do not serve. Tilt the board by 30 to 45° in most images, and show it in all corners of the
+    image. A camera with factory intrinsics needs this only as a check.
 
-    Tilt the board by 30 to 45° in most images, and hold it into all corners of the image. Cameras with intrinsics from
-    the factory need this only as a check.
-
-    Exit code 0: the record is written; 1: the camera failed; 2: the images are refused, for the reason given.
+    Exit code 0: the record is written; 1: the camera failed; 2: the images are refused, with the reason.
     """
 
     images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
@@ -385,23 +384,23 @@ class Intrinsics(BoardOptions):
         rows = [(name, f"{value:9.3f} ± {2 * sigma:.3f} px") for name, value, sigma in values]
         names = zip(("k1", "k2", "p1", "p2"), record.distortion, record.sigma_distortion, strict=True)
         rows += [(name, f"{value:+9.5f} ± {2 * sigma:.5f}") for name, value, sigma in names]
-        left_out = f"; {record.left_out} corners left out, which do not fit" if record.left_out else ""
+        left_out = f"; {record.left_out} outlier corners left out" if record.left_out else ""
         effect = "images must be undistorted" if record.distorts else "negligible"
         rows += [
-            ("reprojection", f"{record.reprojection:.3f} px, held out {record.held_out:.3f} px"),
+            ("reprojection", f"{record.reprojection:.3f} px, on images left out of the fit {record.held_out:.3f} px"),
             ("views", f"{record.views}, {100 * record.covered:.0f} % of the image{left_out}"),
-            ("lens", f"displaces pixels by up to {record.largest_distortion:.2f} px: {effect}"),
+            ("lens", f"shifts pixels by up to {record.largest_distortion:.2f} px: {effect}"),
         ]
         if true_error is not None:
-            rows.append(("true error *", f"{true_error:.2f} px at most, but for a turn of the camera"))
+            rows.append(("true error *", f"{true_error:.2f} px at most, apart from a rotation of the camera"))
         out = escape(str(self.out))
         rows.append(("record", out))
         if self.write:
-            lines = [f"Entered in {_measured(self.station)}. Next: calibrate the camera's place."]
+            lines = [f"Entered in {_measured(self.station)}. Next, calibrate the camera's pose."]
         else:
-            lines = ["The station file takes it so:", "", "camera:", f"  intrinsics: {out}"]
+            lines = ["The line for the station file:", "", "camera:", f"  intrinsics: {out}"]
         if true_error is not None:
-            lines += ["", "[dim]* by the simulation; a turn goes into the camera's place[/dim]"]
+            lines += ["", "[dim]* known to the simulation only; a rotation is absorbed by the camera's pose[/dim]"]
         _panel(self.console, "the intrinsics are measured", rows, lines, width=16)
 
     def _check(self) -> None:
@@ -409,24 +408,24 @@ class Intrinsics(BoardOptions):
         self.refuse(
             _option(
                 self.images is None and self.station is None,
-                "give --station, whose camera takes the images, or --images, a folder of them",
+                "give --station to take images with its camera, or --images with a folder of images",
             ),
             (
                 self.rehearse and (self.station is None or self.images is not None),
-                "--rehearse without --station, or with --images: give the station file that is rehearsed, alone",
+                "give --rehearse with --station alone",
                 "user.no_station",
             ),
-            _option(self.station is not None and serial, "--camera-serial with --station: the file tells it"),
+            _option(self.station is not None and serial, "leave --camera-serial out: the station file gives it"),
             _option(
                 self.station is None and not serial,
-                "--camera-serial is missing: the record holds for one camera, give its serial number, or --station",
+                "--camera-serial is missing. Intrinsics belong to one camera: give its serial number, or --station",
             ),
             _option(
                 self.rehearse and self.bars_mm is not None,
-                "--bars-mm with --rehearse: the emulated person measures the print",
+                "leave --bars-mm out: with --rehearse the emulated person measures the print",
             ),
             (not self.rehearse and self.bars_mm is None, _BARS_MISSING, "user.board_scale_unknown"),
-            _option(self.write and self.station is None, "--write needs --station: the station file to write to"),
+            _option(self.write and self.station is None, "--write needs --station, the station file to write to"),
             _option(not _MIN_VIEWS <= self.views <= 200, f"give --views {_MIN_VIEWS} to 200"),
         )
 
@@ -437,11 +436,11 @@ class Mount(JsonOption):
 
     Example: toolee calibrate mount --touches touches.yaml --config lab.yaml
 
-    Clamp a pointed pin in the mount, and bring its tip to one fixed point in five orientations or more that turn the
-    flange by 25° and more about two axes. The file lists the joint positions: `touches: [[q1, ..., q6], ...]`. The
-    result is what `hand.mount.position` needs, and the TCP of a touch test.
+    Clamp a pointed pin in the mount. Bring its tip to one fixed point in at least five orientations. They must differ
+    by 25° or more about two axes. The file lists the joint positions: `touches: [[q1, ..., q6], ...]`. The result is
+    the value for `hand.mount.position`, and the TCP of a touch test.
 
-    Exit code 0: the tip is located; 2: the touches are refused, for the reason given.
+    Exit code 0: the tip is located; 2: the touches are refused, with the reason.
     """
 
     touches: Annotated[Path, tyro.conf.arg(metavar="YAML")]
@@ -459,9 +458,9 @@ class Mount(JsonOption):
         sigmas = 2.0 * np.sqrt(np.diag(tip.covariance))
         x, y, z = tip.p_flange_tip
         self.console.print(
-            f"tip in the flange: ({_mm(tip.p_flange_tip)}) ± ({_mm(sigmas)}) mm\n"
-            f"the touches are {tip.residual * 1e3:.2f} mm from their common point\n\n"
-            f"hand:\n  mount:\n    position: [{x:.5f}, {y:.5f}, {z:.5f}]"
+            f"tip in the flange: ({_mm(tip.p_flange_tip)}) ± ({_mm(sigmas)}) mm\nthe touches scatter by "
+            f"{tip.residual * 1e3:.2f} mm around their common point\n\nhand:\n  mount:\n    position: [{x:.5f}, "
+            f"{y:.5f}, {z:.5f}]"
         )
         self.tell({name: value.tolist() if hasattr(value, "tolist") else value for name, value in vars(tip).items()})
         return 0
@@ -477,40 +476,40 @@ class Nail(BoardOptions):
 
     Example: toolee calibrate nail --wood wood.yaml --touches nail.yaml --tip-mm 0.3 -0.2 151.4 --config lab.yaml
 
-    The camera sees a printed board on the wood. The board, from `toolee calibrate board`, lies flat on the wood, glued
-    or on a stiff plate, and the nail goes through its white cross. Only the camera looks; nothing moves. With
-    --touches, too, both are combined, weighted by their uncertainties. Touch the middle of the head three times or
-    more, from different sides; the file lists the joint positions, as for `toolee calibrate mount`, which also locates
-    the tip. Three touches of the wood around the nail, 30 mm apart or more, tell its height and how it rises; a fourth
-    shows that none was wrong. `toolee arm touch --touches` makes such a file. With --camera alone a simulated lab is
-    looked at.
+    With --camera nothing moves. Lay a board from `toolee calibrate board` flat on the wood, glued or on a stiff plate,
+    with the nail through its white cross. With --touches as well, the command weights both by their uncertainties. For
+    --touches, touch the middle of the nail's head at least three times, from different sides. For --wood, touch the
+    wood around the nail at three points or more, at least 30 mm apart; a fourth reveals a wrong one. Both files list
+    joint positions, and `toolee arm touch --touches` writes them. Locate the tip first with `toolee calibrate mount`.
+    With --camera alone, it measures a simulated lab.
 
-    Exit code 0: the nail is located; 1: a device failed; 2: images or touches are refused, for the reason given.
+    Exit code 0: the nail is located; 1: a device failed; 2: images or touches are refused, with the reason.
     """
 
     camera: Flag = False
     """Locate it by the camera."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """The station file without --station: the arm's kinematics, and where it has the nail."""
+    """The station file, if --station is not given: it gives the arm's kinematics and the nail's expected position."""
     nail: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Which of several nails (work.nails)."""
     thickness_mm: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
-    """Height of the printed side over the wood: paper and plate."""
+    """Height of the printed side above the wood: paper and plate."""
     at_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
-    """Place of the nail on the board, from the outer corner of the first square, along the bars x and y; the white
-    cross if left out."""
+    """Position of the nail on the board, from the outer corner of the first square, along the bars x and y
+    (default: the white cross).
+    """
     placing_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.5
-    """Standard deviation of that place about each axis: how well the nail goes through the cross."""
+    """Standard deviation of that position along each axis: how well the nail meets the cross."""
     touches: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """The joint positions of touches."""
     tip_mm: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")] = None
     """With --touches and --wood: the tip in the flange."""
     touch_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.5
-    """With --touches and --wood: standard deviation of their mean about each axis: tip, kinematics and eye."""
+    """With --touches and --wood: standard deviation of their mean along each axis, from tip, kinematics and eye."""
     wood: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """The joint positions of touches of the wood around the nail."""
     repeat_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.2
-    """With --wood: standard deviation of one touch from the next: force, kinematics over the block, grain."""
+    """With --wood: standard deviation between touches, from force, kinematics and grain."""
 
     def run(self) -> int:
         self._check()
@@ -531,8 +530,8 @@ class Nail(BoardOptions):
             if self.touches is not None:
                 touched = touch_head(config, self.touches, touching)
                 listener.say(
-                    f"middle of the nail's head by touches: ({_mm(touched.head)}) mm in base_link, the touches "
-                    f"{touched.spread * 1e3:.2f} mm apart"
+                    f"centre of the nail's head by touch: ({_mm(touched.head)}) mm in base_link; the touches "
+                    f"scatter by {touched.spread * 1e3:.2f} mm"
                 )
             if self.wood is not None:
                 wood = touch_wood(config, self.wood, touching, touched)
@@ -569,7 +568,7 @@ class Nail(BoardOptions):
         from toolee_robot.app.calibrate_nail import mistake
 
         rows, by_file = _nail_rows(located), located.config.work.p_base_entry
-        rows.append(("from the station file", f"({_mm(located.entry - by_file, '+.2f')}) mm"))
+        rows.append(("difference to the station file", f"({_mm(located.entry - by_file, '+.2f')}) mm"))
         if why := mistake(located.entry, by_file):
             rows.append(("", f"[red]{why}[/red]"))
         true = {} if located.sight is None else located.sight.true_errors()
@@ -582,7 +581,7 @@ class Nail(BoardOptions):
         lines += [f"  {name}: {value}" for name, value in entries.items() if name != "nails"]
         lines += [f"  nails, {nail['name']}: xy: {nail['xy']}" for nail in entries.get("nails", ())]
         if true:
-            lines += ["", "[dim]* measured by the simulation; whoever looks cannot see it[/dim]"]
+            lines += ["", "[dim]* known to the simulation only[/dim]"]
         _panel(self.console, f"the {'nail' if located.with_nail else 'wood'} is located", rows, lines)
 
     def _check(self) -> None:
@@ -593,32 +592,32 @@ class Nail(BoardOptions):
         self.refuse(
             (
                 not self.camera and not touches,
-                "nothing tells where the nail is: give --camera, --touches or --wood",
+                "give --camera, --touches or --wood: one of them has to locate the nail",
                 "user.nail_no_source",
             ),
             _option(
                 bool(touches) and (self.tip_mm is None or file is None),
-                f"{''.join(touches[:1])} needs --tip-mm, from `toolee calibrate mount`, and the station file "
+                f"{''.join(touches[:1])} needs --tip-mm (from `toolee calibrate mount`) and the station file "
                 "(--config or --station)",
             ),
             _option(
                 self.wood is not None and self.camera,
-                "--wood with --camera: the board tells how the wood lies, too; leave one of them out",
+                "give --wood or --camera, not both: the board already shows how the wood lies",
             ),
             _option(
                 self.touches is not None and self.camera and not real,
-                "--touches with a simulated camera: the touches are not of its nail; give your --station alone",
+                "--touches need your own --station: they are not touches of the simulated nail",
             ),
             _option(
                 self.station is not None and (self.config is not None or not self.camera),
-                "--station is for --camera; without it give the file as --config, and never both",
+                "give --station with --camera, and --config without it. Never give both",
             ),
             (self.rehearse and self.station is None, _STATION_MISSING, "user.no_station"),
             *self._print_rules(real),
-            _option(self.write and file is None, "--write needs --station or --config: the file to write to"),
+            _option(self.write and file is None, "--write needs --station or --config, the file to write to"),
             _option(
                 self.write and self.camera and not real,
-                "--write with a simulated camera: a simulated nail would take the place of yours; leave --write out",
+                "leave --write out: a simulated nail would replace your real one",
             ),
             _option(
                 not all(0.01 <= value <= 10.0 for value in deviations),
@@ -631,13 +630,13 @@ class Nail(BoardOptions):
         return (
             (
                 real and not all(given),
-                "--bars-mm and --thickness-mm are missing: measure the two scale bars on your print, and how high the "
-                "printed side is over the wood",
+                "--bars-mm and --thickness-mm are missing. Measure the two scale bars on your print, and the "
+                "height of its printed side over the wood",
                 "user.board_scale_unknown",
             ),
             _option(
                 not real and any(given),
-                "--bars-mm and --thickness-mm are of your own print: a simulated lab measures its own",
+                "leave --bars-mm and --thickness-mm out: the simulated lab measures its own print",
             ),
             _option(not 0.0 <= (self.thickness_mm or 0.0) <= 50.0, f"--thickness-mm {self.thickness_mm}: give 0 to 50"),
         )
@@ -694,7 +693,7 @@ def _nail_rows(located: Located) -> list[tuple[str, str]]:
         sigmas = 2 * np.sqrt(np.diag(seen.covariance))
         return [
             ("nail at the wood", f"({_mm(seen.entry)}) ± ({_mm(sigmas)}) mm in base_link (95 %)"),
-            ("wood off the level", f"{np.rad2deg(seen.tilt):.2f} ± {np.rad2deg(2 * seen.tilt_sigma):.2f}°"),
+            ("tilt of the wood", f"{np.rad2deg(seen.tilt):.2f} ± {np.rad2deg(2 * seen.tilt_sigma):.2f}°"),
             ("board", f"{seen.corners} corners, {seen.reprojection:.2f} px"),
         ]
     if (wood := located.wood) is None:
@@ -704,10 +703,10 @@ def _nail_rows(located: Located) -> list[tuple[str, str]]:
     fit = (
         f"{count}, up to {apart * 1e3:.2f} mm off the plane"
         if count > 3
-        else "3: a fourth would tell whether one is wrong"
+        else "3: a fourth touch would reveal a wrong one"
     )
     return [
         ("wood at the nail", f"{wood.point[2] * 1e3:.2f} ± {2e3 * height:.2f} mm over the base (95 %)"),
-        ("wood off the level", f"{np.rad2deg(wood.tilt):.2f} ± {np.rad2deg(2 * wood.tilt_sigma):.2f}°"),
+        ("tilt of the wood", f"{np.rad2deg(wood.tilt):.2f} ± {np.rad2deg(2 * wood.tilt_sigma):.2f}°"),
         ("touches of the wood", fit),
     ]

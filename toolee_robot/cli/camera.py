@@ -61,7 +61,7 @@ class CameraOptions(JsonOption):
 
         given = [self.config is not None, self.recording is not None, self.driver is not None]
         if sum(given) != 1:
-            message = "which camera? give one of --config YAML, --recording DIR, or --driver NAME with --serial NUMBER"
+            message = "which camera? Give one of --config YAML, --recording DIR, or --driver NAME with --serial NUMBER"
             raise UserError(message, code="user.option")
         if self.config is not None:
             return load_station(self.config).camera
@@ -72,7 +72,7 @@ class CameraOptions(JsonOption):
             device = CameraDevice("recorded", recording.serial, _UNKNOWN_RANGE, folder=str(self.recording))
             return replace(sim_station().camera, device=device)
         if self.driver is None or self.serial is None:
-            raise UserError("--driver without --serial: `toolee camera list` shows them", code="user.option")
+            raise UserError("--driver needs --serial, which `toolee camera list` shows", code="user.option")
         device = CameraDevice(
             self.driver, self.serial, _UNKNOWN_RANGE, self.fps, self.exposure, camera_class=self.camera_class
         )
@@ -116,7 +116,7 @@ class ListCameras(JsonOption):
                 table.add_row(camera["model"], camera["serial"], camera["firmware"], camera["port"])
             console.print(table)
         drivers = camera_drivers()
-        console.print(f"Drivers: {', '.join(drivers)}. Other cameras are listed by their makers' programs.")
+        console.print(f"Drivers: {', '.join(drivers)}. List other cameras with their maker's software.")
         self.tell({"cameras": found, "drivers": drivers})
         return 0
 
@@ -127,7 +127,7 @@ class Show(CameraOptions):
 
     Example: toolee camera show --driver realsense --serial 832112070123 --size 848 480 --picture seen.png
 
-    A lens of the station file that a job would refuse keeps nobody from looking: the camera's own is taken, and said.
+    If a job would refuse the station file's lens, the command uses the camera's own lens and says so.
 
     Exit code 0: it gives frames; 1: it does not; 2: invalid input.
     """
@@ -148,7 +148,7 @@ class Show(CameraOptions):
             profile, chosen = camera.profile, camera.lens
         if refused is not None:
             config = replace(config, distortion=None, intrinsics_record=None, lens_serial=None)
-            told = f"[yellow]Without the station file's lens, which a job refuses:[/yellow] {escape(refused)}\n"
+            told = f"[yellow]Shown without the station file's lens. A job refuses it:[/yellow] {escape(refused)}\n"
             console.print(told, soft_wrap=True)
         k = frame.intrinsics
         known = float((frame.depth > 0).mean())
@@ -161,7 +161,7 @@ class Show(CameraOptions):
             "lens": chosen.words,
             "depth": _registered(profile, chosen),
             "exposure": {True: "automatic", False: "fixed", None: "not told"}[profile.auto_exposure],
-            "newest frame": f"{age * 1e3:.0f} ms old, depth known for {known:.0%} of it",
+            "newest frame": f"{age * 1e3:.0f} ms old, depth known in {known:.0%} of the pixels",
         }
         for name, value in facts.items():
             table.add_row(name, value)
@@ -207,9 +207,9 @@ class Record(CameraOptions):
 
     Example: toolee camera record --config lab.yaml --out frames --seconds 5
 
-    They are undistorted and registered, with their stamps. The folder can be played (`--recording frames`, or the
-    driver `recorded` in a station file), and `toolee estimate --bop frames` finds the tools in it. Ctrl-C ends the
-    recording, which is kept.
+    Frames are undistorted, registered and time-stamped. The folder can be played (`--recording frames`, or the driver
+    `recorded` in a station file), and `toolee estimate --bop frames` finds the tools in it. Ctrl-C ends the recording,
+    which is kept.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
@@ -217,7 +217,7 @@ class Record(CameraOptions):
     seconds: float = 5.0
     """How long."""
     every: Annotated[float, tyro.conf.arg(metavar="S")] = 0.0
-    """Record one frame every so many seconds, of which the terminal rings; 0: every frame."""
+    """Record one frame in so many seconds, with a bell in the terminal; 0: every frame."""
 
     def run(self) -> int:
         from toolee_robot.devices.cameras.recording import RecordingWriter
@@ -260,14 +260,14 @@ class CheckCamera(CameraOptions):
 
     Example: toolee camera doctor --config lab.yaml
 
-    It checks rate and clock, exposure, lens, holes on a tool that is held before it, and least range for views. Exit
+    It checks rate, clock, exposure, lens, least range, and missing depth on a tool held in front of the camera. Exit
     code 0: as it should be, or warnings only; 1: a fault must be repaired first; 2: invalid input.
     """
 
     seconds: float = 3.0
     """How long to listen to it."""
     no_tool: Flag = False
-    """Do not look for a tool, which takes the networks."""
+    """Do not look for a tool, so the networks are not loaded."""
 
     def run(self) -> int:
         from toolee_robot.doctor.devices import (
@@ -328,7 +328,7 @@ def _station_lines(config: CameraConfig, profile: CameraProfile, chosen: ChosenL
         f"    driver: {device.driver}",
         f'    serial: "{profile.serial}"',
         f"    fps: {profile.fps:.0f}",
-        "    least_range:       # [m], of this mode, from the camera's data sheet",
+        "    least_range:       # [m], for this mode, from the camera's data sheet",
     ]
     if device.exposure is not None:
         lines.append(f"    exposure: {device.exposure:g}")
@@ -351,7 +351,7 @@ def _lens_lines(config: CameraConfig, chosen: ChosenLens) -> list[str]:
     if distortion is not None:
         lines.append(f"  distortion: {list(distortion)}")
     elif not chosen.lens.known:
-        lines.append("  distortion:          # by `toolee calibrate intrinsics`; [0, 0, 0, 0] of undistorted images")
+        lines.append("  distortion:          # by `toolee calibrate intrinsics`; [0, 0, 0, 0] for undistorted images")
     return lines
 
 

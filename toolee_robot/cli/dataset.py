@@ -36,13 +36,14 @@ class Generate(JsonOption):
 
     Example: toolee dataset generate --config hard --size 1000 --out data/hard
 
-    The same options give the same bytes, with any number of workers. A run that was interrupted or killed goes on
-    where it stopped when it is started again. Train with DIR/train; DIR/test shows held-out tools.
+    The same options give the same bytes, with any number of workers. Start an interrupted run again to continue it.
+    Train with DIR/train; DIR/test shows held-out tools.
     """
 
     config: Literal["paper", "hard", "paper-claws"]
-    """paper: upright tool, no roll, one grasp, no noise. hard: any orientation, hands, occlusion, noise. paper-claws:
-    to train on; as paper, of claw hammers that mostly face the camera, the claw behind the head."""
+    """paper: upright tool, no roll, one grasp, no noise. hard: any orientation, hands, occlusion, noise.
+    paper-claws: as paper, for training, with claw hammers whose claw is mostly hidden behind the head.
+    """
     size: Annotated[int, tyro.conf.arg(metavar="N")]
     """Examples in all."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
@@ -54,15 +55,16 @@ class Generate(JsonOption):
     test_share: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: 0.1; --tools: 1)")] = None
     """Share of the examples with held-out tools, textures and backgrounds, from 0 to 1."""
     tools: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """One's own tools instead of the generated ones, all held out: a folder for each with tool.yaml (docs/dataset.md)
-    and a mesh."""
+    """Your own tools instead of generated ones, all kept for tests: a folder for each, with tool.yaml
+    (docs/dataset.md) and a mesh.
+    """
     cluster: Literal["local", "ray"] = "local"
     """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share DIR."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Device that renders. cuda: the GPUs of this machine (not of a Ray cluster), which the processes share. Pixels may
     differ by a rounding."""
     test_set: Flag = False
-    """Mark it as a test set: every scoring of it is entered in the ledger (docs/results/protocol.md)."""
+    """Mark it as a test set: every evaluation on it is logged (docs/results/protocol.md)."""
     sensor: SensorKind = "time-of-flight"
     """Depth camera of `hard`: docs/dataset.md. mixed draws one for each image."""
     kinds: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all)")] = None
@@ -79,7 +81,7 @@ class Generate(JsonOption):
             return ()
         if self.kinds is not None:
             raise UserError(
-                f"--kinds {self.kinds}: the tools of --tools have no kinds, leave one of the two out",
+                "give --kinds or --tools, not both: your own tools have no kinds",
                 code="user.kinds",
             )
         from toolee_robot.perception.offline.synthesis.custom_tool_reader import read_custom_tools
@@ -132,11 +134,11 @@ class Generate(JsonOption):
             console.print(f"{spec.size} examples in {escape(str(self.out))}, {seconds:.0f} s", soft_wrap=True)
             if cost is not None:
                 console.print(
-                    f"{cost.per_second:.1f} a second on {workers} processes, {cost.cpu_ms:.0f} ms of CPU time each, "
-                    f"at most {cost.worker_mb:.0f} MB a process"
+                    f"{cost.per_second:.1f} examples/s with {workers} processes, {cost.cpu_ms:.0f} ms of CPU time "
+                    f"each, at most {cost.worker_mb:.0f} MB per process"
                 )
         else:
-            console.print(f"{escape(str(self.out))} holds these {spec.size} examples already", soft_wrap=True)
+            console.print(f"{escape(str(self.out))} already holds these {spec.size} examples", soft_wrap=True)
         record = {"out": str(self.out), "spec": spec.to_json(), "made": made, "seconds": seconds}
         self.tell({**record, "workers": workers, "cost": cost and asdict(cost)})
         return 0
@@ -176,7 +178,7 @@ class Inspect(JsonOption):
         if found:
             console.print(_shape_table(found))
         else:
-            console.print("no category has two instances to compare: shapes.png is left out")
+            console.print("shapes.png is left out: no category has two instances to compare")
         console.print(f"pictures in {escape(str(out))}", soft_wrap=True)
         self.tell({"out": str(out), **record})
         return 0
@@ -186,7 +188,7 @@ class Inspect(JsonOption):
 class Validate(JsonOption):
     """Check every file of a data set.
 
-    It finds files that are broken, missing, changed, or contradict another.
+    It finds files that are broken, missing, changed or contradictory.
 
     Example: toolee dataset validate data/hard
 

@@ -45,18 +45,20 @@ class Doctor(JsonOption):
     """Address of the UR controller: a robot's, or that of `toolee emulate ur`. Without any the simulated station is
     checked."""
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
-    """A rehearsal: a controller stand-in is started at that loopback address, the simulated station behind it."""
+    """A rehearsal: start an emulated controller at that loopback address, with the simulated station behind it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """A station: any subset of the fields in docs/reference/station_file.md."""
     jogged_point: Annotated[
         tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")
     ] = None
-    """X Y Z of the TCP in millimetres, as the pendant's Move screen shows them now with the feature Base: compared with
-    what the robot reports and with this software's kinematics. Where it is left out, a person at a terminal
-    is asked for it, but not with --json or --world."""
+    """X Y Z of the TCP in millimetres, as the pendant's Move screen shows them with the feature Base. They are
+    compared with the robot's report and with this software's kinematics. If left out, the command asks at the
+    terminal, except with --json or --world.
+    """
     inputs: Flag = False
-    """Connect with the arm's driver, say what to do with door and hold-to-run switch (the file's `person`), and demand
-    to see each change once. The robot's program is started; nothing is moved."""
+    """Check door and hold-to-run switch (`person` in the station file): the command asks you to operate each once.
+    It connects with the arm's driver and starts the robot's program, but moves nothing.
+    """
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Folder for recordings, whose free space is checked."""
 
@@ -69,12 +71,12 @@ class Doctor(JsonOption):
         for option, given in options:
             if host is None and given:
                 raise UserError(
-                    f"{option} needs --robot-host, or arm.host in the station file: the controller's address, as on "
-                    "its About page"
+                    f"{option} needs the controller's address: give --robot-host, or arm.host in the station file. "
+                    "The pendant's About page shows it"
                 )
         if self.inputs and self.world:
             raise UserError(
-                "--inputs with --world: the simulated person has no inputs; leave out one of them",
+                "leave --inputs or --world out: the simulated person has no inputs",
                 code="user.option",
             )
         if host is not None and self.world is None:
@@ -118,7 +120,7 @@ class Doctor(JsonOption):
         warnings = sum(f.level is Level.WARN for f in findings)
         told = f", {_count(warnings, 'warning')}" if warnings else ""
         if fails:
-            return f"[bold red]Not ready: {_count(fails, 'thing')} to mend{told}.[/bold red]"
+            return f"[bold red]Not ready: {_count(fails, 'fault')} to fix{told}.[/bold red]"
         real = host is not None and self.world is None
         return f"[bold green]Ready for {'slow, attended motions' if real else 'the job'}[/bold green]{told}."
 
@@ -135,8 +137,8 @@ def ask_point(console: Console) -> Array | None:
     from toolee_robot.doctor.frames import parse_point
 
     console.print(
-        "\nJog the arm with the pendant to near the work, and leave it there. Which [bold]X Y Z[/bold] of the TCP does "
-        "its Move screen show now, with the feature [bold]Base[/bold], in millimetres? [dim](Enter: skip)[/dim]",
+        "\nJog the arm near the work with the pendant, and leave it there. Which [bold]X Y Z[/bold] of the TCP "
+        "does the Move screen show with the feature [bold]Base[/bold], in millimetres? [dim](Enter: skip)[/dim]",
         soft_wrap=True,
     )
     while True:
@@ -170,7 +172,7 @@ def _count(n: int, what: str) -> str:
 
 @dataclass(frozen=True)
 class Devices(JsonOption):
-    """List the drivers that a station file may name, and where each is from.
+    """List the drivers that a station file may name, and the package of each.
 
     Example: toolee devices list
 

@@ -33,13 +33,13 @@ class EmulateHand:
 
     Example: toolee emulate hand inspire --handle 400 --tcp 127.0.0.1:6000
 
-    A driver opens it as it opens the hand's port. Ctrl-C ends it.
+    A driver opens it like the hand's own port. Ctrl-C ends it.
 
     The first line of standard output is the port: the path of a pseudo-terminal, or an address. Each line of standard
     input is an event: handle ANGLE, drop, slip ANGLE, heat MOTOR DEGREES, jam MOTOR, free MOTOR, mute, unmute, echo,
     unplug, show, of an Inspire hand error MOTOR BITS, deaf, unacknowledged and acknowledge (writes), or a fault of the
-    next replies and their number: garbage, corrupt, short, late, doubled, foreign, lost. Another line is answered by
-    those that there are. docs/how-to/inspire_hand.md, ability_hand.md and shadow_hand.md say what is emulated.
+    next replies and their number: garbage, corrupt, short, late, doubled, foreign, lost. An unknown line prints the
+    list. docs/how-to/inspire_hand.md, ability_hand.md and shadow_hand.md say what is emulated.
     """
 
     hand: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="HAND")]
@@ -47,16 +47,17 @@ class EmulateHand:
     hand_id: Annotated[
         int | None, tyro.conf.arg(metavar="1..254", help_behavior_hint="(default: as delivered, 1 and 80)")
     ] = None
-    """Its number on the line, of Modbus its unit identifier."""
+    """Its number on the line, or its unit identifier on Modbus."""
     tcp: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None
-    """Where it listens (port 0: at a free one), of a hand on a network; of an Inspire RH56 on Modbus-TCP instead of the
-    pseudo-terminal."""
+    """Address of a hand on a network (port 0: any free port). An Inspire RH56 then speaks Modbus-TCP instead of
+    serial.
+    """
     handle: Annotated[float | None, tyro.conf.arg(metavar="ANGLE", help_behavior_hint="")] = None
-    """Something lies in the hand, met by fingers and thumb at this angle: 0 to 1000 as the Inspire counts, where 1000
-    is open; 0 to 100 deg of the Ability Hand, 0 to 90 deg of the Shadow Hand's knuckles, 0 to 255 of a Robotiq, where 0
-    is open."""
+    """Finger angle at which the fingers meet an object in the hand. Inspire: 0 to 1000, 1000 is open. Ability Hand:
+    0 to 100 deg. Shadow Hand: 0 to 90 deg of the knuckles. Robotiq: 0 to 255, 0 is open.
+    """
     link: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """A symbolic link to the pseudo-terminal, made for the time being."""
+    """A symbolic link to the pseudo-terminal, removed at the end."""
     seed: int = 0
     """Seed of the line's noise."""
 
@@ -72,14 +73,16 @@ class EmulateHand:
         model = next((name for name, file in HAND_FILES.items() if self.hand in (name, file)), "")
         kind = wired_hand(model)
         if kind is None:
-            raise UserError(f"{self.hand!r} has no emulator: give one of {', '.join(HAND_FILES)}", code="user.option")
+            raise UserError(f"no emulator for {self.hand!r}: give one of {', '.join(HAND_FILES)}", code="user.option")
         if self.hand_id is not None and not (kind.numbered and 1 <= self.hand_id <= 254):
-            raise UserError(f"--hand-id {self.hand_id}: {model} has none, or it is 1 to 254", code="user.option")
+            raise UserError(
+                f"--hand-id {self.hand_id}: give 1 to 254, or none for a hand without id", code="user.option"
+            )
         if self.tcp is not None and kind.scheme is None:
-            raise UserError(f"--tcp: {model} is on a serial port only", code="user.option")
+            raise UserError(f"--tcp: {model} has a serial port only. Leave --tcp out", code="user.option")
         listen = LOOPBACK if self.tcp is None else tcp_address(f"tcp://{self.tcp}")
         if not is_loopback(listen[0]):
-            raise UserError(f"--tcp {self.tcp}: an emulator listens on 127.x.x.x only", code="user.not_loopback")
+            raise UserError(f"--tcp {self.tcp}: give an address 127.x.x.x for an emulator", code="user.not_loopback")
         config = HandConfig(model, port=self.tcp and f"{kind.scheme}://{self.tcp}", hand_id=self.hand_id)
         console = Console(stderr=True, highlight=False)
         with emulated_hand(config, self.seed, listen=listen) as emulator, self._linked(emulator.port):
@@ -108,7 +111,7 @@ class EmulateHand:
             yield
             return
         if "://" in port:
-            raise UserError("--link is for a pseudo-terminal: leave it out for a hand on a network", code="user.option")
+            raise UserError("--link is for serial hands: leave it out, this hand is on a network", code="user.option")
         if self.link.is_symlink():
             self.link.unlink()
         try:
@@ -129,13 +132,13 @@ _METRES_PER_SECOND, _NEWTONS, _RADIANS, _WATTS, _MOMENTUM, _SECONDS, _DECELERATI
 
 @dataclass(frozen=True)
 class EmulateUr:
-    """Stand in for a UR controller.
+    """Emulate a UR controller.
 
     Example: toolee emulate ur --model UR10e --host 127.0.0.3
 
-    ur_rtde and other clients connect to it as to a robot. Ctrl-C ends it. Serves RTDE (30004), the dashboard (29999),
-    the script ports (30001 to 30003), and a fault port; runs the control script that clients upload. Behind it are
-    ideal joints. Only loopback addresses; docs/reference/ur_controller.md.
+    ur_rtde and other clients connect to it as to a robot. Ctrl-C ends it. It serves RTDE (30004), the dashboard
+    (29999), the script ports (30001 to 30003) and a fault port, and runs the control script that clients upload. Its
+    joints are ideal. It accepts loopback addresses only; docs/reference/ur_controller.md.
     """
 
     model: Literal["UR10", "UR10e"] = "UR10"
@@ -153,7 +156,9 @@ class EmulateUr:
     off: Flag = False
     """Start with the arm switched off: clients must power it on and release the brakes."""
     profile: Annotated[ProfileName, tyro.conf.arg(metavar="ideal|harsh")] = "ideal"
-    """How the controller follows, measures and stops: exactly, or as one of the model's generation."""
+    """How the controller follows, measures and stops. ideal: without errors; harsh: with noise, lag and stops like a
+    real one's.
+    """
     seed: int = 0
     """Seed of the sensors' noise in the harsh profile."""
     force_limit: Annotated[float | None, _NEWTONS] = None
@@ -167,11 +172,11 @@ class EmulateUr:
     momentum_limit: Annotated[float | None, _MOMENTUM] = None
     """Momentum of the arm that triggers a protective stop, instead of the profile's."""
     lag: Annotated[float | None, _SECONDS] = None
-    """Lag of servoj behind its targets at a gain of 1200 and a lookahead of 0.03 s, instead of the profile's."""
+    """Lag of servoj at a gain of 1200 and a lookahead of 0.03 s, instead of the profile's."""
     stop_deceleration: Annotated[float | None, _DECELERATION] = None
     """Deceleration of the fastest joint in protective, safeguard and emergency stops, instead of the profile's."""
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 1.0
-    """Rate of the robot's time relative to wall-clock time; clients must use the same."""
+    """Speed of the robot's time; 1 is real time. Clients must use the same value."""
 
     def run(self) -> int:
         from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
@@ -222,14 +227,14 @@ class EmulateUr:
             )
             for port in (*controller.ports.values(), controller.fault_port):
                 console.print(f"  {port.number}  {port.name}")
-            console.print("[dim]Ctrl-C ends it; end its clients first.[/dim]")
+            console.print("[dim]Ctrl-C ends it. End its clients first.[/dim]")
             controller.run(realtime=True)
         except KeyboardInterrupt:
             statistics = controller.schedule.statistics
             console.print(
-                f"\nEnded after {statistics.ticks} ticks: {statistics.late} late, at worst "
-                f"{1e3 * statistics.worst_late:.1f} ms; {statistics.slipped} slipped; "
-                f"{1e3 * statistics.busy / max(1, statistics.ticks):.2f} ms of work a tick"
+                f"\nEnded after {statistics.ticks} cycles: {statistics.late} late, at worst by "
+                f"{1e3 * statistics.worst_late:.1f} ms; {statistics.slipped} skipped; "
+                f"{1e3 * statistics.busy / max(1, statistics.ticks):.2f} ms of work per cycle"
             )
         return 0
 

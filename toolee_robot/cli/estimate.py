@@ -34,9 +34,8 @@ class Estimate(JsonOption):
 
     Example: toolee estimate --bop scene/000001 --json
 
-    Poses are in the camera's OpenCV frame (x right, y down, z forward), in metres; docs/concepts/frames.md
-    defines the four end-effector frames. Exit code 0: at least one pose may be used; 1: none, and the reason is said;
-    2: bad input.
+    Poses are in the camera's OpenCV frame (x right, y down, z forward), in metres; docs/concepts/frames.md defines the
+    four end-effector frames. Exit code 0: at least one usable pose; 1: none, with the reason; 2: invalid input.
     """
 
     rgb: _File = None
@@ -48,13 +47,15 @@ class Estimate(JsonOption):
     intrinsics: Annotated[str | None, tyro.conf.arg(metavar="FX,FY,CX,CY", help_behavior_hint="")] = None
     """Pinhole intrinsics [px] of the colour image, undistorted."""
     hand_pose: _File = None
-    """X_camera_hand, 16 numbers row by row [m] (text, .json, .npy): fixes the spin a symmetric tool does not show."""
+    """X_camera_hand, 16 numbers row by row [m] (text, .json, .npy). It selects the rotation about the axis of a
+    symmetric tool.
+    """
     hand: str = sim_station().hand.model
     """Which hand --hand-pose is of."""
     bop: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Instead of one frame: a BOP scene folder with rgb/, depth/ and scene_camera.json."""
     picture: Annotated[Path | None, tyro.conf.arg(metavar="OUT.png", help_behavior_hint="")] = None
-    """Also draw what was found (not with --bop)."""
+    """Also draw the result (not with --bop)."""
     json: Flag = False
     """Print JSON only: a list of estimates, or with --bop one line a frame."""
 
@@ -66,7 +67,7 @@ class Estimate(JsonOption):
             ]
             if given:
                 raise UserError(
-                    f"--bop reads everything from its folder: leave out --{given[0].replace('_', '-')}",
+                    f"leave --{given[0].replace('_', '-')} out: --bop reads everything from its folder",
                     code="user.option",
                 )
             return self._run_bop(console, self.bop)
@@ -118,10 +119,10 @@ class Estimate(JsonOption):
                 if not self.json:
                     console.print(_table(estimates, f"image {image.im_id}: {elapsed_ms:.0f} ms"))
             self.tell(line)
-        console.print(f"{usable} of {len(images)} frames have a pose that may be used")
+        console.print(f"{usable} of {len(images)} frames have a usable pose")
         if unreadable:
             raise UserError(
-                f"{unreadable} of {len(images)} frames could not be read; the messages above say why",
+                f"{unreadable} of {len(images)} frames could not be read. The messages above say why",
                 code="user.unreadable_frames",
             )
         return 0 if usable else 1
@@ -140,12 +141,12 @@ def _verdict(console: Console, estimates: list[ToolEstimate]) -> int:
     said = Console(stderr=True, highlight=False) if not console.stderr else console
     if not estimates:
         said.print(
-            f"[bold red]no tool found:[/bold red] none of {', '.join(c.spec.label for c in CATEGORIES)} is in view; "
-            "bring the end effector nearer (0.4 to 1.1 m) and into the image"
+            f"[bold red]no tool found:[/bold red] no {', '.join(c.spec.label for c in CATEGORIES)} is in view. "
+            "Bring the end effector to 0.4 to 1.1 m before the camera"
         )
     else:
         reasons = "; ".join(f"{e.category}: {e.reason}" for e in estimates)
-        said.print(f"[bold red]no pose may be used:[/bold red] {escape(reasons)}", soft_wrap=True)
+        said.print(f"[bold red]no usable pose:[/bold red] {escape(reasons)}", soft_wrap=True)
     return 1
 
 
@@ -177,8 +178,8 @@ class Annotate(JsonOption):
     Example: toolee annotate my_frames --clicks my_frames/clicks.yaml
 
     Opens a page on this computer; Ctrl-C ends it and writes frames.json, which `toolee evaluate photographs my_frames`
-    scores. Clicks are saved in clicks.yaml at once, and a later call goes on with them. docs/how-to/own_test.md says
-    how to take the frames and what to click. Exit code 0: every end that was clicked has a pose; 1: not every one.
+    scores. Clicks are saved in clicks.yaml at once, and a later call continues with them. docs/how-to/own_test.md says
+    how to take the frames and what to click. Exit code 0: every clicked end effector has a pose; 1: some have none.
     """
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]

@@ -36,7 +36,7 @@ class _Evaluation(JsonOption):
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder for the report (none if left out)."""
     limit: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
-    """Only so many images, of each split or place."""
+    """At most this many images per split or place."""
     device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
     """Where the networks run: cpu or cuda."""
 
@@ -56,7 +56,7 @@ class _Evaluation(JsonOption):
                 self.out.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise UserError(
-                    f"cannot make the folder {self.out}: {words_of(error)}; choose another place"
+                    f"cannot make the folder {self.out}: {words_of(error)}. Choose another place"
                 ) from error
             write_atomic(self.out / "report.json", json_line(record).encode() + b"\n")
             html = page(title, subtitle, about, tables, pictures or {})
@@ -85,19 +85,19 @@ class EvaluatePose(_Evaluation):
     data: _Dir
     """A data set made by `toolee dataset generate`, with a seed not used in training; or one split's folder of it."""
     weights: _Weights = ()
-    """Folders of trainings, each with a label; the shipped weights, called ours, if left out. The first one is also the
-    one that looks at frames without a tool."""
+    """Folders of trainings, each with a label (default: the shipped weights, as ours). The first one also gets the
+    frames without a tool.
+    """
     detector: _Folder = None
     """Folder with the detector's weights (the shipped ones if left out)."""
     true_masks_only: Flag = False
     """No detector: leave out predicted masks and frames without a tool."""
     tools: Literal["all", "validation", "test"] = "all"
-    """Which of the held-out tools: half are for validation, by which choices are made, half for tests."""
+    """Which of the test split's tools: one half is for validation, the other for tests."""
     no_tool: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """Cluttered frames without a tool; those that the data set lacks are rendered."""
+    """Number of cluttered frames without a tool. Missing ones are rendered."""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
-    """Processes, each with networks of its own and one core. The figures are the same for any number, but for the
-    latencies: measure those with one."""
+    """Number of processes, each with one core. Only latencies depend on it: measure those with one."""
 
     def run(self) -> int:
         from toolee_robot.perception.offline.evaluation import report
@@ -145,7 +145,7 @@ class EvaluateSegmentation(_Evaluation):
         from toolee_robot.perception.offline.evaluation.ledger import Ledger
 
         ledger = Ledger.of(self.data)
-        with self.console.status("the detector looks at every image"):
+        with self.console.status("the detector processes every image"):
             found = segmentation.evaluate(self.data, self.weights, self.limit, self.device)
         if ledger is not None:
             ledger.enter("segmentation", {"detector": self.weights}, {"average": found["average"]}, self.limit)

@@ -45,9 +45,9 @@ class HandOptions(JsonOption):
     """Which hand."""
 
     station: Annotated[Path, tyro.conf.arg(metavar="YAML")]
-    """The station file, whose hand is meant; of the rest nothing is needed."""
+    """The station file. Only its section `hand` is used."""
     port: Annotated[str | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="(default: hand.port)")] = None
-    """Where the hand is instead, such as the port that `toolee emulate hand` prints."""
+    """Port of the hand instead of the file's, such as that of `toolee emulate hand`."""
 
     def hand(self) -> HandConfig:
         """What the station file says of the hand, at the port that is meant; a tool mount is refused."""
@@ -57,8 +57,7 @@ class HandOptions(JsonOption):
         hand = load_station(self.station).hand
         if hand.model == MOUNT:
             raise UserError(
-                f"the hand of {self.station} is a tool mount, which has neither motors nor sensors: fix a tool in it, "
-                "and take it out, by hand"
+                f"{self.station} has a tool mount, which has no motors or sensors. Fix and remove the tool by hand"
             )
         return hand if self.port is None else replace(hand, port=self.port)
 
@@ -100,7 +99,7 @@ class HandMotionOptions(HandOptions):
     """Which hand, and who answers for what it does."""
 
     yes: Flag = False
-    """Ask nobody: for scripts, with an emulated hand, or where nobody and nothing is in the hand."""
+    """Do not ask: for scripts, if the hand is emulated or empty and nobody is near."""
 
     def move(
         self,
@@ -151,13 +150,13 @@ class Open(HandMotionOptions):
 
     Example: toolee hand open --station lab.yaml
 
-    A person takes hold of the tool and confirms it first: what the hand holds falls. The arm is not moved. Ctrl-C stops
-    the fingers where they are.
+    A person holds the tool and confirms first, because the hand drops it. The arm does not move. Ctrl-C stops the
+    fingers.
     """
 
     def run(self) -> int:
         return self.move(
-            "What the hand holds falls when it opens. Take hold of the tool, your fingers out of the hand's way. Open?",
+            "The hand drops what it holds when it opens. Hold the tool, fingers away from the hand. Open?",
             "The hand is open.",
             lambda hand: hand.open(),
         )
@@ -169,13 +168,13 @@ class Close(HandMotionOptions):
 
     Example: toolee hand close --station lab.yaml --port hand.port
 
-    A person confirms it first. The arm is not moved. Ctrl-C stops the fingers, which keep what they hold. An Ability
-    Hand may let go when the command ends.
+    A person confirms first. The arm does not move. Ctrl-C stops the fingers, which keep their hold. An Ability Hand
+    may let go when the command ends.
     """
 
     def run(self) -> int:
         return self.move(
-            "The fingers close until they hold something or are shut. Your fingers out of the hand. Close?",
+            "The fingers close until they hold something or are shut. Keep your fingers away. Close?",
             "The hand is closed.",
             lambda hand: hand.close(),
         )
@@ -187,15 +186,14 @@ class ClearFaults(HandMotionOptions):
 
     Example: toolee hand clear-faults --station lab.yaml
 
-    A person looks for the cause and confirms it first. Of this project's hands only the Inspire RH56 keeps such faults.
-    Exit code 1: a fault is left, such as heat. The arm is not moved, and no finger is given a target; one that comes
-    free may go on to its last one.
+    A person finds the cause and confirms first. Only the Inspire RH56 keeps such faults. Exit code 1: a fault is left,
+    such as heat. The command moves nothing, but a freed finger may continue to its last target.
     """
 
     def run(self) -> int:
         return self.move(
-            "Look why the hand has a fault, and take away what blocks it. A finger that comes free may move: your "
-            "fingers out of the hand. Clear the faults?",
+            "Find the cause of the fault, and remove what blocks the hand. A freed finger may move: keep your "
+            "fingers away. Clear the faults?",
             "The hand has no fault.",
             _clear_faults,
             _clearing,
@@ -208,8 +206,8 @@ def _clearing(hand: Hand) -> Callable[[], None]:
 
     if not isinstance(hand, ClearsFaults):
         raise UserError(
-            "the driver of this hand clears no faults: look what `toolee hand state` says, take away the cause, and "
-            "switch the hand off and on if the fault stays",
+            "this hand's driver cannot clear faults. Read `toolee hand state`, remove the cause, and power-cycle "
+            "the hand if the fault stays",
             code="user.no_clear_faults",
         )
     return hand.clear_faults
@@ -220,20 +218,20 @@ def _clear_faults(hand: Hand) -> None:
     time.sleep(_SETTLED)
     if fault := hand.state(_MAX_AGE).fault:
         raise DeviceError(
-            f"the hand still has a fault ({fault}): heat has to go by itself, and what blocks a finger has to be taken "
-            "away first, then clear again; a motor that has failed is for the hand's maker",
+            f"the hand still has a fault ({fault}). Let a hot hand cool down, remove what blocks a finger, then "
+            "clear again. If a motor has failed, ask the hand's maker",
             code="device.hand_fault_left",
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Efforts(HandOptions):
-    """Show the efforts of a Shadow Hand's motors, now and at most.
+    """Show the present and the largest efforts of a Shadow Hand's motors.
 
     Example: toolee hand efforts --station lab.yaml --seconds 60
 
-    Nothing is moved. Open and close the empty hand meanwhile with the maker's software: `touch` of `hand.efforts` is
-    twice the largest effort. Then close it on the handle for `grip`, and pull at the first finger's tip with a spring
+    The command moves nothing. Open and close the empty hand with the maker's software: `touch` of `hand.efforts` is
+    twice the largest effort. Close it on the handle to read `grip`. Pull at the first finger's tip with a spring
     balance for `newtons_per_unit`.
     """
 
@@ -242,7 +240,7 @@ class Efforts(HandOptions):
 
     def run(self) -> int:
         if not 0.0 < self.seconds < np.inf:
-            raise UserError("--seconds must be more than 0, and finite", code="user.option")
+            raise UserError("--seconds must be a finite number above 0", code="user.option")
         from toolee_robot.devices.hands import efforts_of
         from toolee_robot.robots.hands.shadow import MOTORS
         from toolee_robot.runtime.clock import HostClock
@@ -264,8 +262,8 @@ class Efforts(HandOptions):
             live.update(_effort_table(MOTORS, now, largest), refresh=True)
         motor = MOTORS[int(np.argmax(largest))]
         console.print(
-            f"\nThe largest effort was {largest.max():.0f}, of {motor}. Of a hand that was empty and moved freely: "
-            f"hand.efforts.touch is {_TOUCH_RATIO * largest.max():.0f}."
+            f"\nThe largest effort was {largest.max():.0f}, of {motor}. If the hand was empty and moved freely, set "
+            f"hand.efforts.touch to {_TOUCH_RATIO * largest.max():.0f}."
         )
         both = {"now": now, "largest": largest}
         self.tell({name: dict(zip(MOTORS, values.tolist(), strict=True)) for name, values in both.items()})

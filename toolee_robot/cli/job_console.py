@@ -172,7 +172,7 @@ class ConsoleObserver(JobObserver):
     def strike(self, strike: Strike) -> None:
         if strike.protrusion is None:
             load = f"{strike.peak_force:.0f} N, {load_text(strike.load)}"
-            self._console.print(f"  strike {strike.number:>2}  [dim]not measured after it {load:>29}[/dim]")
+            self._console.print(f"  strike {strike.number:>2}  [dim]nail not measured {load:>29}[/dim]")
             return
         gained = (self._last - strike.protrusion) * 1e3
         self._last = strike.protrusion
@@ -229,13 +229,13 @@ def job_panel(f: Mapping[str, Any]) -> Panel:
     stages = ", ".join(f"{name} {s:.1f}" for name, s in f["stage_seconds"].items())
     rows = [("strikes", str(f["strikes"])), *_nails(f, "measured_protrusion_mm"), *_weight(f), *_load(f)]
     rows += [
-        ("robot's time", f"{f['robot_seconds']:.0f} s, {f['nail_seconds']:.0f} s of it for the nail"),
+        ("robot's time", f"{f['robot_seconds']:.0f} s, {f['nail_seconds']:.0f} s of it at the nail"),
         ("time", f"{f['seconds']:.1f} s  [dim]({stages})[/dim]"),
         ("files", escape(f["run_folder"])),
     ]
     lines = [f"[bold]{escape(f['reason'])}[/bold]", "", *_lines(rows)]
     if f["nail"] is not None:
-        lines += ["", "[dim]true values, known to the simulation alone[/dim]", *_lines(_true(f))]
+        lines += ["", "[dim]true values, known to the simulation only[/dim]", *_lines(_true(f))]
     flush = "the nail is flush" if len(f["nails"]) < 2 else "the nails are flush"
     stage = f" (stage: {f['stage']})" if f["stage"] else ""
     title = flush if f["success"] else str(f["outcome"]).replace("_", " ") + stage
@@ -251,15 +251,15 @@ def _weight(f: Mapping[str, Any]) -> Rows:
     weighed = f["weighed"]
     if weighed is None:
         return []
-    return [("tool's mass", f"{weighed['mass']:.2f} ± {weighed['mass_sigma']:.2f} kg, by the arm")]
+    return [("tool's mass", f"{weighed['mass']:.2f} ± {weighed['mass_sigma']:.2f} kg, weighed by the arm")]
 
 
 def _load(f: Mapping[str, Any]) -> Rows:
     if f["largest_impulse"] is None:
         return []
     return [
-        ("most at the flange", f"{_figure(f['largest_impulse'], ' N s')}, {f['largest_flange_force']:.0f} N"),
-        ("most in a joint", f"{100 * f['largest_torque_share']:.0f} % of its largest torque"),
+        ("largest load at the flange", f"{_figure(f['largest_impulse'], ' N s')}, {f['largest_flange_force']:.0f} N"),
+        ("largest load of a joint", f"{100 * f['largest_torque_share']:.0f} % of its largest torque"),
     ]
 
 
@@ -284,7 +284,7 @@ def _true(f: Mapping[str, Any]) -> Rows:
         ("pose error", f"{_figure(f['pose_error_mm'], ' mm')}, {_figure(f['pose_error_deg'], '°')}"),
         ("strike offset, tilt", f"{_figure(f['strike_offset_mm'], ' mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
         *_nails(f, "protrusion_mm"),
-        ("nail", f"{nail}; {off} strike{'' if off == 1 else 's'} not with the face" if off else nail),
+        ("nail", f"{nail}; {off} strike{'' if off == 1 else 's'} hit with another part of the tool" if off else nail),
         *([] if weighed["true_mass"] is None else [("tool's mass", f"{weighed['true_mass']:.2f} kg")]),
     ]
 

@@ -57,19 +57,21 @@ class JobOptions(JsonOption):
     nail: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Drive this one of several nails (work.nails) alone."""
     setup: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """What is set up for this job instead of what the station has: `tool` (not of a simulated station), and of `work`
-    the nail's sizes and the wood's specific gravity."""
+    """File with changes for this job: `tool` (not in a simulated station), and from `work` the nail's sizes and the
+    wood's specific gravity.
+    """
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Parent of the run's folder, which holds summary.json, recording.mcap and picture.png."""
     view: Flag = False
-    """Show the job on a page of this computer, too: the page of `toolee replay`, live (extra viewer)."""
+    """Also show the job live on a local page, that of `toolee replay` (extra viewer)."""
     device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
     """Where the networks run: cpu or cuda."""
     variant: Annotated[InSimulation, VARIANT] = "full"
-    """What the job does otherwise than the whole system, as the baselines of docs/how-to/run_trials.md:
-    no_correction, perfect_perception, position_only, normal_only, one_view, mask_centroid, icp, paper."""
+    """A baseline instead of the whole system (docs/how-to/run_trials.md): no_correction, perfect_perception,
+    position_only, normal_only, one_view, mask_centroid, icp, paper.
+    """
     paper_weights: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """For --variant paper: the folder of a training of the paper's estimator, as docs/how-to/run_trials.md tells."""
+    """For --variant paper: the folder of a training of the paper's estimator (docs/how-to/run_trials.md)."""
 
     @abstractmethod
     def source(self) -> Source:
@@ -150,25 +152,26 @@ class SimHammer(JobOptions):
 
     Example: toolee sim hammer --config examples/nails.yaml --nail left
 
-    Where the station lists several nails they are driven in its order, with the same tool. One that bends, sticks or is
-    missed does not keep the next one from being driven.
+    Several nails of the station are driven in their order, with the same tool. If one bends, sticks or is missed, the
+    job goes on with the next.
 
-    Exit code 0: every nail is flush; 1: one is not, for the reason given; 2: invalid input; 130: interrupted.
+    Exit code 0: every nail is flush; 1: one is not, with the reason; 2: invalid input; 130: interrupted.
     """
 
     seed: Annotated[int, SEED] = 0
     """Seed of the hammer (none was used in training), the grasp and the noise."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """Changes of the simulated station: any subset of the fields in docs/reference/station_file.md."""
+    """Changes to the simulated station: any of the fields in docs/reference/station_file.md."""
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Model of the arm, instead of the configured one."""
     errors: Annotated[str, tyro.conf.arg(metavar="nominal|exact|YAML")] = "nominal"
-    """Errors of what the job is told: those of a careful person, none, or a file with sizes of some, the others
-    nominal: docs/concepts/cell_errors.md."""
+    """Simulated errors of the station: nominal (a careful person's), exact (none), or a file with sizes
+    (docs/concepts/cell_errors.md).
+    """
     sensor: Annotated[
         SensorKind | None, tyro.conf.arg(metavar="|".join(KINDS), help_behavior_hint="(default: one without those)")
     ] = None
-    """Kind of the depth camera, which --seed draws, with a lab's errors: docs/dataset.md."""
+    """Kind of the depth camera, with random errors of a real one: docs/dataset.md."""
     gui: Flag = False
     """Show pybullet's window (needs a screen)."""
 
@@ -197,22 +200,24 @@ class RehearseHammer(JobOptions):
 
     Example: toolee rehearse hammer rehearsal.yaml --seed 3
 
-    Nothing real moves. The hammer, and how far the cell differs from the station file, are the seed's. The minutes to
-    expect are printed first.
+    Nothing real moves. The seed chooses the hammer and the station's errors. The command first prints the expected
+    minutes.
 
-    Exit code 0: every nail is flush; 1: one is not, for the reason given; 2: invalid input; 130: interrupted.
+    Exit code 0: every nail is flush; 1: one is not, with the reason; 2: invalid input; 130: interrupted.
     """
 
     station: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STATION")]
-    """Your station file, with all that a lab measures: docs/how-to/run_a_job.md."""
+    """Your station file, complete: docs/how-to/run_a_job.md."""
     seed: Annotated[int, SEED] = 0
-    """Seed of the hammer (none was used in training), the grasp, the noise, and the errors of what the file says."""
+    """Seed of the hammer (none was used in training), the grasp, the noise and the station's errors."""
     real_time_factor: Annotated[
         float | None, tyro.conf.arg(metavar="0.05..1", help_behavior_hint="(default: UR10 0.25, UR10e 0.1)")
     ] = None
-    """Rate of the station's time relative to wall-clock time. 1 is real time, which a busy machine does not sustain."""
+    """Speed of the station's time; 1 is real time, which a busy computer does not sustain."""
     profile: Annotated[ProfileName, tyro.conf.arg(metavar="ideal|harsh")] = "harsh"
-    """How the controller follows, measures and stops: exactly, or as one of the arm's generation."""
+    """How the controller follows, measures and stops. ideal: without errors; harsh: with noise, lag and stops like a
+    real one's.
+    """
 
     def source(self) -> Source:
         from toolee_robot.app.simulated import Rehearsal
@@ -234,12 +239,12 @@ class RunHammer(JobOptions):
 
     After a stop with the hammer in the hand a person at the terminal may resume the job, or have the hand opened.
 
-    Exit code 0: every nail is flush; 1: one is not, for the reason given; 2: invalid input; 130: interrupted, the arm
-    was stopped.
+    Exit code 0: every nail is flush; 1: one is not, with the reason; 2: invalid input; 130: interrupted, the arm was
+    stopped.
     """
 
     station: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STATION")]
-    """Your station file, with all that a lab measures: docs/how-to/run_a_job.md."""
+    """Your station file, complete: docs/how-to/run_a_job.md."""
     variant: Annotated[OnRobot, VARIANT] = "full"
     """What the job does otherwise than the whole system, as the baselines of docs/how-to/run_trials.md."""
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Replay(JsonOption):
-    """Show a run in the browser: what the robot did, saw, believed and decided.
+    """Show a run in the browser: what the robot did, saw, estimated and decided.
 
     Example: toolee replay runs/20261124-101500-seed100
 
@@ -34,9 +34,9 @@ class Replay(JsonOption):
     """
 
     recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
-    """The run's folder, or its recording.mcap; a killed run's can be read up to its last written second."""
+    """The run's folder, or its recording.mcap. A killed run is readable up to its last written second."""
     port: Annotated[int, tyro.conf.arg(metavar="N")] = 8080
-    """Port of the page; the next free one where it is in use."""
+    """Port of the page, or the next free one."""
     rerun_perception: Flag = False
     """Let today's networks look at the recorded frames, and show what changed."""
     json: Flag = field(default=False, kw_only=True)
@@ -44,7 +44,7 @@ class Replay(JsonOption):
     gif: Annotated[Path | None, tyro.conf.arg(metavar="GIF", help_behavior_hint="")] = None
     """Write the run as a GIF of ten seconds, and open no page."""
     finish: Annotated[Path | None, tyro.conf.arg(metavar="MCAP", help_behavior_hint="")] = None
-    """Copy what can be read of a killed run's recording into a new file that every reader opens, and open no page."""
+    """Copy a killed run's recording into a new, complete file, and open no page."""
 
     def run(self) -> int:
         from toolee_robot.recording.reading import finish_copy, read_history, recording_of
@@ -89,12 +89,12 @@ class Runs(JsonOption):
 
     Example: toolee runs
 
-    A run without an outcome goes on, or was killed; `toolee replay` shows it up to its last written second. --json
-    prints a list, the oldest run first.
+    A run without an outcome is still running, or was killed. `toolee replay` shows it up to its last written second.
+    --json prints a list, the oldest run first.
     """
 
     folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DIR")]] = Path("runs")
-    """The folder: what a job's --out names."""
+    """The folder that a job's --out names."""
 
     def run(self) -> int:
         from toolee_robot.recording.reading import list_runs

@@ -30,15 +30,14 @@ BACK = "<"
 class New:
     """Write a commented template of a lab's station file.
 
-    It has just the fields that apply, to fill in.
+    It has only the fields that apply, to fill in.
 
     Example: toolee station new lab.yaml --arm UR10e --hand inspire --camera realsense
 
-    With --ask every field is asked for. Enter gives the answer that is offered, or leaves the field open; "<" takes the
-    answer before back; every answer is written at once. Called again with --ask, the open ones are asked. Nothing is
-    moved.
+    With --ask the command asks for every field. Enter accepts the offered answer, or leaves the field open. "<" goes
+    back. Every answer is saved at once, and a second call with --ask asks for the open fields. Nothing moves.
 
-    Exit code 0: the file is written, with --ask complete but for what commands measure; 1: fields are open.
+    Exit code 0: the file is written, with --ask complete except for what commands measure; 1: fields are open.
     """
 
     file: tyro.conf.Positional[Path]
@@ -46,7 +45,9 @@ class New:
     arm: Annotated[str | None, tyro.conf.arg(metavar="MODEL")] = None
     """Model of the arm: UR10 or UR10e."""
     hand: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The hand, as `toolee devices list` prints it or its beginning, such as inspire; mount for a tool mount."""
+    """The hand, as `toolee devices list` prints it, or the beginning of its name, such as inspire; mount for a tool
+    mount.
+    """
     camera: Annotated[str | None, tyro.conf.arg(metavar="DRIVER")] = None
     """The camera's driver, as `toolee devices list` prints it."""
     ask: Flag = False
@@ -60,11 +61,11 @@ class New:
         if self.file.exists():
             data = read_typed(self.file)
             if not self.ask or not isinstance(data, dict):
-                raise UserError(f"{self.file} is there already: give another name, or --ask")
+                raise UserError(f"{self.file} already exists. Give another name, or --ask")
             if template(data) != self.file.read_text(encoding="utf-8"):
                 raise UserError(
-                    f"{self.file} was edited by hand, and no command edits it: fill in the rest there; `toolee station "
-                    f"check {self.file}` lists it"
+                    f"{self.file} was edited by hand, so no command edits it. Fill in the rest yourself; `toolee "
+                    f"station check {self.file}` lists it"
                 )
         given = {"arm.model": self.arm, "hand.model": self.hand, "camera.device.driver": self.camera}
         for name, value in given.items():
@@ -75,7 +76,7 @@ class New:
         write_atomic(self.file, template(data).encode())  # before the questions: the place may be none
         if self.ask:
             return _ask_all(self.file, data, console)
-        console.print(f"Written: {escape(str(self.file))}. Fill it in, then: `toolee station check {self.file}`.")
+        console.print(f"Written: {escape(str(self.file))}. Fill it in, then run `toolee station check {self.file}`.")
         return 0
 
 
@@ -85,7 +86,7 @@ def _chosen(name: str, value: str) -> str:
     possible = choices(next(field for field in applicable({}) if field.name == name))
     found = [value] if value in possible else [one for one in possible if one.startswith(value)]
     if len(found) != 1:
-        raise UserError(f"{value!r} is none of {', '.join(possible)}", code="user.answer")
+        raise UserError(f"{value!r} is not supported. Choose one of {', '.join(possible)}", code="user.answer")
     return found[0]
 
 
@@ -96,8 +97,8 @@ def _ask_all(file: Path, data: dict[str, Any], console: Console) -> int:
 
     before = copy.deepcopy(data)
     console.print(
-        'Enter gives the answer that is offered, or leaves the field open; "<" takes the answer before back. Lengths '
-        "in metres, angles in radians, masses in kilograms; decimals with a point.\n",
+        'Press Enter to accept the offered answer, or to leave the field open. Type "<" to go back to the previous '
+        "answer. Give lengths in metres, angles in radians, masses in kilograms. Use decimal points.\n",
         soft_wrap=True,
     )
     try:
@@ -120,8 +121,8 @@ def _ask_all(file: Path, data: dict[str, Any], console: Console) -> int:
     if (sides := check_sides(config)).level is not Level.OK:
         console.print(f"\n[yellow]{escape(sides.message)}[/yellow]\n→ {escape(sides.remedy)}", soft_wrap=True)
     left = [name for name in UNASKED if get(data, name) is None]
-    console.print(f"\nNot asked for, with defaults: {', '.join(left)}; the file takes yours.", soft_wrap=True)
-    console.print(f"\nNext: `toolee station show {file}`, then a rehearsal, which moves nothing.", soft_wrap=True)
+    console.print(f"\nNot asked, with defaults: {', '.join(left)}. Add them to change them.", soft_wrap=True)
+    console.print(f"\nNext: `toolee station show {file}`, then a rehearsal (nothing moves).", soft_wrap=True)
     return 0
 
 
@@ -134,7 +135,7 @@ def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
     while field := next((q for q in open_questions(data) if q.name not in skipped), None):
         if field.path[0] != section:
             section = field.path[0]
-            console.print(f"[bold]{section}[/bold]  [dim]{len(open_questions(data))} fields to go[/dim]")
+            console.print(f"[bold]{section}[/bold]  [dim]{len(open_questions(data))} fields left[/dim]")
         if field.name == "camera.fx" and not asked_camera:
             asked_camera = True
             if _told_by_the_camera(data, console):
@@ -160,7 +161,7 @@ def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
             if whole and (wrong := contradiction(data, section)):
                 data.clear()
                 data.update(was)
-                console.print(f'  [yellow]{escape(wrong)}[/yellow]; "<" leads to the answer before', soft_wrap=True)
+                console.print(f'  [yellow]{escape(wrong)}.[/yellow] Type "<" to go back.', soft_wrap=True)
                 continue
             answered.append(was)
         write_atomic(file, template(data).encode())
@@ -195,18 +196,18 @@ def _told_by_the_camera(data: dict[str, Any], console: Console) -> bool:
     if not device.keys() >= {"driver", "serial", "least_range"}:
         return False
     if device["driver"] in WITH_MODE and len(size) < len(SIZE):
-        console.print("  [dim]without camera.width and camera.height the camera is not asked for its intrinsics[/dim]")
+        console.print("  [dim]the camera's intrinsics cannot be read without camera.width and camera.height[/dim]")
         return False
     try:
         config = replace(sim_station().camera, device=CameraDevice(**device), **size)
         with open_camera(config, HostClock(), check_intrinsics=False) as connected:
             k, lens = connected.intrinsics, connected.lens
     except TooleeError as error:
-        console.print(f"  [dim]the camera does not tell its intrinsics: {escape(str(error))}[/dim]", soft_wrap=True)
+        console.print(f"  [dim]the camera does not report its intrinsics: {escape(str(error))}[/dim]", soft_wrap=True)
         return False
     camera |= {name: getattr(k, name) for name in INTRINSICS}
     console.print(
-        f"  the camera tells {k.width}x{k.height}, fx {k.fx:.2f}, fy {k.fy:.2f}, cx {k.cx:.2f}, cy {k.cy:.2f}; "
+        f"  the camera reports {k.width}x{k.height}, fx {k.fx:.2f}, fy {k.fy:.2f}, cx {k.cx:.2f}, cy {k.cy:.2f}; "
         f"{lens.words}"
     )
     return True
@@ -220,7 +221,7 @@ class Check(JsonOption):
 
     Example: toolee station check lab.yaml
 
-    Exit code 0: ready, or warnings only; 1: a fault must be repaired first; 2: the file lacks something, or is invalid.
+    Exit code 0: ready, or warnings only; 1: a fault must be repaired first; 2: the file is incomplete or invalid.
     """
 
     file: tyro.conf.Positional[Path]
@@ -249,7 +250,7 @@ class Check(JsonOption):
         hand_model(config.hand)
         if fields:
             console.print(escape(told(fields)), soft_wrap=True)
-        console.print("Nothing that a job needs is missing in the file. Whether it is right:")
+        console.print("The file has everything that a job needs. Now the devices:")
         return Doctor(config=self.file, json=self.json).run()
 
 
@@ -261,8 +262,8 @@ class Show:
 
     Example: toolee station show lab.yaml
 
-    Look whether everything is where it is: a half turn of the base, swapped axes and a camera that looks elsewhere are
-    seen at once.
+    Compare the picture with the lab: half a turn of the base, swapped axes and a camera that looks elsewhere are
+    obvious.
     """
 
     file: tyro.conf.Positional[Path]
@@ -289,13 +290,13 @@ class Show:
 
 @dataclass(frozen=True)
 class Upgrade:
-    """Make a station file of version 2 one of version 3.
+    """Upgrade a station file from version 2 to version 3.
 
     What programs measured moves to `measured.yaml`.
 
     Example: toolee station upgrade lab.yaml
 
-    The file as it was is kept beside it, as lab.yaml.v2. Its comments, order and layout stay.
+    The old file is kept as lab.yaml.v2. Comments, order and layout stay.
     """
 
     file: tyro.conf.Positional[Path]

@@ -32,7 +32,7 @@ def require_terminal(what: str, yes: str) -> None:
     """
     if not sys.stdin.isatty():
         raise UserError(
-            f"{what} at the terminal, and the standard input is none: start it from one ({yes})",
+            f"{what} at the terminal, but standard input is not a terminal. Start this command from a terminal ({yes})",
             code="user.no_terminal",
         )
 
@@ -69,7 +69,7 @@ class TerminalPerson:
 
     def __init__(self, console: Console, *, absent: bool = False) -> None:
         if not absent:
-            require_terminal("a person confirms each motion", "with a stand-in, --yes asks nobody")
+            require_terminal("a person confirms each motion", "with an emulated robot, --yes asks nobody")
         self._console, self._absent, self._enabled = console, absent, False
 
     def confirm(self, question: str) -> None:

@@ -167,7 +167,7 @@ class Clouds(JsonOption):
 
         of_detector = not (self.true_masks or self.whole_tools)
         if self.weights is not None and not of_detector:
-            raise UserError("--weights: true masks are asked for, no detector's", code="user.option")
+            raise UserError("leave --weights out: true masks need no detector", code="user.option")
         # Before the work: it may take hours.
         make_folder(self.out.parent)
         with progress_bars(console) as report:
@@ -185,7 +185,7 @@ class Clouds(JsonOption):
         clouds.save(self.out)
         shown = int(clouds.positive.sum())
         kind = "whole tools" if clouds.of_tool.any() else "end effectors"
-        negatives = f" and {len(clouds) - shown} of other things" if of_detector else ""
+        negatives = f" and {len(clouds) - shown} of other objects" if of_detector else ""
         console.print(f"{shown} clouds of {kind}{negatives} in {self.out}")
         self.tell({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown})
         return 0
@@ -278,11 +278,11 @@ class Paper(JsonOption):
 class Trust(JsonOption):
     """Fit how far a pose is to be trusted.
 
-    It is the pose under the detector's mask, once both networks are trained.
+    It applies to poses under the detector's mask, so train both networks first.
 
     Example: toolee train trust --data data/hard-trust/train --weights runs/both --workers 2
 
-    Take data that neither network was trained on, and that nothing is reported on.
+    Take data that neither network was trained on, and that no result uses.
     """
 
     data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
@@ -312,8 +312,8 @@ class Trust(JsonOption):
         console.print(
             f"fitted on {report['poses']} poses in {report['images']} images and {report['frames_without_a_tool']} "
             f"frames without a tool\n{report['usable_right']:.3f} of the usable poses are right, "
-            f"{report['right_usable']:.3f} of the right ones usable; {report['quiet']:.3f} of the frames without a "
-            "tool give none"
+            f"{report['right_usable']:.3f} of the right poses are usable; {report['quiet']:.3f} of the frames "
+            "without a tool give no pose"
         )
         self.tell(report)
         return 0

@@ -29,11 +29,11 @@ class Trials(JsonOption):
 
     Example: toolee trials examples/trials.yaml --out trials
 
-    The folder keeps each result as soon as there is one. The same command again goes on where it stopped, whatever
-    ended it; another plan is refused. A job that ended because the machine itself stalled is repeated, and counted.
+    Each result is saved at once. The same command again continues an interrupted run; another plan is refused. A job
+    that failed because the computer stalled is repeated and counted.
 
-    A plan on a robot (`where: {run: STATION}`) leads a person through one trial after the other, in an order drawn from
-    the plan's hash.
+    A plan on a robot (`where: {run: STATION}`) leads a person through the trials, one by one, in a random order fixed
+    by the plan.
 
     Exit code 0: all trials are done, however they ended, or the person stopped; 1: a job crashed; 2: invalid input;
     130: interrupted.
@@ -50,10 +50,11 @@ class Trials(JsonOption):
     """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share this working directory and
     DIR."""
     report_only: Flag = False
-    """Run nothing: write the report of the results that there are."""
+    """Run nothing, and write the report of the existing results."""
     results: Annotated[Path | None, tyro.conf.arg(metavar="JSONL", help_behavior_hint="")] = None
-    """Run nothing: write the report of the results in this file, such as those of the site's tables, to --out, which
-    must be given. A report there is replaced; trials there stay, whatever their plan."""
+    """Run nothing, and write the report of this results file to --out, which must be given. A report there is
+    replaced; trials there stay.
+    """
 
     def run(self) -> int:
         console = self.console
@@ -63,8 +64,7 @@ class Trials(JsonOption):
 
         if self.results is not None and self.out is None:
             raise UserError(
-                "--results without --out: give the folder that the report goes to, such as `--out report`; the usual "
-                "one may hold the report of trials of its own",
+                "--results needs --out, the folder for the report, such as `--out report`",
                 code="user.option",
             )
         out = Path("trials") if self.out is None else self.out
@@ -86,7 +86,7 @@ class Trials(JsonOption):
                 f"{arm:<20}{flush['hits']} of {flush['of']} flush ({flush['low']:.2f} to {flush['high']:.2f})"
             )
         if plan.led and made["finished"] < made["of"]:
-            console.print(f"{made['finished']} of {made['of']} trials are done: the same command goes on")
+            console.print(f"{made['finished']} of {made['of']} trials are done. Run the same command again to continue")
         console.print(f"report: {escape(str(page))}")
         self.tell(made)
         return 0
@@ -110,12 +110,12 @@ class Trials(JsonOption):
             return
         if self.jobs not in (None, 1) or self.cluster != "local":
             raise UserError(
-                "--jobs, --cluster: a person is led through this plan, with one robot, one trial at a time",
+                "leave --jobs and --cluster out: in this plan a person runs one trial at a time on one robot",
                 code="user.option",
             )
         if not (console.is_terminal and sys.stdin.isatty()):
             raise UserError(
-                "a person is led through this plan at the terminal, and there is none: start it from one",
+                "a person runs this plan at the terminal, and there is none. Start it from a terminal",
                 code="user.no_terminal",
             )
         lead_trials(plan, out, lambda question: console.input(question, markup=False), tell, partial(_job, console))

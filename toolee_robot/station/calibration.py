@@ -58,7 +58,7 @@ class CalibrationConfig:
         try:
             date.fromisoformat(self.measured_on)
         except ValueError as error:
-            raise ValueError(f"measured_on {self.measured_on!r} is no date: write it as 2026-11-20") from error
+            raise ValueError(f"measured_on {self.measured_on!r} is not a date: write it as 2026-11-20") from error
 
     def problems(self, robot_serial: str, camera_serial: str, today: date) -> list[str]:
         """Check whether this calibration may be used.
@@ -78,16 +78,16 @@ class CalibrationConfig:
         ):
             if mine != theirs:
                 of = "it was simulated or rehearsed" if mine == SIMULATED else f"it is of {what} {mine!r}"
-                found.append(f"{of}, the station has {what} {theirs!r}: calibrate this one")
+                found.append(f"{of}, but the station has {what} {theirs!r}: calibrate this one")
         age = (today - date.fromisoformat(self.measured_on)).days
         if age < -1:  # dates have no zone: elsewhere it may be a day later
-            found.append(f"it was measured on {self.measured_on}, which is still to come: set the clock")
+            found.append(f"it was measured on {self.measured_on}, in the future: set the computer's clock")
         elif self.valid_days is not None and age > self.valid_days:
-            found.append(f"it is {age} days old, {self.valid_days:g} are allowed: calibrate again")
+            found.append(f"it is {age} days old, and {self.valid_days:g} are allowed: calibrate again")
         if self.residual > self.max_residual:
             found.append(
-                f"its residual is {self.residual * 1e3:.1f} mm, {self.max_residual * 1e3:.1f} are allowed: calibrate "
-                "again with more and steeper poses"
+                f"its residual is {self.residual * 1e3:.1f} mm, and {self.max_residual * 1e3:.1f} are allowed: "
+                "calibrate again with more and steeper poses"
             )
         return found
 
@@ -119,8 +119,8 @@ def take_record(data: dict[str, Any], path: Path) -> tuple[dict[str, Any], Calib
     camera = data.get("camera")
     if by_hand := [name for name in ("pose", "measured_pose") if isinstance(camera, dict) and name in camera]:
         raise ConfigError(
-            f"{path}: camera.{by_hand[0]} is not given by hand: name a calibration's record in {SECTION}.{FIELD}, or "
-            "give the pose by another program in camera.X_base_camera",
+            f"{path}: camera.{by_hand[0]} cannot be given by hand. Name a calibration's record in "
+            f"{SECTION}.{FIELD}, or give another program's pose in camera.X_base_camera",
             code="config.camera_pose",
         )
     section = data.get(SECTION)
@@ -128,7 +128,7 @@ def take_record(data: dict[str, Any], path: Path) -> tuple[dict[str, Any], Calib
         return data, None
     if double := [field for field in OF_RECORD if field in section]:
         raise ConfigError(
-            f"{path}: {SECTION}.{FIELD} gives {', '.join(double)}: leave them out of the station file",
+            f"{path}: {SECTION}.{FIELD} already gives {', '.join(double)}: leave them out of the station file",
             code="config.calibration_twice",
         )
     record = read_record(path.parent / name)
@@ -163,23 +163,23 @@ def check_record(
     """
     if not record.intrinsics.agrees(intrinsics):
         raise ConfigError(
-            f"{path}: the calibration is of a camera with {_differing(record.intrinsics, intrinsics)}: the camera's "
-            "pose holds with its own intrinsics only; enter those, or delete the section `calibration` (of "
-            "measured.yaml, if a command wrote it) and calibrate again",
+            f"{path}: the calibration belongs to a camera with {_differing(record.intrinsics, intrinsics)}. Enter "
+            "that camera's intrinsics, or delete the section `calibration` (of measured.yaml, if a command wrote "
+            "it) and calibrate again",
             code="config.calibration_intrinsics",
         )
     if not same_distortion(record.distortion, distortion):
         raise ConfigError(
             f"{path}: the calibration was made with camera.distortion {_of(record.distortion)}, the file's is "
-            f"{_of(distortion)}: the camera's pose holds with images that are undistorted as then only; restore it, or "
-            "delete the section `calibration` (of measured.yaml, if a command wrote it) and calibrate again",
+            f"{_of(distortion)}. Restore it, or delete the section `calibration` (of measured.yaml, if a command "
+            "wrote it) and calibrate again",
             code="config.calibration_intrinsics",
         )
     computed = any(pose.q is not None for pose in record.poses)
     if computed and record.kinematics != kinematics:
         raise ConfigError(
-            f"{path}: the calibration was made with another arm.calibration than the file's: restore the arm's, or "
-            "delete the section `calibration` (of measured.yaml, if a command wrote it) and calibrate again",
+            f"{path}: the calibration was made with another arm.calibration. Restore that, or delete the section "
+            "`calibration` (of measured.yaml, if a command wrote it) and calibrate again",
             code="config.calibration_kinematics",
         )
 
@@ -204,18 +204,18 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], field: str
     calibrated, typed = (_told(p, frame) for p in (place, by_file))
     if half_a_turn_apart(place, by_file):
         raise ConfigError(
-            f"{path}: half a turn about the base's z lies between the calibrated camera, {calibrated} m in {frame}, "
-            f"and {field}, {typed} m: the file's `frame` names the other base, or its positions are of the "
-            "other",
+            f"{path}: the calibrated camera, {calibrated} m in {frame}, and {field}, {typed} m, differ by half a "
+            "turn about the base's z. The file's `frame` names the other base, or its positions are in the other "
+            "base",
             code="config.calibration_half_turn",
         )
     off = float(np.linalg.norm(place - by_file))
     remedy = "measure that again (x, y, z in this order)"
     if axes_swapped(place, by_file):
-        remedy += ", or x and y are swapped there: then correct them"
+        remedy += ", or swap x and y, which are exchanged there"
     raise ConfigError(
         f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from {field}, {typed} m: "
-        f"{remedy}; if the camera was moved, delete the section `calibration` (of measured.yaml, if a command wrote "
+        f"{remedy}. If the camera was moved, delete the section `calibration` (of measured.yaml, if a command wrote "
         "it) and calibrate again",
         code="config.calibration_place",
     )

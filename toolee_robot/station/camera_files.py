@@ -43,8 +43,8 @@ def take_intrinsics(data: dict[str, Any], path: Path) -> dict[str, Any]:
         return data
     if by_hand := [name for name in (HELD, SERIAL) if name in camera]:
         raise ConfigError(
-            f"{path}: {CAMERA}.{by_hand[0]} is not given by hand: name a record of `toolee calibrate intrinsics` in "
-            f"{CAMERA}.{INTRINSICS}",
+            f"{path}: {CAMERA}.{by_hand[0]} cannot be given by hand. Name a record of `toolee calibrate intrinsics` "
+            f"in {CAMERA}.{INTRINSICS}",
             code="config.invalid",
         )
     if INTRINSICS not in camera:
@@ -65,16 +65,16 @@ def take_intrinsics(data: dict[str, Any], path: Path) -> dict[str, Any]:
         differing.append(f"distortion {[round(v, 5) for v in distortion]} (the file's: {others['distortion']})")
     if differing:
         raise ConfigError(
-            f"{path}: the record in {CAMERA}.{INTRINSICS} has {', '.join(differing)}: leave these out of the file, the "
-            "record gives them; or leave the record out",
+            f"{path}: the record in {CAMERA}.{INTRINSICS} has {', '.join(differing)}. Leave these out of the file, "
+            "because the record gives them; or leave the record out",
             code="config.intrinsics_twice",
         )
     device = others.get("device")
     serial = device.get("serial") if isinstance(device, dict) else None
     if isinstance(serial, str) and record.camera_serial not in (serial, SIMULATED):
         raise ConfigError(
-            f"{path}: the record in {CAMERA}.{INTRINSICS} is of the camera {record.camera_serial!r}, the file's is "
-            f"{serial!r}: measure this one by `toolee calibrate intrinsics --station {path} --write`",
+            f"{path}: the record in {CAMERA}.{INTRINSICS} belongs to camera {record.camera_serial!r}, the file "
+            f"names {serial!r}. Measure this one by `toolee calibrate intrinsics --station {path} --write`",
             code="config.intrinsics_serial",
         )
     given = {**pinhole, "distortion": distortion, HELD: name, SERIAL: record.camera_serial}
@@ -117,7 +117,7 @@ FARTHEST = 10.0
 """Largest distance of a camera from the base [m]."""
 _FORMS = (
     "give four rows of four numbers, `[[r, r, r, x], [r, r, r, y], [r, r, r, z], [0, 0, 0, 1]]`, or "
-    "`{position: [x, y, z], quaternion: [x, y, z, w]}`; metres, and w last"
+    "`{position: [x, y, z], quaternion: [x, y, z, w]}`, in metres, with w last"
 )
 
 
@@ -146,8 +146,8 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
         return data
     if given := [f"{CAMERA}.{name}" for name in LOOK_AT if camera.get(name) is not None]:
         raise ConfigError(
-            f"{path}: {CAMERA}.{POSE_FIELD} is the camera's whole pose, and {' and '.join(given)} give it, too: leave "
-            "out one or the other",
+            f"{path}: {CAMERA}.{POSE_FIELD} is the whole pose, and {' and '.join(given)} give it again: leave out "
+            "one or the other",
             code="config.camera_pose_twice",
         )
     named = f"{path}: {CAMERA}.{POSE_FIELD}"
@@ -173,8 +173,8 @@ def _of_quaternion(value: dict[Any, Any], named: str) -> Array:
     norm = float(np.linalg.norm(q))
     if abs(norm - 1.0) > TOLERANCE:
         raise ConfigError(
-            f"{named}: the quaternion {q.tolist()} has the norm {norm:.4f} instead of 1: give x, y, z, w in this "
-            "order, and all digits that the calibration program tells",
+            f"{named}: the quaternion {q.tolist()} has the norm {norm:.4f}, not 1. Give x, y, z, w in this order, "
+            "with all digits of the calibration program",
             code="config.camera_pose_quaternion",
         )
     return transform(Rotation.from_quat(q), p)
@@ -196,14 +196,14 @@ def _of_matrix(value: Any, named: str) -> Array:
     off = float(np.abs(R @ R.T - np.eye(3)).max())
     if off > TOLERANCE:
         raise ConfigError(
-            f"{named}: the upper left 3 x 3 is no rotation, R R^T is off from the identity by {off:.4f}: give the "
-            "matrix with all its digits, and without a scale",
+            f"{named}: the upper left 3 x 3 is not a rotation: R R^T differs from the identity by {off:.4f}. Give "
+            "the matrix with all its digits, and without a scale",
             code="config.camera_pose_rotation",
         )
     if np.linalg.det(R) < 0.0:
         raise ConfigError(
-            f"{named}: the upper left 3 x 3 is a mirror image, its determinant is -1: one axis has the wrong sign, or "
-            "two are swapped; the camera's are x right, y down, z forward",
+            f"{named}: the upper left 3 x 3 is a mirror image, its determinant is -1. One axis has the wrong sign, "
+            "or two are swapped. The camera's axes are x right, y down, z forward",
             code="config.camera_pose_reflection",
         )
     U, _, Vt = np.linalg.svd(R)  # the nearest rotation: what is behind this wants more than the digits of a report

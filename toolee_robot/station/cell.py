@@ -126,8 +126,8 @@ class CameraConfig:
         z = np.subtract(self.target, self.position)
         if np.hypot(z[0], z[1]) <= VERTICAL * np.linalg.norm(z):
             raise ValueError(
-                "target lies on the vertical through position, which leaves open how the image is turned about the "
-                "optical axis: give X_base_camera instead of both"
+                "target lies directly above or below position, so the rotation about the optical axis is "
+                "undefined: give X_base_camera instead of both"
             )
 
     @property
@@ -161,11 +161,11 @@ class CameraConfig:
 
 def _check_distortion(distortion: tuple[float, ...]) -> None:
     if len(distortion) not in COEFFICIENTS:
-        raise ValueError(f"distortion has {len(distortion)} numbers: give k1, k2, p1, p2, and k3 where there is one")
+        raise ValueError(f"distortion has {len(distortion)} numbers: give k1, k2, p1, p2, and k3 if there is one")
     if max(map(abs, distortion[2:4])) > LARGEST_TANGENTIAL:
         raise ValueError(
-            f"distortion has p1 {distortion[2]:g} and p2 {distortion[3]:g}, which are under {LARGEST_TANGENTIAL:g} in "
-            "every lens: give the numbers in the order k1, k2, p1, p2, k3"
+            f"distortion has p1 {distortion[2]:g} and p2 {distortion[3]:g}, but every lens is under "
+            f"{LARGEST_TANGENTIAL:g}: give the numbers in the order k1, k2, p1, p2, k3"
         )
 
 
@@ -194,7 +194,7 @@ class ToolEnvelope:
 
     def __post_init__(self) -> None:
         if self.handle_depth >= self.head_length:
-            raise ValueError(f"handle_depth {self.handle_depth} is not within head_length {self.head_length}")
+            raise ValueError(f"handle_depth {self.handle_depth} must be less than head_length {self.head_length}")
 
 
 @dataclass(frozen=True)
@@ -234,8 +234,8 @@ class SceneConfig:
     def __post_init__(self) -> None:
         names = [*BODY_NAMES, *(obstacle.name for obstacle in self.obstacles)]
         if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"obstacles need names of their own: {', '.join(twice)} is taken")
+            raise ValueError(f"each obstacle needs its own name: {', '.join(twice)} is used twice")
         if np.linalg.norm(self.handover_facing) < 1e-6:
-            raise ValueError("handover_facing is no direction: give a vector from the palm towards the person")
+            raise ValueError("handover_facing is not a direction: give a vector from the palm towards the person")
         if np.any(np.asarray(self.workspace_lower) >= np.asarray(self.workspace_upper)):
             raise ValueError("workspace_lower must be below workspace_upper in x, y and z")

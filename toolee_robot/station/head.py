@@ -46,8 +46,8 @@ def is_current(data: Any, path: Path) -> bool:
             code="config.version_old",
         )
     raise ConfigError(
-        f"{path}: {VERSION_FIELD} {told!r} is unknown{where}: this program reads version {VERSION}; version 1 is "
-        "upgraded by toolee_robot 0.1 first, and a newer file needs a newer toolee_robot",
+        f"{path}: {VERSION_FIELD} {told!r} is unknown{where}: this program reads version {VERSION}. Upgrade version "
+        "1 with toolee_robot 0.1 first. A newer file needs a newer toolee_robot",
         code="config.version_unknown",
     )
 
@@ -65,8 +65,8 @@ def check_current(data: Any, path: Path) -> None:
     """
     if not is_current(data, path):
         raise ConfigError(
-            f"{path} names no version: its first field is `{VERSION_FIELD}: {VERSION}`; `toolee station check {path}` "
-            "says what else it needs",
+            f"{path} names no version. Begin it with `{VERSION_FIELD}: {VERSION}`; `toolee station check {path}` "
+            "lists what else it needs",
             code="config.version_old",
         )
 
@@ -115,20 +115,20 @@ def take_frame(data: dict[str, Any]) -> BaseFrame:
         if not given:
             return BaseFrame.BASE_LINK
         raise ConfigError(
-            f"the station file gives {', '.join(given)} and does not say in which frame: add `frame: pendant_base` if "
-            "they were read from the teach pendant (feature Base), `frame: base_link` if they are ROS's; the two "
+            f"the station file gives {', '.join(given)}, but not their frame. Add `frame: pendant_base` if they "
+            "were read from the teach pendant (feature Base), or `frame: base_link` if they are ROS's. The two "
             "differ by half a turn about z",
             code="config.no_frame",
         )
     if value not in list(BaseFrame):
         names = ", ".join(BaseFrame)
-        raise ConfigError(f"frame: {value!r} is unknown, give one of {names}", code="config.frame")
+        raise ConfigError(f"frame: {value!r} is unknown: give one of {names}", code="config.frame")
     frame = BaseFrame(value)
     section, lower, upper = BOX
     if frame is BaseFrame.PENDANT_BASE and sum(f"{section}.{name}" in given for name in (lower, upper)) == 1:
         raise ConfigError(
-            f"{section}.{lower} and {section}.{upper}: give both or none in the frame {frame}, where the other's "
-            "default is another corner",
+            f"give both or none of {section}.{lower} and {section}.{upper} in the frame {frame}, because half a "
+            "turn swaps the corners",
             code="config.frame_box",
         )
     return frame

@@ -158,12 +158,14 @@ class ToolData:
             return
         normal = np.asarray(self.face_normal)
         if np.linalg.norm(normal[:2]) < 1e-6:
-            raise ValueError("face_normal is no direction beside the handle: a hammer strikes to the side, such as x")
+            raise ValueError(
+                "face_normal does not point to the side of the handle: a hammer strikes to the side, such as x"
+            )
         x, y, z = self.face
         if z <= np.hypot(x, y):
             raise ValueError(
-                f"face {list(self.face)} is not at the end of the handle, which is the z axis: x to the side that "
-                "strikes, z along the handle towards the head"
+                f"face {list(self.face)} is not at the end of the handle. z runs along the handle towards the head, "
+                "and x to the striking side"
             )
 
     @property
@@ -212,10 +214,10 @@ def check_enclosed(config: StationConfig, path: Path) -> None:
     if beside <= envelope.handle_radius and along <= envelope.handle_length:
         return
     raise ConfigError(
-        f"{path}: where the hand holds it the handle of the {tool.name} is {1e3 * along:.0f} mm from the face and "
-        f"reaches {1e3 * beside:.0f} mm from the axis of the handle's cylinder, which is "
-        f"{1e3 * envelope.handle_length:.0f} mm long and has a radius of {1e3 * envelope.handle_radius:.0f} mm "
-        f"(tool_envelope.handle_length, handle_radius, handle_depth {envelope.handle_depth:g}): collisions would be "
-        "checked with another tool's shape. Give `tool_envelope` as measured of this one, or correct `tool.face`",
+        f"{path}: the handle of the {tool.name} does not fit tool_envelope, so collisions would be checked with "
+        f"another shape. In the hand it is {1e3 * along:.0f} mm from the face and {1e3 * beside:.0f} mm beside the "
+        f"axis of the handle's cylinder. That cylinder is {1e3 * envelope.handle_length:.0f} mm long with a radius "
+        f"of {1e3 * envelope.handle_radius:.0f} mm (handle_length, handle_radius, handle_depth "
+        f"{envelope.handle_depth:g}). Give `tool_envelope` as measured, or correct `tool.face`",
         code="config.tool_envelope",
     )

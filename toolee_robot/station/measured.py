@@ -35,9 +35,10 @@ MEASURED: Mapping[str, tuple[str, ...]] = {
 }
 """Fields that describe a lab and nobody else's, so that they have no default: section of the station file, and names. A
 calibration is none of them: without one a station is uncalibrated, which every job refuses."""
-HEAD = """# What programs measured for {station}; a command with --write replaces its part. Positions are in base_link.
-# To be without a measurement, delete its section.
-"""
+HEAD = (
+    "# Values that commands measured for {station}; a command with --write replaces its part. Positions are in "
+    "base_link.\n# To drop a measurement, delete its section.\n"
+)
 
 
 def unmeasured(path: Path) -> list[str]:
@@ -77,8 +78,8 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
     check_enclosed(config, path)
     if complete and (missing := _missing(data)):
         raise ConfigError(
-            f"{path} leaves out what describes your station, and the simulated one's values would stand in for it: "
-            f"measure and give {', '.join(missing)}{_lines(missing, path)}; `toolee station check {path}` says how",
+            f"{path} is incomplete, and the simulated station's values must not stand in. Measure and give "
+            f"{', '.join(missing)}{_lines(missing, path)}; `toolee station check {path}` says how",
             code="config.unmeasured",
         )
     return config if data.get("calibration") else replace(config, calibration=None)
@@ -164,8 +165,8 @@ def write_measured(path: Path, **sections: Mapping[str, Any]) -> Path:
         to_station(with_measured(read_typed(path), measured, path), path)
     except ConfigError as error:
         raise ConfigError(
-            f"nothing was entered: with what was measured ({sections}) the station is refused. Correct the field that "
-            f"does not fit, or measure again. {error}",
+            f"nothing was entered, because the station is refused with what was measured ({sections}). Correct the "
+            f"field that does not fit, or measure again. {error}",
             code=error.code,
         ) from error
     whole = {FRAME: BaseFrame.BASE_LINK.value, **measured}

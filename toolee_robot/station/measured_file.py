@@ -66,7 +66,7 @@ def read_measured(station: Path) -> dict[str, Any]:
     data = read_yaml(path, "file of measured values") or {}
     measured = {name: value for name, value in data.items() if name != FRAME} if isinstance(data, dict) else {"": data}
     if wrong := [*_wrong(measured, path)]:
-        raise ConfigError(f"{path} is not what a program wrote: {'; '.join(wrong)}", code="config.measured")
+        raise ConfigError(f"{path} was changed by hand: {'; '.join(wrong)}", code="config.measured")
     return measured
 
 
@@ -82,7 +82,7 @@ def _wrong(measured: dict[str, Any], path: Path) -> Iterator[str]:
                 yield f"{field} ({where}) is not measured by a command: give it in the station file"
             elif field == "work.nails":
                 if not isinstance(value, list) or not all(isinstance(nail, dict) and "name" in nail for nail in value):
-                    yield f"{field} ({where}): each nail has a name, and what was measured of it"
+                    yield f"{field} ({where}): each nail needs a name and what was measured of it"
             elif field in known:
                 try:
                     TypeAdapter(known[field].hint).validate_python(value)
@@ -150,7 +150,7 @@ def _check_moved(typed: dict[str, Any], measured: dict[str, Any], station: Path)
         if apart > MOVED:
             raise ConfigError(
                 f"work.{name}: {station} says {by_hand}, {measured_path(station).name} beside it {by_program}, "
-                f"{apart:.2f} m apart: correct the station file; if the block was moved, delete the measured `work` "
-                "first, then measure again by `toolee calibrate nail --write`",
+                f"{apart:.2f} m apart. Correct the station file. If the block was moved, delete the measured "
+                "`work`, then run `toolee calibrate nail --write` again",
                 code="config.measured_place",
             )

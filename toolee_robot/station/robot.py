@@ -79,7 +79,7 @@ class ArmLimits:
 
     def __post_init__(self) -> None:
         if np.linalg.norm(self.up) < 1e-6:
-            raise ValueError("up is no direction: give the one straight up in the base, (0, 0, 1) on a table")
+            raise ValueError("up is not a direction: give the upward direction in the base, (0, 0, 1) on a table")
 
     @property
     def gravity(self) -> Array:
@@ -130,7 +130,7 @@ class HandConfig:
                 raise ValueError(f"mount is for the model {MOUNT!r} only, not for {self.model!r}")
             return
         if self.weighed is not None:
-            raise ValueError("weighed is for a hand: of a mount give mount.mass and mount.center_of_mass")
+            raise ValueError("weighed is for a hand: for a mount give mount.mass and mount.center_of_mass")
         if any(given is not None for given in (self.mounting, self.port, self.strap_force, self.efforts)):
             raise ValueError(f"mounting, port, efforts and strap_force are for hands, not for the model {MOUNT!r}")
         missing = []
@@ -139,7 +139,7 @@ class HandConfig:
         if self.mount is None:
             missing.extend(f"hand.mount.{field.name}" for field in fields(ToolMount))
         if missing:
-            raise ValueError(f"a mount has no defaults; measure yours and give {', '.join(missing)}")
+            raise ValueError(f"a mount has no defaults: measure yours and give {', '.join(missing)}")
 
 
 @dataclass(frozen=True)
@@ -209,9 +209,8 @@ def check_upright(arm: ArmLimits, purpose: str) -> None:
     """
     if arm.tilt > UPRIGHT_WITHIN:
         raise ConfigError(
-            f"arm.up {list(arm.up)}: the base is tilted by {np.degrees(arm.tilt):.1f}°, and {purpose} takes z of "
-            f"`base` for straight up: it needs an arm that stands upright to {np.degrees(UPRIGHT_WITHIN):.0f}°; if "
-            "yours does, correct arm.up",
+            f"arm.up {list(arm.up)}: the base is tilted by {np.degrees(arm.tilt):.1f}°, but {purpose} needs it "
+            f"upright to {np.degrees(UPRIGHT_WITHIN):.0f}°: correct arm.up if it is",
             code="config.mounting_tilted",
         )
 
@@ -251,4 +250,4 @@ class PersonConfig:
             if number is not None
         ]
         if len(set(used)) < len(used):
-            raise ValueError(f"inputs {used} name one input twice: every contact needs an input of its own")
+            raise ValueError(f"inputs {used} name one input twice: give every contact its own input")

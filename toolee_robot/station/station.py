@@ -64,14 +64,14 @@ class StationConfig:
     def __post_init__(self) -> None:
         if self.strike.speed > self.supervisor.unattended_speed:
             raise ValueError(
-                f"strike.speed {self.strike.speed} is more than supervisor.unattended_speed "
-                f"{self.supervisor.unattended_speed}: every strike would be refused"
+                f"strike.speed {self.strike.speed} is above supervisor.unattended_speed "
+                f"{self.supervisor.unattended_speed}, so every strike would be refused"
             )
         below = self.scene.table_height - self.work.stand_height
         if below > IN_TABLE:
             raise ValueError(
-                f"work.stand_height {self.work.stand_height} is {below * 1e3:.0f} mm under the table's top, "
-                f"scene.table_height {self.scene.table_height}: both are heights over the base plane"
+                f"work.stand_height {self.work.stand_height} is {below * 1e3:.0f} mm below the table's top, "
+                f"scene.table_height {self.scene.table_height}. Both are heights above the base plane"
             )
         self._check_spacing()
 
@@ -84,8 +84,8 @@ class StationConfig:
             least = self.tool_envelope.head_radius + max(a.head_diameter, b.head_diameter) / 2
             if distance < least:
                 raise ValueError(
-                    f"the nails {a.name} and {b.name} are {distance * 1e3:.1f} mm apart: {least * 1e3:.1f} mm or more "
-                    "are needed (tool_envelope.head_radius and half a nail's head), or the hammer meets both"
+                    f"the nails {a.name} and {b.name} are {distance * 1e3:.1f} mm apart, and the hammer would meet "
+                    f"both: give at least {least * 1e3:.1f} mm (tool_envelope.head_radius plus half a nail's head)"
                 )
 
 
@@ -120,7 +120,7 @@ def read_typed(path: Path) -> Any:
     """
     if not path.exists():
         raise ConfigError(
-            f"there is no station file {path}: `toolee station new {path} --ask` asks for what it needs",
+            f"there is no station file {path}. `toolee station new {path} --ask` makes one",
             code="config.unreadable",
         )
     return read_yaml(path, "station's file") or {}
@@ -290,7 +290,7 @@ def with_setup(config: StationConfig, path: Path) -> StationConfig:
     work = {name: value for name, value in asdict(setup.work).items() if value is not None}
     if config.work.nails and set(work) - {"wood_specific_gravity"}:
         raise ConfigError(
-            f"{path} gives the sizes of a nail, and the station lists several (work.nails): give sizes there",
+            f"{path} gives a nail's sizes, but the station lists several nails (work.nails): give the sizes there",
             code="config.invalid",
         )
     try:

@@ -51,7 +51,7 @@ def upgrade(path: Path) -> Upgraded:
     data = read_typed(path)
     if not isinstance(data, dict) or data.get(VERSION_FIELD) != BEFORE:
         check_current(data, path)
-        return Upgraded([f"{path} is of version {VERSION} already: nothing was changed."], data)
+        return Upgraded([f"{path} already has version {VERSION}: nothing was changed."], data)
     to_station({**data, VERSION_FIELD: VERSION}, path)  # a file that is wrong is corrected before it is rewritten
     measured: dict[str, dict[str, Any]] = {}
     for section, name in (field.split(".") for field in MOVED):
@@ -60,7 +60,7 @@ def upgrade(path: Path) -> Upgraded:
     place = path.resolve()
     kept = place.with_name(f"{place.name}.v{BEFORE}")
     if kept.exists():
-        raise UserError(f"{kept} is there already: move it away, it is not overwritten")
+        raise UserError(f"{kept} already exists: move it away, because it is not overwritten")
     text = place.read_text(encoding="utf-8")
     text = re.sub(rf"^{VERSION_FIELD}:(\s*){BEFORE}\b", rf"{VERSION_FIELD}:\g<1>{VERSION}", text, flags=re.M)
     wanted = {**data, VERSION_FIELD: VERSION}
@@ -75,13 +75,13 @@ def upgrade(path: Path) -> Upgraded:
     with written_whole(place) as scratch:
         shutil.copy(place, scratch)  # its permissions
         scratch.write_text(text if left else shorter, encoding="utf-8")
-    lines = [f"{path} is of version {VERSION} now; as it was: {kept}."]
+    lines = [f"{path} now has version {VERSION}. The old file is {kept}."]
     if measured:
         write_measured(path, **measured)
         names = ", ".join(f"{section}.{name}" for section, fields in measured.items() for name in fields)
-        lines.append(f"{measured_path(path).name} has what programs measured: {names}.")
+        lines.append(f"{measured_path(path).name} holds the measured values: {names}.")
         if left:
-            lines.append(f"Take them out of {path} by hand: they could not be told from the rest of the text.")
+            lines.append(f"Delete them in {path} by hand: they could not be separated from the other text.")
     return Upgraded(lines, read_station(path))
 
 

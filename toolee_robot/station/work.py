@@ -110,13 +110,13 @@ class WorkConfig:
             object.__setattr__(self, "nails", tuple(self._complete(nail) for nail in self.nails))
             names = [nail.name for nail in self.nails]
             if len(set(names)) < len(names):
-                raise ValueError(f"nails {', '.join(names)}: give each a name of its own")
+                raise ValueError(f"nails {', '.join(names)}: give each nail its own name")
             if all(nail.xy != self.nail_xy for nail in self.nails):
-                raise ValueError(f"nail_xy {self.nail_xy} is that of no nail of `nails`: leave it out")
+                raise ValueError(f"nail_xy {self.nail_xy} belongs to none of `nails`: leave it out")
         if (tilt := angle_between(self.wood_normal, np.array([0.0, 0.0, 1.0]))) > LARGEST_TILT:
             raise ValueError(
-                f"wood_rise {self.wood_rise} is {np.rad2deg(tilt):.1f} degrees, {np.rad2deg(LARGEST_TILT):.0f} are "
-                "allowed: it is metres per metre, 0.0175 for 1 degree"
+                f"wood_rise {self.wood_rise} is {np.rad2deg(tilt):.1f} degrees, at most "
+                f"{np.rad2deg(LARGEST_TILT):.0f} are allowed. Unit: metres per metre, 0.0175 for 1 degree"
             )
         for nail in self.all_nails:
             self._check(nail)
@@ -139,26 +139,25 @@ class WorkConfig:
             raise ValueError(f"{whose}nail_protrusion {nail.protrusion} is more than nail_length {nail.length}")
         if nail.pilot_hole_diameter >= nail.diameter:
             raise ValueError(
-                f"{whose}pilot_hole_diameter {nail.pilot_hole_diameter} leaves nail_diameter {nail.diameter} no hold"
+                f"{whose}pilot_hole_diameter {nail.pilot_hole_diameter} does not hold nail_diameter {nail.diameter}"
             )
         if (tilt := angle_between(self._axis(nail.lean or (0.0, 0.0)), np.array([0.0, 0.0, 1.0]))) > LARGEST_TILT:
             raise ValueError(
                 f"{whose}wood_rise {self.wood_rise} and nail_lean {nail.lean} tilt it by {np.rad2deg(tilt):.1f} "
-                f"degrees, {np.rad2deg(LARGEST_TILT):.0f} are allowed: they are metres per metre, 0.0175 for 1 degree"
+                f"degrees, at most {np.rad2deg(LARGEST_TILT):.0f} are allowed. Unit: m/m, 0.0175 for 1 degree"
             )
         if (lean := angle_between(self._axis(nail.lean or (0.0, 0.0)), self.wood_normal)) > LARGEST_TILT:
             raise ValueError(
-                f"{whose}nail_lean {nail.lean} is {np.rad2deg(lean):.1f} degrees off the wood's normal, "
-                f"{np.rad2deg(LARGEST_TILT):.0f} are allowed: it is metres per metre, 0.0175 for 1 degree"
+                f"{whose}nail_lean {nail.lean} is {np.rad2deg(lean):.1f} degrees off the wood's normal, at most "
+                f"{np.rad2deg(LARGEST_TILT):.0f} are allowed. Unit: metres per metre, 0.0175 for 1 degree"
             )
         (cos, sin, _), away = self._along, np.subtract(nail.xy, self.block_center)
         off = np.abs(np.array([[cos, sin], [-sin, cos]]) @ away)
         if np.any(off > np.array(self.block_size[:2]) / 2):
             x, y = self.block_center
             raise ValueError(
-                f"{whose}it is not in the wood: ({nail.xy[0]}, {nail.xy[1]}) lies outside of the block, which is "
-                f"{self.block_size[0]} x {self.block_size[1]} m around ({x:.4f}, {y:.4f}); see block_size, block_xy, "
-                "block_turn"
+                f"{whose}({nail.xy[0]}, {nail.xy[1]}) is outside the block, which is {self.block_size[0]} x "
+                f"{self.block_size[1]} m around ({x:.4f}, {y:.4f}): check block_size, block_xy and block_turn"
             )
 
     @property

@@ -103,7 +103,7 @@ def test_the_press_before_the_door_is_closed_releases_nobody() -> None:
 
 
 @pytest.mark.parametrize(
-    ("stuck", "missing"), [(DOOR_CLOSED, "nobody was ever seen"), (SWITCH_HELD, "never seen released")]
+    ("stuck", "missing"), [(DOOR_CLOSED, "nobody was seen within reach"), (SWITCH_HELD, "never seen released")]
 )
 def test_a_single_contact_that_is_stuck_never_proves_itself(stuck: int, missing: str) -> None:
     panel = Panel()

@@ -71,14 +71,14 @@ GRIP_DOUBTS = (
 
 INPUTS = (
     JobFault(27, "door contact stuck closed", REST, "no fast motion", _at_inputs(ONE_CONTACT, high=DOOR_CLOSED), None,
-             NEAR, "nobody was ever seen", 0, "to the handover"),
+             NEAR, "nobody was seen within reach", 0, "to the handover"),
     JobFault(27, "door contact stuck closed", SWING, "brakes as the door opens, latches", _open_with_a_stuck_contact,
              IN_STRIKE, NEAR, "within the arm's reach", 1, "strike", braking=Braking(None), job_latches=True,
              before=0.3, prepare=_at_inputs(TWO_CONTACTS)),
     JobFault(27, "hold-to-run switch stuck", REST, "no motion", _at_inputs(ONE_CONTACT, high=SWITCH_HELD), None, NEAR,
-             "not taken anew", 0, None),
+             "not pressed anew", 0, None),
     JobFault(27, "door and switch unplugged", REST, "no motion", _at_inputs(ONE_CONTACT, low=ALL), None, NEAR,
-             "not taken anew", 0, None),
+             "not pressed anew", 0, None),
     JobFault(27, "door and switch unplugged", SWING, "brakes on the path, latches", _unplug, IN_STRIKE, NEAR,
              "within the arm's reach", 1, "strike", braking=Braking(None), job_latches=True, before=0.3,
              prepare=_at_inputs(ONE_CONTACT)),

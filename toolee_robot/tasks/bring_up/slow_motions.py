@@ -65,7 +65,7 @@ class Caps:
             ("acceleration", self.acceleration, LEAST_ACCELERATION),
         ):
             if not (math.isfinite(value) and value >= least):
-                raise UserError(f"the cap of the {name} is {value}: give a number from {least:g} on", code="user.cap")
+                raise UserError(f"the {name} limit is {value}: give a number of at least {least:g}", code="user.cap")
 
     def apply(self, config: StationConfig) -> StationConfig:
         """Lower the limits of a station's arm.
@@ -198,7 +198,7 @@ def plan_joints(slow: SlowStation, q: Array, q_goal: Array) -> Trajectory:
     robot, config = slow.robot, slow.config
     if not (np.all(np.isfinite(q_goal)) and np.all(robot.arm.lower <= q_goal) and np.all(q_goal <= robot.arm.upper)):
         raise UserError(
-            f"the joints would go to {np.round(q_goal, 3)} rad: outside their range, give radians",
+            f"the joints would go to {np.round(q_goal, 3)} rad, which is outside their range. Give radians",
             code="user.joint_positions",
         )
     arm = config.arm
@@ -233,7 +233,7 @@ def plan_line(
     """
     length = float(np.linalg.norm(vector)) if np.all(np.abs(vector) <= LONGEST) else np.inf
     if not 1e-4 <= length <= LONGEST:
-        raise UserError(f"a straight motion of {length:.4g} m: give metres, 0.0001 to {LONGEST:g}, and a frame")
+        raise UserError(f"a straight motion of {length:.4g} m: give 0.0001 to {LONGEST:g} m, and a frame")
     robot, config = slow.robot, slow.config
     top = config.supervisor.handover_speed
     if speed is not None and not SLOWEST <= speed <= top:
@@ -288,7 +288,7 @@ def _posture(slow: SlowStation, place: Place, view: int) -> Array:
     # Of a job, so with the station's own limits: under the caps no strike would be worth a plan.
     robot, config = slow.robot, slow.station
     if place is Place.VIEW and not 1 <= view <= config.task.views:
-        raise UserError(f"view {view}: the station has 1 to {config.task.views} (task.views)")
+        raise UserError(f"view {view}: give 1 to {config.task.views}, the number of views of the station (task.views)")
     q_hand, home = robot.description.hand_closed, np.asarray(config.scene.home)
     grasp = nominal_grasp(make_tool(NAIL_DRIVERS[0], 0), config)
     X_hand_ee = grasp.X_hand_ee

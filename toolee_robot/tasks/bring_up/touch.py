@@ -109,8 +109,8 @@ def approach(
             break
     else:
         raise DeviceError(
-            f"just zeroed, the arm feels {felt:.1f} N at rest, half of {settings.force:.1f} N or more: take away what "
-            "touches it, or raise the force"
+            f"after zeroing, the arm feels {felt:.1f} N at rest, half of {settings.force:.1f} N or more. Remove "
+            "what touches it, or raise the force"
         )
     fk = slow.robot.arm.fk
     begin, end = fk(trajectory.q[[0, -1]])[:, :3, 3]
@@ -136,8 +136,8 @@ def approach(
         arm.execute(plan_line(slow, q, back, MotionFrame.BASE_LINK), at_work=True)
     if phantoms == MAX_PHANTOMS:
         raise DeviceError(
-            f"{phantoms} times the force rose above {settings.force:.1f} N, and nothing was there: see that nothing "
-            "swings or pulls at hand and cables, then look at the force with toolee doctor",
+            f"the force rose above {settings.force:.1f} N {phantoms} times without contact. Keep hand and cables "
+            "from swinging or pulling, then check the force with `toolee doctor`",
             code="device.force_noise",
         )
     return touch

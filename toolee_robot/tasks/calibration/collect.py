@@ -37,7 +37,7 @@ class Offered(StrEnum):
     TAKEN = "taken"
     UNSEEN = "the board is not seen"
     MOVING = "hold it still"
-    KNOWN = "hold it otherwise"
+    KNOWN = "show it in another way"
 
 
 class HandHeldViews:
@@ -190,10 +190,10 @@ class Collector:
             shown.append(taken.X_camera_board is not None)
             if len(shown) == UNSEEN and not any(shown):
                 raise UserError(
-                    f"none of the first {UNSEEN} images shows the board: look with `toolee camera show --config "
-                    "FILE --picture seen.png` whether the camera stands and looks as camera.position and camera.target "
-                    "say (x and y swapped, or half a turn of the base, are the usual mistakes), whether the print "
-                    "faces out of the flange, and whether --sheet is its size",
+                    f"none of the first {UNSEEN} images shows the board. Look with `toolee camera show --config "
+                    "FILE --picture seen.png`. Compare the camera with camera.position and camera.target: x and y "
+                    "swapped, or half a turn of the base, are the usual mistakes. The print must face away from "
+                    "the flange, and --sheet must be its size",
                     code="user.board_not_seen",
                 )
         self._move(np.array(self._config.scene.home), "home")
@@ -208,7 +208,7 @@ class Collector:
         way = slowed_to(way, self._world, Mode.HANDOVER.speed(self._config.supervisor))
         if not self._station.person.hold_switch(HOLD_SWITCH.format(name), self._config.task.handover_timeout):
             raise PersonNearError(
-                "the hold-to-run switch was not taken: no motion; release it, then hold it",
+                "the hold-to-run switch was not pressed anew: no motion. Release it, then hold it",
                 code="person_near.switch_not_taken",
             )
         report = self.arm.execute(way)
@@ -224,11 +224,11 @@ class Collector:
         after = self._station.arm.state().joints.q
         if frame.stamp < asked:
             raise StaleDataError(
-                f"the camera gave a frame {asked - frame.stamp:.2f} s older than it was asked: restart it",
+                f"the camera returned a frame {asked - frame.stamp:.2f} s older than the request. Restart the camera",
                 code="stale_data.camera_repeats",
             )
         if np.abs(after - before).max() > STILL:
-            raise DeviceError("the arm moved while the image was taken: it must stand still at every view")
+            raise DeviceError("the arm moved while the image was taken. It must stand still at every view")
         view = find_board(frame.rgb, self._board)
         if view is None:
             return Taken(number, (before + after) / 2, frame, 0, None)

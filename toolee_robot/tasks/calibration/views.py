@@ -47,8 +47,8 @@ class Plate:
     def __post_init__(self) -> None:
         if not DISTANCE[0] <= self.distance <= DISTANCE[1]:
             raise UserError(
-                f"a plate {self.distance} m from the flange: give {DISTANCE[0]} to {DISTANCE[1]} m: nearer, it would "
-                "meet the wrist"
+                f"a plate {self.distance} m from the flange: give {DISTANCE[0]} to {DISTANCE[1]} m; any nearer, it "
+                "meets the wrist"
             )
         if not 0.05 <= self.mass <= 5.0:
             raise UserError(f"a plate of {self.mass} kg: weigh plate and holder")
@@ -202,9 +202,9 @@ def plan_views(robot: RobotModel, config: StationConfig, plate: Plate, count: in
     chosen = _choose(Xs_camera_board[row], row, q, world, home, board, camera, count)
     if len(chosen) < count:
         raise UnreachableError(
-            f"the arm reaches {len(chosen)} views of the board before the camera where the station file has it, "
-            f"{count} are wanted: correct camera.position and camera.target if it stands elsewhere, else move it or "
-            "what is in the way, ask for fewer, or use a smaller board"
+            f"the arm reaches only {len(chosen)} of {count} views of the board. If the camera stands elsewhere, "
+            "correct camera.position and camera.target. Otherwise move the camera or the obstacle, ask for fewer "
+            "views, or use a smaller board"
         )
     middle = np.array([camera.width, camera.height]) / 2
     centers = camera.intrinsics.project((Xs_camera_board[row[chosen]] @ [*board.center, 1.0])[:, :3])

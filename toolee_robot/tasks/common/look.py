@@ -154,8 +154,8 @@ class Views:
         frame = station.camera.read()
         if frame.stamp < asked:
             raise StaleDataError(
-                f"the camera gave a frame {asked - frame.stamp:.2f} s older than it was asked: it repeats old ones; "
-                "restart it",
+                f"the camera returned a frame {asked - frame.stamp:.2f} s older than the request: it repeats old "
+                "frames. Restart it",
                 code="stale_data.camera_repeats",
             )
         q_arm = station.arm.state().joints.q
@@ -181,7 +181,9 @@ class Views:
         self.frames.append(frame)
         known = float(np.mean(frame.depth > 0.0))  # NaN included
         if known < MIN_DEPTH:
-            self._observer.message(f"only {100 * known:.0f} % of the frame's depth is known: it does not count")
+            self._observer.message(
+                f"depth is known in only {100 * known:.0f} % of the pixels: the frame does not count"
+            )
             estimates = []
         self._seen.append([e for e in estimates if self._plausible(e, X_camera_hand)])
         self._hands.append(X_camera_hand)
@@ -213,14 +215,14 @@ class Views:
         self._observer.in_hand(stamp, estimate)
         if not estimate.usable:
             raise PerceptionError(
-                f"the hammer head's pose is not to be relied on: {estimate.reason}", code="perception.not_usable"
+                f"the hammer head's pose is not reliable: {estimate.reason}", code="perception.not_usable"
             )
         self._tell_of_camera(estimate)
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
         if not (displacement <= self._largest and misalignment <= MAX_MISALIGNMENT):  # NaN included
             raise PerceptionError(
-                f"the hammer head seems to be {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f}° away "
-                "from where a held hammer can have it: hand it over again, face towards the fingers",
+                f"the hammer head seems {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f}° outside of "
+                "where a held hammer can be. Hand it over again, face towards the fingers",
                 code="perception.implausible",
             )
         return estimate
@@ -238,20 +240,20 @@ class Views:
         if not near:
             return None
         return (
-            f"the camera is too near to the tool: the face is {min(near):.2f} m before it in {len(near)} of "
-            f"{len(depths)} views, and it measures from {least:.2f} m on (camera.device.least_range). Views are "
-            f"planned {DISTANCE[0]:.2f} to {DISTANCE[1]:.2f} m before the camera, wherever it stands: take a smaller "
-            "depth image, which sees nearer things (camera.width and camera.height with its intrinsics and "
-            "least_range), or another camera"
+            f"the camera is too near to the tool: in {len(near)} of {len(depths)} views the face is only "
+            f"{min(near):.2f} m away, and the camera measures from {least:.2f} m (camera.device.least_range). Views "
+            f"are always planned {DISTANCE[0]:.2f} to {DISTANCE[1]:.2f} m from the camera. Use a smaller depth "
+            "image, which sees nearer things (camera.width, camera.height, intrinsics and least_range), or another "
+            "camera"
         )
 
     def _tell_of_camera(self, estimate: InHandEstimate) -> None:
         if estimate.camera is None or self._camera is not None:
             return
         distance, sigma = estimate.camera.at((self._hands[-1] @ estimate.X_hand_ee)[:3, 3])
-        advice = "; calibrate it again" if distance - 2.0 * sigma > CAMERA_OFF else ""
+        advice = ". Calibrate it again" if distance - 2.0 * sigma > CAMERA_OFF else ""
         off = f"{distance * 1e3:.0f} ± {sigma * 1e3:.0f} mm"
-        self._observer.message(f"by the views the camera is {off} off at the tool, allowed for{advice}")
+        self._observer.message(f"estimated error of the camera's calibration: {off} at the tool (corrected){advice}")
 
     def _plausible(self, estimate: ToolEstimate, X_camera_hand: Array) -> bool:
         """Whether it can be the striking face, not a club hammer's other face or a hammer on the table."""
@@ -309,7 +311,7 @@ class Look:
             seen = self._seen(held, taken, views, seed=1)
         if held.off:  # a face of which nothing was known
             away = float(np.linalg.norm(seen.X_hand_ee[:3, 3] - held.X_nominal[:3, 3]))
-            m.observer.message(f"the face is {away * 1e3:.0f} mm from where it was looked for first")
+            m.observer.message(f"the face is {away * 1e3:.0f} mm from where the first look found it")
             if away > WELL_SEEN:
                 return self(replace(held.moved(seen.X_hand_ee), X_nominal=seen.X_hand_ee, off=0.0), views)
             seen = replace(seen, X_nominal=seen.X_hand_ee, off=0.0)

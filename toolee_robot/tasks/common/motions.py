@@ -365,7 +365,9 @@ class Motions:
         check_held(hand, self.station.clock)
         state = hand.state()
         if state.temperature is not None and not state.temperature <= most:  # NaN included
-            raise DeviceError(f"the hand is at {state.temperature:.0f} °C, {most:.0f} °C are allowed: let it cool down")
+            raise DeviceError(
+                f"the hand is at {state.temperature:.0f} °C, above the allowed {most:.0f} °C: let it cool down"
+            )
 
     def stand_still(self) -> None:
         """Stop arm and fingers, ignoring devices that have failed; the hand keeps its grip."""
@@ -385,8 +387,8 @@ class Motions:
             HOLD_SWITCH, self.config.task.handover_timeout
         ):
             raise PersonNearError(
-                f"the hold-to-run switch was not taken anew before {name!r}: no motion; release it, then hold it, and "
-                "look for a stuck switch",
+                f"the hold-to-run switch was not pressed anew before {name!r}: no motion. Release it, then hold it. "
+                "Check for a stuck switch",
                 code="person_near.switch_not_taken",
             )
         self.wait_for_readings()
@@ -426,7 +428,7 @@ class Motions:
         if self.carried is not None:
             check_held(self.station.hand, self.station.clock)
         if hand is not None and hand.doubted:
-            raise GripDoubtError(f"the hand doubted its grip during the motion {name!r}; it holds the tool")
+            raise GripDoubtError(f"the hand doubted its grip during the motion {name!r}, and still holds the tool")
         if report.outcome is MotionOutcome.STOPPED:
             raise DeviceError(f"the arm was stopped during the motion {name!r}", code="device.stopped")
 

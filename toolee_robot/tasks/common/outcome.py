@@ -170,16 +170,16 @@ class HammerResult(TaskResult):
 MAX_STOPS = 3
 """Number of stops with the tool in the hand that end a session."""
 _STANDS = "the arm stands still"
-PUT_AWAY = f"{_STANDS}, put it away by hand"
+PUT_AWAY = f"{_STANDS}. Put it away by hand"
 """What to do about an arm that stands without a tool."""
 RESUME = (
-    f"{_STANDS} with the tool in the hand. Look at robot, hand and tool, and make the robot ready; then "
-    "resume the job, or take the tool out (take hold of it and have the hand opened), or put it away by hand"
+    f"{_STANDS} with the tool in the hand. Check robot, hand and tool, and make the robot ready. Then resume the "
+    "job, or hold the tool and have the hand opened, or put it away by hand"
 )
 """What to do about a stop that can be cleared."""
 TAKE_OUT = (
-    f"{_STANDS} with the tool in the hand. Take hold of it and have the hand opened (`give_back` of the "
-    "task, or the hand's own software); nothing opens it by itself"
+    f"{_STANDS} with the tool in the hand. Hold the tool, then have the hand opened (`give_back` of the task, or "
+    "the hand's own software). Nothing opens it by itself"
 )
 """What to do about a stop that cannot be cleared, or that ends the session."""
 
@@ -222,5 +222,5 @@ class Stops:
         """
         self.count += 1
         if self.last:
-            return f"{reason}; stop {self.count} of {MAX_STOPS} ends the session: find the cause; {TAKE_OUT}"
+            return f"{reason}; stop {self.count} of {MAX_STOPS} ends the session. Find the cause; {TAKE_OUT}"
         return f"{reason}; {RESUME}"

@@ -24,7 +24,7 @@ MAX_DOUBTS = 3
 def _check_fault(state: HandState) -> None:
     if state.fault:
         raise DeviceError(
-            f"the hand reports a fault ({state.fault}): no further strike; look at the hand", code="device.hand_fault"
+            f"the hand reports a fault ({state.fault}): no further strike. Check the hand", code="device.hand_fault"
         )
 
 
@@ -52,7 +52,7 @@ def check_held(hand: Hand, clock: Clock) -> None:
         else:
             held_since, doubted = None, True
         clock.sleep(GRIP_PERIOD)
-    raise GripError("the hand has lost the tool: pick it up and start again")
+    raise GripError("the hand has lost the tool. Pick it up and start again")
 
 
 class HandWatch:
@@ -75,7 +75,7 @@ class HandWatch:
         self.error: Exception | None = None
         self.doubted = False
         self._hand = hand
-        self._watcher = Watcher(self._reason_to_stop, stop, "the hand cannot be asked", GRIP_PERIOD)
+        self._watcher = Watcher(self._reason_to_stop, stop, "the hand does not answer", GRIP_PERIOD)
 
     def __enter__(self) -> Self:
         self._watcher.__enter__()
@@ -104,7 +104,7 @@ class HandWatch:
 INPUTS_PERIOD = 0.05
 """Polling period of the inputs while a question is open [s]."""
 MISSING = {
-    ("zone", True): "nobody was ever seen within reach, although a tool was handed over there",
+    ("zone", True): "nobody was seen within reach during the handover",
     ("zone", False): "the zone was never seen empty",
     ("switch", True): "the hold-to-run switch was never seen held",
     ("switch", False): "the hold-to-run switch was never seen released",
@@ -167,8 +167,8 @@ class PersonProof:
         occupied = self._read("zone", self._person.zone_occupied)
         if not occupied and self._missing:
             raise PersonNearError(
-                f"the person's inputs are not to be believed yet ({'; '.join(self.missing)}): no fast motion; look "
-                "for a stuck, bridged or unplugged input",
+                f"the person's inputs cannot be trusted yet ({'; '.join(self.missing)}): no fast motion. Check for "
+                "a stuck, bridged or unplugged input",
                 code="person_near.inputs_not_proven",
             )
         return occupied

@@ -42,19 +42,19 @@ class _Prompts:
 
 _HAND = _Prompts(
     "Put the hammer's handle into the open hand, face towards the fingertips.",
-    "Take a firm hold of the hammer and confirm: the hand opens.",
+    "Hold the hammer firmly and confirm. The hand then opens.",
 )
 _MOUNT = _Prompts(
     "Fix the hammer's handle in the mount, face towards its working side. Pull at it, then confirm.",
     "Take the hammer out of the mount, then confirm.",
 )
-UNKNOWN_GIVE = " Its head 15 to 28 cm from the grip's middle."
+UNKNOWN_GIVE = " Its head is then 15 to 28 cm from the middle of the grip."
 """What is said beside the prompt of a tool whose face was not measured."""
-MOUNT_EMPTY = "The mount cannot tell whether a tool is in it. Is it empty? The arm is about to move to the handover."
+MOUNT_EMPTY = "The mount cannot sense a tool. Is it empty? The arm is about to move to the handover."
 """Question before the arm moves an empty mount."""
 _RESET = (
-    "The arm does not move: {}. Look at robot, hand and tool. Leave, close the door, and make the robot ready from "
-    "outside of its reach. Confirm, and the arm is reset; nothing moves by that."
+    "The arm does not move: {}. Check robot, hand and tool. Leave and close the door. Make the robot ready from "
+    "outside of its reach. Then confirm, and the arm is reset; this moves nothing."
 )
 
 
@@ -110,14 +110,14 @@ class Handover:
             self.person_clear = False
             give = self._prompts.give + (UNKNOWN_GIVE if grasp.ee_off else "")
             if not person.request_handover(give, timeout):
-                raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
+                raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time. Run the job again")
         with self._motions.stages(Stage.GRIP):
             hand.close()
             if not hand.state().holding:
-                raise JobEnded(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
+                raise JobEnded(Outcome.NO_GRIP, "the hand closed but holds nothing. Hand the tool over again")
             self.clear_person("Let go and step back.")
             if not hand.state().holding:
-                raise JobEnded(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
+                raise JobEnded(Outcome.NO_GRIP, "the tool left the hand when it was released. Hand it over again")
             self._motions.carry(held)
         return self.tell_payload(held)
 
@@ -175,7 +175,7 @@ class Handover:
     def _see_out(self, prompt: str) -> None:
         self.person_clear = False
         if not self._motions.person.release(prompt, self._config.task.handover_timeout):
-            raise PersonNearError("nobody confirmed to be out of reach, or was seen there: no motion")
+            raise PersonNearError("nobody confirmed to be out of reach, or somebody is within reach: no motion")
 
     def _once_reset(self, act: Callable[[], None]) -> bool:
         """Do something that the arm refuses after a stop: a person looks, makes the robot ready, and is seen out again.
@@ -239,15 +239,15 @@ class Handover:
         """
         if self._robot.description.hand.clamps:
             if not self._motions.person.confirm_inspection(MOUNT_EMPTY, self._config.task.handover_timeout):
-                raise JobEnded(Outcome.NOT_READY, "nobody confirmed that the mount is empty: take the tool out of it")
+                raise JobEnded(Outcome.NOT_READY, "nobody confirmed that the mount is empty. Take the tool out of it")
             self._station.hand.open()
             return True
         asked = self._station.hand.state().holding
         if asked:
             self.person_clear = False
-            prompt = "The hand still holds a tool: take hold of it, the hand opens."
+            prompt = "The hand still holds a tool. Hold it; the hand opens."
             if not self._motions.person.take_tool(prompt, self._config.task.handover_timeout):
-                raise JobEnded(Outcome.NOT_READY, "the hand still holds a tool, and nobody took it: take it out first")
+                raise JobEnded(Outcome.NOT_READY, "the hand still holds a tool. Take it out first")
         self._station.hand.open()
         return asked
 
@@ -266,9 +266,11 @@ class Handover:
                 plan_strike(self._robot, self._config, world, *state, X_base_nail, tool=self._grasp.swung)
             except UnreachableError as error:
                 if self._grasp.ee_off:  # the face may be elsewhere
-                    self._motions.observer.message(f"{whose}with a face in the middle of where it may be: {error}")
+                    self._motions.observer.message(
+                        f"{whose}with the face in the middle of its expected region: {error}"
+                    )
                     continue
                 raise UnreachableError(f"{whose}{error}", code=error.code) from error
             except PlanningError as error:
-                message = f"{whose}with the tool as it nominally lies in the hand no strike is possible: {error}"
+                message = f"{whose}no strike is possible with the tool as it is expected to lie in the hand: {error}"
                 self._motions.observer.message(message)

@@ -28,7 +28,7 @@ SURE_SHARE_IN_NOISE = 0.3
 none, because a strike on a flush nail is the hardest that an arm gets."""
 STRIKES_BEFORE_SECOND_LOOK = 2
 """Number of strikes before the next look at a nail that looked bent."""
-LET_IN = "very soft wood has let it in: look at it"
+LET_IN = "the nail went deep into very soft wood: check it"
 """What else may have become of a nail that is not where it should be after strikes."""
 BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
@@ -145,7 +145,7 @@ class NailDriving:
             end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
             if 0 < forecast.left < MAX_STRIKES_TOLD:
                 more = math.ceil(1.2 * forecast.left)
-                end += f"; it still moves, and some {more} more would do: raise task.max_strikes"
+                end += f"; it still moves, and about {more} more strikes would do: raise task.max_strikes"
             return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if course.flush else end
         # No further strike after one that brought the arm too near to a stop of its own.
         if self.strikes and (excess := self.strikes[-1].load.excess(self._config.strike)):
@@ -155,7 +155,7 @@ class NailDriving:
     def _flush(self, words: str) -> tuple[Outcome, str]:
         """The end of a nail that reads flush: not believed if no strike was felt where the nail should be."""
         if self.strikes and all(strike.meeting is not Meeting.EXPECTED for strike in self.strikes):
-            return Outcome.NAIL_MISSED, f"{words}, but no strike met it where it should be: look at the nail"
+            return Outcome.NAIL_MISSED, f"{words}, but no strike met it where it should be. Check the nail"
         return Outcome.FLUSH, words
 
     def _strike_or_miss(self, course: _Course, held: HeldTool) -> tuple[StrikePlan, float | None, HeldTool]:
@@ -183,7 +183,7 @@ class NailDriving:
         if end.outcome is not Outcome.NAIL_MISSED or self._missed > (BLIND_MISSES - 1 if self._look_at is None else 1):
             raise end
         if self._look_at is None:
-            self._motions.observer.message(f"{end}; without correction it strikes on")
+            self._motions.observer.message(f"{end}; the job strikes on, because it does not correct")
             return self._motions.held
         self._motions.observer.message(f"{end}; looking again")
         return self._look(self._motions.held, self._config.task.views)
@@ -199,7 +199,7 @@ class NailDriving:
         self._taken, self.protrusion = self._gauge.latest, measured
         sank = max(course.progress, forecast.below)  # at least, in one strike: a mean hides one among several
         if sank > self._deepest(held):
-            return (Outcome.BENT, f"the head sank {sank * 1e3:.1f} mm in one strike: the nail has bent away"), held
+            return (Outcome.BENT, f"the head sank {sank * 1e3:.1f} mm in one strike: the nail has bent"), held
         if self.strikes[-1].meeting is not Meeting.EXPECTED and measured <= task.flush_protrusion:
             # Beside a nail that it has missed the face meets the wood at once, which reads flush.
             held = self._look(held, task.views_again)
@@ -213,8 +213,8 @@ class NailDriving:
         if course.doubted or self._look_at is None:
             slow = "strike.speed asks for" if plan.speed >= 0.99 * plan.wanted_speed else "arm and hand permit"
             reason = (
-                f"{stall}, and it stands {measured * 1e3:.1f} mm over the wood: it has met something hard, or the "
-                f"{plan.speed:.2f} m/s that {slow} are too slow for it"
+                f"{stall}, and it stands {measured * 1e3:.1f} mm over the wood. It has met something hard, or the "
+                f"{plan.speed:.2f} m/s that {slow} are too slow"
             )
             return (Outcome.STUCK, reason), held
         # The edge of a face that has tilted in the hand meets the wood before the nail is flush.
@@ -310,7 +310,7 @@ class NailDriving:
         height = None
         try:
             if verdict.meeting is Meeting.EARLY:
-                raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
+                raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not at the point of the strike")
             if measure:
                 height, held = self._touch_after(plan, before, verdict, held)
             return height, held
@@ -321,7 +321,7 @@ class NailDriving:
         """Whether to measure the nail after a strike: not if the forecast is good enough."""
         if verdict.meeting is not Meeting.EXPECTED:
             if verdict.meeting in (Meeting.LATE, Meeting.NONE):
-                self._forecast.unfelt(f"{verdict}: measuring whether the nail was hit")
+                self._forecast.unfelt(f"{verdict}: checking by touch whether the nail was hit")
             return True
         unsure = self._forecast.struck(verdict, plan.speed)
         last = len(self.strikes) + 1 >= self._config.task.max_strikes or overload
@@ -345,13 +345,13 @@ class NailDriving:
                 height, held = self._gauge.measure(before, held, self._forecast.unknown, missed)
         except JobEnded as end:
             if end.outcome is Outcome.BENT:
-                gone = f"the strike met the nail, which has bent away since, or {LET_IN} ({end})"
+                gone = f"the strike met the nail, which has bent since, or {LET_IN} ({end})"
                 raise JobEnded(Outcome.BENT, gone) from end
             if met:
                 raise
-            raise JobEnded(end.outcome, f"{verdict}: the nail is not where the face went ({end})") from end
+            raise JobEnded(end.outcome, f"{verdict}: the nail is not at the point of the strike ({end})") from end
         # Those that missed before this one have driven nothing: two misses would permit what neither alone does.
         may_have_driven = self._forecast.unknown - (self._missed - 1)
         if not met and before - height > may_have_driven * self._deepest(held):
-            raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went, or {LET_IN}")
+            raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not at the point of the strike, or {LET_IN}")
         return height, held

@@ -141,7 +141,7 @@ class NailForecast:
         self.surprise = ""
         if off:
             where = f"{abs(off) * 1e3:.0f} mm {'above' if off > 0 else 'below'}"
-            self.surprise = f"the strike met the nail {where} where it was expected: measuring it"
+            self.surprise = f"the strike met the nail {where} its expected height: measuring it"
         if self._growth is None:
             return bool(self.surprise) or self.unmeasured >= FIRST
         self.height = max(self._length - self._driven(), 0.0)
@@ -210,7 +210,7 @@ class NailStall:
         self.suspected = False
 
     def __str__(self) -> str:
-        return f"{self.strikes} strikes moved the head by {max(self.moved, 0.0) * 1e3:.1f} mm together"
+        return f"{self.strikes} strikes together moved the head by {max(self.moved, 0.0) * 1e3:.1f} mm"
 
     @property
     def over(self) -> bool:

@@ -153,12 +153,13 @@ class NailGauge:
         if abs(measured) < NO_HEAD:
             raise JobEnded(
                 Outcome.NAIL_MISSED,
-                "where the nail's head should be the face met nothing above the wood: the nail is missing, or the face "
-                f"came down beside it; {CHECK}",
+                "the face met nothing over the wood where the nail's head should be. The nail is missing, or the "
+                f"face came down beside it; {CHECK}",
             )
         off = f"{abs(known - measured) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
         raise JobEnded(
-            Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as work.nail_protrusion says; {CHECK}"
+            Outcome.NAIL_MISSED,
+            f"the nail's head seems to stand {off}. Set the nail as work.nail_protrusion says; {CHECK}",
         )
 
     def resume(self, plan: StrikePlan, expected: float, held: HeldTool) -> tuple[float, HeldTool]:
@@ -285,7 +286,7 @@ class NailGauge:
         motions = self._motions
         if not self._touch.prepare():
             motions.straight("up", self._out, CLEAR, held)
-            message = f"before the {what} was touched the arm felt a force: the tool leans against something"
+            message = f"the arm felt a force before it touched the {what}: the tool leans against something"
             raise JobEnded(missed, message)
         begin = self._height(held)
         if above is not None and above < begin:
@@ -298,11 +299,9 @@ class NailGauge:
             contact = self._touch.lower(what, reach, held)
         except SidewaysContactError as error:
             motions.straight("up", self._out, CLEAR, held)
-            message = f"while the {what} was approached something pressed on the tool's side with {error.force:.0f} N"
-            raise JobEnded(
-                Outcome.NAIL_MISSED, f"{message}: the face is not where it is believed to be; {CHECK}"
-            ) from error
+            message = f"something pressed on the tool's side with {error.force:.0f} N on the way to the {what}"
+            raise JobEnded(Outcome.NAIL_MISSED, f"{message}: the face is not where it is estimated; {CHECK}") from error
         if contact is None:
             motions.straight("up", self._out, reach, held)
-            raise JobEnded(missed, f"the face was lowered to where the {what} should be and met nothing; {CHECK}")
+            raise JobEnded(missed, f"the face went down to the expected {what} and met nothing; {CHECK}")
         return contact

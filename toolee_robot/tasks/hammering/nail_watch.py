@@ -22,7 +22,7 @@ more few are missed, and few straight nails look so (`benchmarks/bent_nails.py`)
 SAME_SIDE = np.deg2rad(60.0)
 """Angle within which a head is displaced to the same side at two looks [rad]: what was taken for a head at one look is
 elsewhere at the next."""
-WRONG = " (`task.watch_nail: false` in the station file where the camera sees that wrongly)"
+WRONG = " (if the camera is wrong, set `task.watch_nail: false` in the station file)"
 STANDS = 0.010
 """Least height of a nail whose foot and head can be told apart [m]."""
 
@@ -74,13 +74,13 @@ class NailWatch:
         self._begun = lean is not None
         if lean is None:
             if not self._told:
-                self._observer.message("the camera does not see the nail: it is not watched for bending")
+                self._observer.message("the camera does not see the nail, so it cannot watch it for bending")
             self._told = True
         elif leans(lean, height):
             angle, sigma = np.rad2deg(np.arctan2([lean.distance, lean.sigma], height))
             raise JobEnded(
                 Outcome.BENT,
-                f"the camera sees the nail lean by {angle:.0f} ± {sigma:.0f}°: set it upright, or take another{WRONG}",
+                f"the camera sees the nail lean by {angle:.0f} ± {sigma:.0f}°. Set it upright, or use another{WRONG}",
             )
 
     def _judge(self, head: HeadOffset) -> None:
@@ -89,10 +89,10 @@ class NailWatch:
         if self._aside is None:
             return
         far, least = head.distance * 1e3, head.least * 1e3
-        seen = f"the camera sees the nail's head {far:.0f} mm beside its axis, {least:.1f} mm at least"
+        seen = f"the camera sees the nail's head {far:.0f} mm beside its axis, at least {least:.1f} mm"
         if is_bent(before, head):
-            raise JobEnded(Outcome.BENT, f"{seen}, for the second time: the nail is bent, pull it out{WRONG}")
-        self._observer.message(f"{seen}: it may be bent; looking again soon")
+            raise JobEnded(Outcome.BENT, f"{seen}, for the second time. The nail is bent: pull it out{WRONG}")
+        self._observer.message(f"{seen}; it may be bent, looking again soon")
 
 
 def nail_of(body: Body) -> NailPose:

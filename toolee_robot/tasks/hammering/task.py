@@ -71,8 +71,8 @@ class HammeringTask:
     ) -> None:
         if grasp.ee_off and perceiver is None:
             raise UserError(
-                "where the tool's face is, is not known, so that it cannot be struck with without a look at it: give "
-                "tool.face and tool.face_normal, or leave --variant no_correction out",
+                "the tool's face is unknown, so it cannot strike without a look at it. Give tool.face and "
+                "tool.face_normal, or leave --variant no_correction out",
                 code="user.unknown_face",
             )
         names = tuple(nails or config.work.names)
@@ -114,11 +114,11 @@ class HammeringTask:
         """
         if not self.resumable:
             raise NotReadyError(
-                "no stopped job with the tool in the hand can go on: run a new one", code="not_ready.nothing_to_resume"
+                "no stopped job holds a tool and can go on. Run a new one", code="not_ready.nothing_to_resume"
             )
         if not confirmed:
             raise DeviceError(
-                "a job is resumed by a person who has looked at the robot: confirm it",
+                "a person resumes a job after looking at the robot. Confirm that",
                 code="device.reset_not_confirmed",
             )
         try:
@@ -228,18 +228,18 @@ class HammeringTask:
 
     def _go_on(self) -> tuple[Outcome, str]:
         self._motions.check_hand()
-        self._handover.clear_person("Step back: the arm looks at the hammer again, and then strikes on.")
+        self._handover.clear_person("Step back. The arm looks at the hammer again, then goes on striking.")
         held = self._handover.tell_payload(self._motions.held)
         return self._nails.drive(held.forgotten(), lift=True)
 
     def _after_loss(self) -> str:
         """Once a person has looked, and asked for it, move the arm away from where the tool may lie."""
         prompt = (
-            "The hand reports that it has lost the hammer; the arm stands still. Look for it. Confirm, and the arm "
-            "moves up and away slowly while you hold the hold-to-run switch."
+            "The hand has lost the hammer, and the arm stands still. Find the hammer. Confirm, then hold the "
+            "hold-to-run switch: the arm moves up and away slowly."
         )
         if not self._motions.person.confirm_inspection(prompt, self._config.task.handover_timeout):
-            return f"nobody confirmed that the arm may move away: {PUT_AWAY}"
+            return f"nobody allowed the arm to move away: {PUT_AWAY}"
         self._handover.tool_gone()
         return f"the arm moved away from it: {PUT_AWAY}" if self._motions.retreat() else PUT_AWAY
 
@@ -247,7 +247,7 @@ class HammeringTask:
         """Refuse a station whose camera calibration is missing or invalid."""
         calibration = self._config.calibration
         if calibration is None:
-            raise JobEnded(Outcome.NOT_READY, "the station is not calibrated: calibrate it, enter the result")
+            raise JobEnded(Outcome.NOT_READY, "the station is not calibrated. Calibrate it and enter the result")
         station = self._station
         problems = calibration.problems(station.robot_serial, station.camera_serial, date.today())
         if problems:
@@ -272,7 +272,7 @@ class HammeringTask:
         with self._motions.stages(Stage.PARK):
             try:
                 if not self._handover.person_clear:
-                    self._handover.clear_person("Take the tool along and step back: the arm goes home.")
+                    self._handover.clear_person("Take the tool with you and step back. The arm goes home.")
                 home = np.asarray(self._config.scene.home)
                 held = self._motions.carried
                 self._motions.rise_from_among_nails(held)

@@ -213,9 +213,9 @@ class Touch:
         if best is not None:
             return best
         raise DeviceError(
-            f"{MAX_PHANTOMS} times the force rose above {settings.force:.0f} N, and {settings.largest:.0f} N at last, "
-            f"while the {what} was approached, and nothing was there: see that nothing swings or pulls at tool and "
-            "cables, then look at the force with toolee doctor",
+            f"the force rose above {settings.force:.0f} N {MAX_PHANTOMS} times, at last {settings.largest:.0f} N, "
+            f"without contact on the way to the {what}. Keep tool and cables from swinging or pulling, then check "
+            "the force with `toolee doctor`",
             code="device.force_noise",
         )
 

@@ -92,7 +92,7 @@ class Weighing:
             goals = [turn.q[-1] for turn in self._turns(grasp, 1, with_tool)]
             turns = self._turns(grasp, 0, motions.world(None), goals)
         if turns:
-            self._observer.message("stay out of reach: the wrist turns twice, and the arm feels the empty hand")
+            self._observer.message("stay out of reach: the wrist turns twice while the arm weighs the empty hand")
             motions.transfer("to feel the empty hand", turns[0], None, speed)
             self._qs.append(motions.q)
             self._empty.append(self._reading(SHORT))
@@ -126,7 +126,7 @@ class Weighing:
             except PlanningError as error:
                 raise WeighingError(
                     f"the tool cannot be weighed where it was handed over: {error}. Clear the space around it, or "
-                    "weigh the tool on scales and write tool.mass and tool.center_of_mass",
+                    "weigh it on scales and write tool.mass and tool.center_of_mass",
                     code="weighing.no_motion",
                 ) from error
             p_tool_com = self._told(weight, grasp)
@@ -182,7 +182,7 @@ class Weighing:
             self._motions.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, weight.mass, p_tool_com))
         except PlanningError as error:
             raise WeighingError(
-                f"the arm weighs the tool: {in_words(weight)}, and cannot carry it: {error}. Use a lighter hammer",
+                f"the arm weighs the tool: {in_words(weight)}. It cannot carry it: {error}. Use a lighter hammer",
                 code="weighing.too_heavy",
             ) from error
         self.weight = weight
@@ -190,7 +190,7 @@ class Weighing:
 
     def _to_handover(self, held: HeldTool | None) -> None:
         motions, config = self._motions, self._config
-        assert self._qs, "the empty hand is felt before the handover"
+        assert self._qs, "the empty hand is weighed before the handover"
         if not _same(motions.q, self._qs[0]):
             way = plan_transfer(self._robot, config, motions.world(held), motions.q, self._qs[0])
             motions.transfer("to the handover", way, held, config.supervisor.handover_speed)
@@ -223,15 +223,15 @@ class Weighing:
         moment = weight.mass * weight.center_sigma
         if weight.mass_sigma > min(LARGEST_SIGMA, LARGEST_SHARE * weight.mass) or moment > LARGEST_MOMENT:
             raise WeighingError(
-                f"the arm weighs the tool too inexactly for a strike: {in_words(weight)}. See that nothing touches "
-                "arm, hand and tool, and that no cable pulls; or weigh it on scales, balance it on an edge, and write "
+                f"the arm's weighing is too inexact for a strike: {in_words(weight)}. Keep arm, hand and tool free "
+                "of contact and pulling cables. Or weigh the tool on scales, balance it on an edge, and write "
                 "tool.mass and tool.center_of_mass",
                 code="weighing.uncertain",
             )
         if weight.mass > planned:
             raise WeighingError(
-                f"the arm weighs the tool: {in_words(weight)}; the job is planned for {planned:.1f} kg at most. Use a "
-                "lighter hammer; or weigh it on scales and write tool.mass and tool.center_of_mass",
+                f"the arm weighs the tool: {in_words(weight)}. The job is planned for at most {planned:.1f} kg. Use "
+                "a lighter hammer, or weigh it on scales and write tool.mass and tool.center_of_mass",
                 code="weighing.too_heavy",
             )
 
