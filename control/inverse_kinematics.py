@@ -58,8 +58,8 @@ class InverseKinematics:
         off = float(np.abs(turn - arm.fk(-probe) @ inverse(dh.fk(-probe))).max())
         if not off < LARGEST_DEVIATION:
             raise AssetError(
-                f"the kinematics are not those of a UR arm: they deviate by {off:.2g} (m or rad) where a factory's "
-                "calibration does by some 0.01: check arm.calibration and arm.model",
+                f"the kinematics are not those of a UR arm: they differ by {off:.2g} (m or rad), a factory "
+                "calibration by about 0.01. Check arm.calibration and arm.model",
                 code="asset.kinematics",
             )
         self._X_dh_base = inverse(turn)

@@ -96,8 +96,8 @@ def check_place(state: ArmState) -> None:
     off = float(np.max(np.abs(state.joints.q - state.q_commanded)))
     if not off <= OFF_COMMAND:  # NaN included
         raise LimitError(
-            f"the arm stands {off:.3f} rad from where it was commanded (allowed {OFF_COMMAND}): has somebody moved it, "
-            "or does it lean on something? Free it, reset it, then plan from its present state",
+            f"the arm stands {off:.3f} rad from its commanded position (allowed {OFF_COMMAND}). Somebody has moved "
+            "it, or it leans on something. Free it, reset it, then plan from its present state",
             code="limit.off_command",
         )
 

@@ -142,8 +142,8 @@ def weigh(
     turn = float(np.arccos(np.clip((directions @ directions.T).min(), -1.0, 1.0))) if len(held) else 0.0
     if len(held) < LEAST_READINGS or turn < LEAST_TURN:
         raise WeighingError(
-            f"the arm has felt the tool in {len(held)} orientations within {np.rad2deg(turn):.0f}°, and needs "
-            f"{LEAST_READINGS} over {np.rad2deg(LEAST_TURN):.0f}° or more: clear the space around the handover, or "
+            f"the arm has weighed the tool in {len(held)} orientations within {np.rad2deg(turn):.0f}°, and needs "
+            f"{LEAST_READINGS} over {np.rad2deg(LEAST_TURN):.0f}° or more. Clear the space around the handover, or "
             "weigh the tool on scales and write tool.mass and tool.center_of_mass",
             code="weighing.orientations",
         )
@@ -158,15 +158,15 @@ def weigh(
     mass_sigma = float(np.sqrt(covariance[0, 0]))
     if abs(contradiction) > LARGEST_CONTRADICTION:
         raise WeighingError(
-            f"the arm feels a tool of {mass:.2f} kg against the empty hand, and of {mean_of_held[0]:.2f} kg by turning "
-            "it: one of the two is wrong. See that nothing touched arm and hand while the hand was empty and since, "
-            "and that hand.weighed is right; or weigh the tool on scales and write tool.mass and tool.center_of_mass",
+            f"two weighings disagree: {mass:.2f} kg against the empty hand, and {mean_of_held[0]:.2f} kg by turning "
+            "the tool. Keep arm and hand free of contact, and check hand.weighed. Or weigh the tool on scales and "
+            "write tool.mass and tool.center_of_mass",
             code="weighing.uncertain",
         )
     if not mass > 2.0 * mass_sigma:
         raise WeighingError(
-            f"the arm feels a tool of {mass:.2f} ± {mass_sigma:.2f} kg, which may be none: see whether the hand holds "
-            "it, or weigh it on scales and write tool.mass and tool.center_of_mass",
+            f"the arm feels a tool of {mass:.2f} ± {mass_sigma:.2f} kg, which may be no tool. Check whether the "
+            "hand holds it, or weigh it on scales and write tool.mass and tool.center_of_mass",
             code="weighing.not_held",
         )
     J = np.column_stack([-moment / mass**2, np.eye(3) / mass])

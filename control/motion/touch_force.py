@@ -130,8 +130,8 @@ def check_offset(wrench: Array) -> None:
     """
     if (force := float(np.linalg.norm(wrench[:3]))) > LARGEST_OFFSET:
         raise DeviceError(
-            f"the arm feels {force:.0f} N at rest, more than an offset of its reading can be: free what it touches "
-            "or set the payload right, then zero the force again",
+            f"the arm feels {force:.0f} N at rest, more than the sensor's offset. Free what it touches or correct "
+            "the payload, then zero the force again",
             code="device.wrench_too_large",
         )
 

@@ -101,8 +101,8 @@ def plan_strike(
         if plan.brake_length <= yields:
             return plan
         failure = failure or LimitError(
-            f"the arm needs {plan.brake_length * 1e3:.0f} mm to stop behind the contact, and the "
-            f"{robot.description.hand.label} yields by no more than {yields * 1e3:.0f} mm at this tool's face: lower "
+            f"the arm needs {plan.brake_length * 1e3:.0f} mm to stop behind the contact, but the "
+            f"{robot.description.hand.label} yields only {yields * 1e3:.0f} mm at this tool's face: lower "
             "strike.speed, or take a mount with more travel",
             code="limit.yield_travel",
         )
@@ -324,7 +324,7 @@ def _time(
         # A part of the torque is that of the speed, which braking less hard does not change: hence the rounds.
         brake *= 0.98 / most
     raise LimitError(
-        f"a strike at {limits.speed:.2f} m/s takes more than {TORQUE_SHARE:g} of a joint's torque: lower strike.speed, "
-        "move the block nearer to the arm, or take a lighter hammer",
+        f"a strike at {limits.speed:.2f} m/s needs more than {TORQUE_SHARE:g} of a joint's torque: lower "
+        "strike.speed, move the block nearer to the arm, or take a lighter hammer",
         code="limit.torque",
     )

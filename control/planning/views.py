@@ -160,8 +160,8 @@ def plan_views(
         except (CollisionError, LimitError):  # hand or tool would leave the workspace on the way
             continue
     raise CollisionError(
-        f"fewer than {count} views of the tool are free of collisions and within the workspace: clear the space before "
-        "the camera, or move it",
+        f"fewer than {count} views of the tool are free of collisions and within the workspace: clear the space in "
+        "front of the camera, or move it",
         code="collision.views",
     )
 

@@ -142,7 +142,7 @@ def motion_fault(
     if status is ArmStatus.PROTECTIVE_STOP and found is not None:
         return ProtectiveStopError, f"the robot made a protective stop: {found}: find out why, release it at the robot"
     if status is not ArmStatus.READY:
-        return ProtectiveStopError, f"the robot stopped itself ({status}): find out why, release it at the robot"
+        return ProtectiveStopError, f"the robot stopped itself ({status}). Find out why, then release it at the robot"
     if age > watch.data_cycles / log.rate + 1e-9:
         return LinkLostError, f"no data from the arm for {age * 1e3:.0f} ms: check its network link"
     # An old reading says nothing about the current tracking error.

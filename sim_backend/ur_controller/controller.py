@@ -369,8 +369,8 @@ def _check(options: ControllerOptions) -> None:
         raise UserError(message, code="user.robot_model")
     if not is_loopback(options.host):
         raise UserError(
-            f"{options.host!r} is not a loopback address: the stand-in serves this machine only. Use --host 127.0.0.2, "
-            "127.0.0.3, ...",
+            f"{options.host!r} is not a loopback address: the emulated controller serves this computer only. Use "
+            "--host 127.0.0.2, 127.0.0.3, ...",
             code="user.not_loopback",
         )
     if options.profile not in get_args(ProfileName):

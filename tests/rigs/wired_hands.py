@@ -90,7 +90,7 @@ HANDS = {
     "inspire_tcp": _inspire("Inspire Modbus-TCP", TCP),
     "shadow": WiredHand(
         HandConfig("shadow_right", efforts=EFFORTS), "Shadow Hand", 55.0, "heat FFJ3 75", "jam MFJ3", 6.0, 15.0,
-        Unheard("controllers off", "its controllers do not do what it is told", "device.hand_command", 6.0), rest=0.4,
+        Unheard("controllers off", "its controllers do not follow commands", "device.hand_command", 6.0), rest=0.4,
     ),
     "robotiq": _robotiq("robotiq_2f85", "Robotiq 2F-85"),
     "robotiq_2f140": _robotiq("robotiq_2f140", "Robotiq 2F-140"),

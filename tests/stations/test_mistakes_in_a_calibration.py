@@ -90,11 +90,11 @@ def _depth_in_millimetres(folder: Path) -> list[str]:
 @pytest.mark.parametrize(
     ("mistake", "words"),
     [
-        (_other_print, "measure the scale bars of the print again"),
+        (_other_print, "Measure the scale bars of the print again"),
         (_swapped_poses, "They fit with x and y swapped"),
         (_swapped_camera, "the board on another robot; or x and y are swapped there"),
         (_turned_camera, "the station file's `frame` names the other base"),
-        (_depth_in_millimetres, "depth_unit, the length of one step of the depth images, is wrong"),
+        (_depth_in_millimetres, "so depth_unit is wrong"),
     ],
 )
 def test_a_calibration_from_images_names_the_mistake(

@@ -81,9 +81,7 @@ def test_what_feigns_a_contact_with_more_than_a_touch_may_press_ends_it(bench: B
     bench.arm._sensor._errors = Dragging(14.0)
     with raises(DeviceError, code="device.force_noise") as ended:
         rig.error(0.010)
-    assert f"rose above 8 N {MAX_PHANTOMS} times, at last 12 N, without contact on the way to the nail" in str(
-        ended.value
-    )
+    assert f"above 8 N {MAX_PHANTOMS} times, at last 12 N, without contact on the way to the nail" in str(ended.value)
     assert rig.log.motions.count("touch the nail") == MAX_PHANTOMS
 
 

@@ -48,7 +48,7 @@ app.run_job = run_job
 )
 """The command with a stand-in for the job: it asks at the terminal, and stops its arm on Ctrl-C."""
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
-ANSWERS = {"go on later?": "r", "in mm,": "0.3", "does it lean": "n", "slip in the hand?": "n", "done again?": "y"}
+ANSWERS = {"continue later?": "r", "in mm,": "0.3", "does it lean": "n", "slip in the hand?": "n", "done again?": "y"}
 
 
 def written(folder: Path, **fields: object) -> Path:
@@ -72,7 +72,7 @@ def test_the_job_has_the_terminal_and_the_person_answers_both(tmp_path: Path) ->
 def test_ctrl_c_in_a_job_stops_the_job_alone_and_the_person_measures_it(tmp_path: Path, by: str) -> None:
     plan = written(tmp_path, trials=1)
     with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
-        terminal.wait_for(["go on later?"])
+        terminal.wait_for(["continue later?"])
         terminal.answer("r")
         terminal.wait_for(["moving?"])
         if by == "SIGTERM":
@@ -88,7 +88,7 @@ def test_ctrl_c_in_a_job_stops_the_job_alone_and_the_person_measures_it(tmp_path
 def test_ctrl_c_at_a_question_stops_and_the_same_command_goes_on(tmp_path: Path) -> None:
     plan = written(tmp_path)
     with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
-        terminal.wait_for(["go on later?"])
+        terminal.wait_for(["continue later?"])
         terminal.answer("r")
         terminal.wait_for(["moving?"])
         terminal.answer("go")
@@ -97,7 +97,7 @@ def test_ctrl_c_at_a_question_stops_and_the_same_command_goes_on(tmp_path: Path)
         assert terminal.until_end({}) == 130, terminal.text
     assert [event.what for event in read_results(load_plan(plan), tmp_path / "out")[1]][-1] is Happened.STOPPED
     with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
-        assert terminal.wait_for(["in mm,", "go on later?"]) == "in mm,", "the job was done: only measure"
+        assert terminal.wait_for(["in mm,", "continue later?"]) == "in mm,", "the job was done: only measure"
         terminal.answer("0.3")
         assert terminal.until_end({**ANSWERS, "moving?": "go"}) == 0, terminal.text
     assert len(read_results(load_plan(plan), tmp_path / "out")[0]) == 2

@@ -115,8 +115,8 @@ def calibrate_intrinsics(
     covered = len(covered_parts(views, size)) / CELLS**2
     if covered < COVERED:
         raise UserError(
-            f"the board was seen in {100 * covered:.0f} % of the image, {100 * COVERED:.0f} % are needed: hold it into "
-            "the corners, too",
+            f"the board covered {100 * covered:.0f} % of the image, and {100 * COVERED:.0f} % are needed: show it "
+            "in the corners, too",
             code="user.intrinsics_coverage",
         )
     corners = sum(len(view.ids) for view in views)
@@ -139,8 +139,8 @@ def calibrate_intrinsics(
     relative = float(max(sigma[0] / K[0, 0], sigma[1] / K[1, 1]))
     if relative > FOCAL_ERROR:
         raise UserError(
-            f"the focal length is uncertain by {100 * relative:.1f} %: tilt the board by 30 to 45° in most views; a "
-            "board that faces the camera tells nothing about it",
+            f"the focal length is uncertain by {100 * relative:.1f} %. Tilt the board by 30 to 45° in most views; a "
+            "board that faces the camera does not help",
             code="user.intrinsics_undetermined",
         )
     width, height = size

@@ -142,7 +142,7 @@ def see_nail(
     view = find_board(rgb, board)
     if view is None:
         raise UserError(
-            "no board is seen in the image: is it the sheet that was named, whole, flat, well lit, and near enough?",
+            "no board is seen in the image. Check --sheet, and that the board is whole, flat, well lit and near",
             code="user.board_not_seen",
         )
     seen = see_board(camera, board, view, rgb)
@@ -222,9 +222,9 @@ def check_height(
     off = wood_height - foot[2]
     if off**2 > (sigma**2 + protrusion_error**2) * chi2.ppf(AGREES, 1):
         raise UserError(
-            f"by the touches of its head and of the wood the nail stands {(head[2] - wood_height) * 1e3:.1f} mm over "
-            f"the wood, and work.nail_protrusion says {protrusion * 1e3:.1f}: measure it again, and touch again what "
-            "was not the middle of the head or not the wood",
+            f"by touch the nail stands {(head[2] - wood_height) * 1e3:.1f} mm over the wood, but "
+            f"work.nail_protrusion says {protrusion * 1e3:.1f}. Measure it again, and repeat touches that missed "
+            "the middle of the head or the wood",
             code="user.nail_disagrees",
         )
 
@@ -256,9 +256,9 @@ def combine(
     off, both = entry - seen.entry, covariance + seen.covariance
     if off @ np.linalg.solve(both, off) > chi2.ppf(AGREES, 3):
         raise UserError(
-            f"camera and touches disagree by ({off[0] * 1e3:+.1f}, {off[1] * 1e3:+.1f}, {off[2] * 1e3:+.1f}) mm, more "
-            "than their errors explain: check the tip (`toolee calibrate mount`), the place of the nail on the board, "
-            "its height over the wood, and the camera's calibration (`toolee calibrate check`)",
+            f"camera and touches disagree by ({off[0] * 1e3:+.1f}, {off[1] * 1e3:+.1f}, {off[2] * 1e3:+.1f}) mm, "
+            "more than their errors explain. Check the tip (`toolee calibrate mount`), the nail's position on the "
+            "board, the board's height above the wood, and the camera (`toolee calibrate check`)",
             code="user.nail_disagrees",
         )
     gain = seen.covariance @ np.linalg.inv(both)

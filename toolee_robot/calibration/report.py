@@ -119,10 +119,10 @@ def calibration_report(record: CalibrationRecord, folder: Path, signature: str, 
         page.paragraph(f"Fewer than two views each: {', '.join(missing)}. More of these make the result safer.")
     page.section("How far it can be relied on")
     page.paragraph(
-        "Size of the region that has the true place of a point with a probability of 95 %, by the point's distance on "
-        "the optical axis. It holds the noise of corners, arm and board scale, estimated from these poses. It does not "
-        "hold errors that all poses share: wrong intrinsics, or kinematics of the arm that are off in the same way "
-        "everywhere. Only a touch test tells those: toolee calibrate check."
+        "Size of the region that has the true place of a point with a probability of 95 %, by the point's distance "
+        "on the optical axis. It includes the noise of corners, arm and board scale, estimated from these poses. "
+        "It excludes errors that all poses share, such as wrong intrinsics or kinematics. Only a touch test finds "
+        "those: toolee calibrate check."
     )
     page.table(["distance", "half axes of the region, mm"], [_region(record, z) for z in _DISTANCES])
     page.heading("Touch tests")

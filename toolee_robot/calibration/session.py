@@ -190,8 +190,8 @@ def _flange(pose: SessionPose, session: Session, fk: Callable[[Array], Array]) -
                 code="user.calibration_half_turn",
             )
         raise UserError(
-            f"{pose.image}: X_base_flange is {np.linalg.norm(X[:3, 3] - by_joints[:3, 3]) * 1e3:.0f} mm from where the "
-            "joint positions have the flange: is a TCP set that is not at the flange, or is it another arm's model?",
+            f"{pose.image}: X_base_flange is {np.linalg.norm(X[:3, 3] - by_joints[:3, 3]) * 1e3:.0f} mm from the "
+            "flange by the joint positions. Is a TCP set, or is it another arm's model?",
             code="user.calibration_kinematics",
         )
     return X
@@ -229,8 +229,8 @@ def _checked(image: object, path: Path, intrinsics: CameraIntrinsics) -> NDArray
     array = np.asarray(image)
     if array.ndim != 2 or array.shape != (intrinsics.height, intrinsics.width):
         raise UserError(
-            f"{path} is {array.shape}, the intrinsics are for {(intrinsics.height, intrinsics.width)} (height, width): "
-            "give those of this stream at this resolution",
+            f"{path} is {array.shape}, but the intrinsics are for {(intrinsics.height, intrinsics.width)} (height, "
+            "width). Give the intrinsics of this stream and resolution",
             code="user.image_size",
         )
     return array

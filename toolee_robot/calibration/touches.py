@@ -326,8 +326,8 @@ def cause(check: TouchCheck) -> str:
     seen, touched = np.array(check.seen), np.array(check.touched)
     if np.linalg.norm(HALF_TURN[:3, :3] @ touched - seen) < max(3 * check.allowed, 0.02):
         return (
-            "The two agree after half a turn about the base's z: the touched place is in the other frame of the base; "
-            "look at --frame"
+            "The two agree after half a turn about the base's z: the touched point is in the other frame of the "
+            "base. Check --frame"
         )
     if np.linalg.norm(touched) > 10.0:
         return "The touched place is no metres."

@@ -76,7 +76,7 @@ def fit_wood(p: Array, at: Array, *, repeat: float, common: float) -> WoodPlane:
     """
     if len(p) < MIN_TOUCHES:
         raise UserError(
-            f"{len(p)} touches of the wood: give {MIN_TOUCHES} or more, and a fourth to notice a wrong one",
+            f"{len(p)} touches of the wood: give {MIN_TOUCHES} or more; a fourth reveals a wrong one",
             code="user.wood_few_touches",
         )
     _check_spread(p[:, :2])
@@ -126,7 +126,7 @@ def _check_flat(A: Array, residuals: Array, sigma: float) -> None:
         least, most = np.min(np.abs(off)) * 1e3, np.max(np.abs(off)) * 1e3
         raise UserError(
             f"the four touches of the wood are not on a plane: each is {least:.1f} to {most:.1f} mm off that of the "
-            f"others, {more}: one was on something else; touch once more, which tells the wrong one; {warped}",
+            f"others, {more}. One met something else. Touch once more to find it; {warped}",
             code="user.wood_not_flat",
         )
     # The most unlikely one, by how well the plane of the others is known at its place.

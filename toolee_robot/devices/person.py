@@ -69,7 +69,7 @@ class Contact:
         self._broken = reading is False and steady >= DEBOUNCE
         if reading is None and steady >= DISCREPANCY:
             both = "high: one is stuck or short-circuited" if self._bit(bits, self._made_input) else "low: unplugged"
-            self.fault = f"both contacts of the {self._name} are {both}; mend it, then operate it once"
+            self.fault = f"both contacts of the {self._name} are {both}. Repair it, then operate it once"
         elif self._broken:
             self.fault = ""
         self._made = reading is True and steady >= DEBOUNCE and not self.fault
@@ -279,8 +279,8 @@ def check_wired(config: StationConfig) -> PersonConfig:
     """
     if config.person is None:
         raise ConfigError(
-            "the station file has no `person`: enter the inputs of door and hold-to-run switch; without them nobody "
-            "knows where people are, and nothing fast moves",
+            "the station file has no `person`. Enter the inputs of door and hold-to-run switch; without them "
+            "nothing fast moves",
             code="config.no_person",
         )
     return config.person
@@ -329,7 +329,7 @@ def _check(
     for prompt, state in list(zip(prompts, wanted, strict=True))[int(settled) :]:
         tell(f"{prompt} (within {timeout:.0f} s)")
         if not _reads(reading, state, clock, timeout):
-            remedy = "mend it, then look again; nothing fast may move until both are seen to change"
+            remedy = "repair it, then check again; nothing fast may move until both are seen to change"
             return fail(name, _cause(name, prompt, reading(), person), remedy)
     return ok(name, "every change was seen")
 
@@ -340,7 +340,7 @@ def _cause(name: str, prompt: str, made: bool | None, person: DigitalInputPerson
     if fault := next((fault for fault in person.faults if name in fault), ""):
         return asked + fault.partition(";")[0]
     if made is None:
-        return asked + "its inputs cannot be read for certain: no data, or contacts that go on bouncing"
+        return asked + "its inputs are unreliable: no data, or bouncing contacts"
     if made:
         return asked + "its input stays high: stuck, bridged, or another one's number"
     return asked + "its input stays low: unplugged, stuck, or another one's number"

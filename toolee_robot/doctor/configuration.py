@@ -55,7 +55,7 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
     if not wrong:
         yield ok("limits", f"within the {arm.model}'s; {load:.1f} kg of {payload:.1f} kg payload")
     if model.hand.yielding is None and config.strike.deepest is None:
-        message = f"the {model.hand.label} has no wrist that yields, and the arm goes on behind the contact"
+        message = f"the {model.hand.label} has no compliant wrist, and the arm moves on behind the contact"
         yield fail("strike.deepest", message, "give strike.deepest, 0.01 m: every strike then turns back there")
     if supervisor.handover_speed > REDUCED_SPEED:
         message = f"handovers at up to {supervisor.handover_speed} m/s"
@@ -94,7 +94,7 @@ def check_sides(config: StationConfig) -> Finding:
     return warn(
         "sides",
         f"{', '.join(behind)}: behind the arm at home, by about half a turn about the base's z",
-        f"look at it with `toolee station show`: if it is not so in your cell, {cause} (x and y have the other sign)",
+        f"compare it with `toolee station show`. If your cell differs, {cause} (x and y have the other sign)",
     )
 
 
@@ -122,8 +122,8 @@ def check_contacts(config: StationConfig) -> Iterator[Finding]:
     single = [device for device in devices if device[-1] is None]
     for name, device, reading, field, _ in single:
         message = (
-            f"the {device} has one contact: stuck high or bridged it reads as {reading}, which nothing tells but a "
-            "change that does not come"
+            f"the {device} has one contact: stuck high or bridged it reads as {reading}, and only a missing change "
+            "reveals that"
         )
         remedy = f"wire its second, antivalent contact and give person.{field}; until then, before a session: "
         yield warn(name, message, f"{remedy}`toolee doctor --inputs`")
@@ -169,7 +169,7 @@ def check_calibration(
     """
     calibration = config.calibration
     if calibration is None and slow:
-        message = "none: no job, and no look with the camera; the slow motions of `toolee arm` need none"
+        message = "none: no job and no look with the camera, only the slow motions of `toolee arm`"
         return warn("calibration", message, "`toolee calibrate camera` when the arm moves as it should")
     if calibration is None:
         return fail("calibration", "none", "calibrate the camera to the robot, enter it in the station file")

@@ -211,9 +211,7 @@ def check_stream(sample: StreamSample, camera: StreamedCamera) -> Iterator[Findi
     wanted = camera.profile.fps
     message = f"{sample.rate:.1f} of {wanted:g} frames a second"
     if sample.rate < RATE * wanted:
-        yield warn(
-            "rate", message, "look for load on this machine, and plug the camera into a port of USB 3 of its own"
-        )
+        yield warn("rate", message, "reduce the load on this computer, and plug the camera into its own USB 3 port")
     else:
         yield ok("rate", message)
     spread = float(np.quantile(sample.ages, 0.95) - min(sample.ages))
@@ -294,8 +292,8 @@ def check_holes(frame: RgbdFrame, tool: NDArray[np.bool_] | None) -> Finding:
     message = f"{holes:.0%} of the tool and {everywhere} without depth"
     near, far = DISTANCE
     remedy = (
-        f"hold it {near:.2f} to {far:.2f} m away, as in a job's views, for nothing nearer than "
-        "camera.device.least_range has a depth; then matt spray or tape on chrome, and less direct light"
+        f"hold it {near:.2f} to {far:.2f} m away, as in a job's views: nothing nearer than "
+        "camera.device.least_range has depth. Then use matt spray or tape on chrome, and less direct light"
     )
     if holes > TOO_MANY_HOLES:
         return fail("holes", message, remedy)

@@ -57,7 +57,7 @@ def check_frames(state: UrState, config: StationConfig, jogged_point: Array | No
     shown = f"the pendant shows {_mm(jogged_point)}"
     if away <= TOLERANCE:
         if np.hypot(tcp[0], tcp[1]) < ON_AXIS:
-            remedy = "jog it away from the base's axis, where half a turn shows, and read it again"
+            remedy = "jog it away from the base's axis and read it again, because half a turn does not show there"
             yield warn(name, f"{shown}, as the robot reports", remedy)
         else:
             yield ok(name, f"{shown}, {away * 1e3:.1f} mm from what the robot reports in {BaseFrame.PENDANT_BASE}")
@@ -89,7 +89,11 @@ def _cause(point: Array, tcp: Array, flange: Array, state: UrState, model: ArmMo
     read_in_base = "read the Move screen with the feature Base and the TCP that is active there"
     causes = [
         (turn @ tcp, f"half a turn about z, this is {BaseFrame.BASE_LINK}", f"{read_in_base}; not ROS's base_link"),
-        (flange, "it is the flange's place, without the TCP", "set the TCP in the installation to zero, read it again"),
+        (
+            flange,
+            "it is the flange's position, without the TCP",
+            "set the TCP in the installation to zero, read it again",
+        ),
         (turn @ flange, "half a turn about z, and the flange without the TCP", read_in_base),
         (
             DhParameters.of(other).fk(q)[:3, 3],
@@ -154,7 +158,7 @@ def check_mounting(state: UrState, config: StationConfig) -> Finding:
         OK; FAIL for another mounting; WARN where nothing can be concluded.
     """
     felt = state.accelerometer
-    look = "look whether the base stands as arm.up of the station file and PolyScope's Mounting page say"
+    look = "compare the base with arm.up of the station file and with PolyScope's Mounting page"
     if felt is None:
         return warn(NAME, "this PolyScope does not report the tool's accelerometer", look)
     size = float(np.linalg.norm(felt))

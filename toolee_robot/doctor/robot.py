@@ -104,7 +104,7 @@ def check_force(force: ForceAtRest, config: StationConfig) -> Finding:
     name, strike = "force", config.strike
     message = f"at rest |F| is {force.mean:.1f} N, sd {force.sd:.1f} N; offset {force.offset:.1f} N"
     if force.offset > OFFSET:
-        return fail(name, message, "correct the payload, or take away what the arm leans against")
+        return fail(name, message, "correct the payload, or remove what the arm leans against")
     try:
         touch = touch_settings(force.forces, force.rate, strike)
     except DeviceError as error:

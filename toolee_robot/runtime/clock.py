@@ -57,9 +57,8 @@ def check_real_time_factor(real_time_factor: float, host: str) -> None:
         )
     if real_time_factor != 1.0 and not is_loopback(host):
         raise UserError(
-            f"real-time factor {real_time_factor} for {host!r}: a real robot runs in real time; only a stand-in on a "
-            "loopback address "
-            "(127.0.0.2, ...) may run slower"
+            f"real-time factor {real_time_factor} for {host!r}: a real robot runs in real time. Only an emulated "
+            "one on a loopback address (127.0.0.2, ...) may run slower"
         )
 
 

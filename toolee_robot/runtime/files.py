@@ -49,7 +49,7 @@ def written_whole(path: Path) -> Iterator[Path]:
             raise
     except OSError as error:
         raise UserError(
-            f"cannot write {path}: {words_of(error)}; choose another place", code="user.not_writable"
+            f"cannot write {path}: {words_of(error)}. Choose another place", code="user.not_writable"
         ) from error
 
 

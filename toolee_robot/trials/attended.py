@@ -181,10 +181,10 @@ def _height(question: str, length: float, ask: Ask, tell: Callable[[str], object
             continue
         if DEEPEST <= height <= length:
             return height
-        tell(f"{answer} mm: the nail is {length:g} mm long; give the height of its head over the wood in mm")
+        tell(f"{answer} mm: the nail is {length:g} mm long. Give the height of its head over the wood in mm")
 
 
-READY = "r: it is so, begin; s: skip this trial; q: stop, and go on later? "
+READY = "r: ready, begin; s: skip this trial; q: stop, and continue later? "
 """The question before each trial."""
 COUNTS = "Was all as the plan says, so that the trial counts, however it ended? y: it counts, n: it is done again? "
 """The question after each trial."""
@@ -228,8 +228,8 @@ def lead_trials(plan: TrialPlan, folder: Path, ask: Ask, tell: Tell, job: Job) -
                 if trial not in results.done:
                     if (stops := _stops(results.events)) >= MAX_STOPS:
                         tell(
-                            f"the arm was stopped {stops} times with the tool in the hand in this session: find the "
-                            "cause (payload, speed of the strike, what it meets) before the next trial"
+                            f"the arm was stopped {stops} times with the tool in the hand in this session. Find the "
+                            "cause before the next trial: payload, strike speed, or an obstacle"
                         )
                         raise _Stopped
                     _Led(results, ask, tell, job, plan).lead(task_of(plan, trial, folder), f"{i + 1} of {len(order)}")
@@ -246,8 +246,8 @@ def _check(plan: TrialPlan, station: StationConfig) -> None:
     for tool in plan.tools:
         if isinstance(tool, str) and tool != own:
             raise ConfigError(
-                f"tools: the station file's tool is {own or 'not given'}, and the plan says {tool}: give the plan its "
-                "data, as `tool` of a station file; a job that is told another hammer's does not strike with its face",
+                f"tools: the station file's tool is {own or 'not given'}, the plan's {tool}. Give the plan the "
+                "tool's data, as `tool` of a station file; with another hammer's data the face misses",
                 code="config.plan",
             )
     for nail in plan.nails:
@@ -333,13 +333,13 @@ class _Led:
         except (TooleeError, KeyboardInterrupt) as error:
             reason = str(error) or "it was interrupted before it began"
             results.note(Happened.NOT_BEGUN, trial, reason=reason)
-            self.tell(f"The job came to no end of its own, and does not count: {reason}")
+            self.tell(f"The job did not end by itself, and does not count: {reason}")
             return
         results.note(Happened.ENDED, trial, figures={**figures, "begun": begun}, command=task.command)
 
     def _measure(self, task: Task, number: str, figures: dict[str, Any]) -> None:
         trial, results = task.trial, self.results
-        self.tell(f"Trial {number}: measure, without regard to what the robot says.")
+        self.tell(f"Trial {number}: measure, whatever the robot reports.")
         judgement = judged(task.spec.source.config, _nails(task), self.ask, self.tell)
         made = judgement.outcome(figures)
         if not yes(COUNTS, self.ask):

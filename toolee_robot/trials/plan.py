@@ -161,8 +161,8 @@ class TrialPlan:
                 yield f"{name}: each one once"
         if (Variant.PAPER in self.arms) != bool(self.paper_weights):
             yield (
-                "paper_weights: the arm `paper` needs the folder of a training of the paper's estimator, and no other "
-                "arm does; without it `toolee sim hammer --variant paper` tells how it is trained"
+                "paper_weights: the variant `paper`, and no other, needs the folder of a training of the paper's "
+                "estimator. Without it `toolee sim hammer --variant paper` says how to train it"
             )
         if never := sorted(set(self.left_out) - set(range(self.first_seed, self.seeds[-1]))):
             yield f"left_out: {', '.join(map(str, never))} would not come in this plan"
@@ -175,7 +175,7 @@ class TrialPlan:
 
     def _of_a_person(self) -> Iterator[str]:
         if isinstance(self.where, InSimulation):
-            yield "attended: `where` names no station file, so that nobody knows what a person hands over"
+            yield "attended: `where` names no station file, which says what a person hands over"
         for arm in self.arms:
             if reason := SIMULATED_ONLY.get(arm):
                 yield f"arms: {arm} makes no sense on a robot: {reason}"

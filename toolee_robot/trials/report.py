@@ -130,9 +130,11 @@ def _page(
     if failed:
         page.table(["stage", "outcome", *(arm.replace("_", " ") for arm in made["arms"])], _failures(made), left=2)
         page.paragraph(
-            "The stage is the one in which the job ended; empty in results of versions that did not tell it. Each "
-            "number below leads to the job's picture; its recording opens in Foxglove or Rerun, and toolee replay "
-            "shows the job, given their folder."
+            (
+                "The stage is the one in which the job ended. It is empty in results of old versions. Each number "
+                "below links to the job's picture. Open the recording in Foxglove or Rerun, or show the job with "
+                "toolee replay."
+            )
             + ("" if plan.on_robot else " Where that is not here, the command runs the job again, by today's program.")
         )
         head = [pair, "recording", CONDITIONS, "tool", "stage", "outcome", "reason"]

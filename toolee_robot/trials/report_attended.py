@@ -62,9 +62,8 @@ def attended_section(page: Page, made: dict[str, Any]) -> None:
     if made["rehearsed"]:
         page.paragraph("A rehearsal: every device was emulated, and no nail was measured.")
     page.paragraph(
-        "A nail counts as flush where the person's calipers say so and it is not bent, whatever the robot believes. "
-        "The order of tools, nails, woods and repetitions was drawn from the plan's hash, and in each of them that of "
-        "the arms."
+        "A nail counts as flush if the person's calipers say so and it is not bent, whatever the robot reports. "
+        "The order of tools, nails, woods, repetitions and variants is random, fixed by the plan's hash."
     )
     page.table(
         ["arm", "both say flush", "only the person", "only the robot", "neither"],

@@ -188,7 +188,7 @@ def run_trials(
             left = len(plan.order()) - len(results.done)
             raise TooleeError(
                 f"{len(crashed)} {'job' if len(crashed) == 1 else 'jobs'} crashed, and {left} of the trials are not "
-                f"done: mend the cause; the same command tries them again. The last one: {crashed[-1].reason}",
+                f"done. Fix the cause; the same command tries them again. The last one: {crashed[-1].reason}",
                 code="trials.crashed",
             )
         return results.records

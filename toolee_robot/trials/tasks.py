@@ -192,8 +192,8 @@ def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
     before = {record.figures.get("paper_weights") for record in done if record.trial.arm is Variant.PAPER} - {now}
     if before:
         raise UserError(
-            f"{folder} holds other weights ({now[:12]}) than those of the trials that are done "
-            f"({', '.join(str(one)[:12] for one in before)}): put those back, or give another --out",
+            f"{folder} holds other weights ({now[:12]}) than the finished trials used "
+            f"({', '.join(str(one)[:12] for one in before)}): restore those, or give another --out",
             code="user.other_weights",
         )
 

@@ -93,7 +93,7 @@ class AnnotationPage:
             self._offset = gui.add_text(
                 "Tape offset [mm]",
                 "",
-                hint="How far the depth's origin lies behind the point where the tape begins (camera's data sheet).",
+                hint="How far the depth's origin lies behind the start of the tape (camera's data sheet).",
             )
             self._offset.on_update(self._chosen(lambda: self._session.enter_tape_offset(_number(self._offset.value))))
         self._result = gui.add_markdown("")

@@ -109,8 +109,8 @@ def fit(model: Model) -> Fit:
     scale = float(np.sqrt(max(1.0, cost / redundancy))) if redundancy > 0 else 1.0
     if scale > LARGEST_SCALE:
         raise UserError(
-            f"the clicks contradict each other: their residuals are {scale:.1f} times what a click and the depth are "
-            "off by; undo those with large residuals, and see in the cloud whether the depth there is the tool's",
+            f"the clicks contradict each other: their residuals are {scale:.1f} times the expected error. Undo "
+            "those with large residuals, and check in the cloud whether the depth there is the tool's",
             code="user.clicks_disagree",
         )
     X, covariance, sigma = _pose(model, parameters, kept, scale)

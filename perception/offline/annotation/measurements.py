@@ -190,9 +190,9 @@ def sample_depth(
             pixels = rows[near] * width + columns[near]
             return DepthSample(at.mean(0), float(np.median(z[near])), pixels, _scatter(at, z[near]), correlation)
     raise UserError(
-        f"there is no depth of the tool about {u}, {v} (at least {LEAST} pixels of one surface are needed): click "
-        "where the cloud shows it; if it has a hole there, photograph again from a little "
-        "aside, and shield shiny steel from the lamp",
+        f"there is no depth of the tool near {u}, {v} (at least {LEAST} pixels of one surface are needed). Click "
+        "where the cloud shows it. If the cloud has a hole there, photograph again from a little aside, and shield "
+        "shiny steel from the lamp",
         code="user.no_depth_at_click",
     )
 

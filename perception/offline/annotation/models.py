@@ -70,8 +70,8 @@ class AxisModel:
         pixels = self._diameter * measured.camera.fx / float(np.median(points[:, 2]))
         if pixels < THINNEST:
             raise UserError(
-                f"the shaft is {pixels:.1f} pixels wide, too thin for this camera's depth, which is mixed with what "
-                f"lies behind: photograph it from nearer, so that it has {THINNEST:g}",
+                f"the shaft is {pixels:.1f} pixels wide, too thin for this camera's depth, which mixes it with the "
+                f"background. Photograph it from nearer, so that it has {THINNEST:g}",
                 code="user.too_thin",
             )
         self._across = np.linalg.svd(self._direction[None])[2][1:]
@@ -307,8 +307,8 @@ class PlaneModel:
         angle = angle_between(self._normal, -self._m.rays(m.pixel))
         if angle > STEEPEST:
             raise UserError(
-                f"the surface is seen at {np.rad2deg(angle):.0f} degrees from its normal, of which a photograph tells "
-                "no pose: leave this end out, or undo a wrong click on the surface",
+                f"the surface is seen at {np.rad2deg(angle):.0f} degrees from its normal, too flat for a pose. "
+                "Leave this end effector out, or undo a wrong click on the surface",
                 code="user.too_oblique",
             )
         return angle

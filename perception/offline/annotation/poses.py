@@ -144,8 +144,8 @@ def annotate_end(frame: RgbdFrame, clicked: ClickedEnd, tape_offset_mm: float | 
 def _tape(found: Fit, tape_mm: float, offset_mm: float | None) -> Check:
     if offset_mm is None:
         raise UserError(
-            "a distance was measured by tape, but not where the tape begins: enter how far the depth's origin lies "
-            "behind that point (the camera's data sheet; 0 if the tape begins at the origin)",
+            "a distance was measured by tape, but the start of the tape is missing. Enter how far the depth's "
+            "origin lies behind it (the camera's data sheet; 0 if the tape begins at the origin)",
             code="user.tape_offset_missing",
         )
     line = 1000.0 * found.X_camera_ee[:3, 3] - np.array([0.0, 0.0, offset_mm])

@@ -267,8 +267,8 @@ class TrainingRun(ABC):
         bad = [name for name, value in values.items() if not math.isfinite(value)]
         if bad:
             raise TooleeError(
-                f"the training of {self.name} stopped at step {self.step}: {', '.join(bad)} not finite. The last good "
-                f"state is {self.checkpoint_path}; lower lr or clip_norm, and the same command goes on from there",
+                f"the training of {self.name} stopped at step {self.step}: {', '.join(bad)} not finite. The last "
+                f"good state is {self.checkpoint_path}. Lower lr or clip_norm, then run the same command again",
                 code="toolee.training_diverged",
             )
 
@@ -297,8 +297,8 @@ class TrainingRun(ABC):
             self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
         except (OSError, EOFError, RuntimeError, KeyError, TypeError, ValueError, UnpicklingError) as error:
             raise UserError(
-                f"cannot go on from {path}, which is damaged or of another network: give another --out, or delete "
-                f"it to begin again. {words_of(error).splitlines()[0]}",
+                f"cannot continue from {path}, which is damaged or of another network. Give another --out, or "
+                f"delete it to begin again. {words_of(error).splitlines()[0]}",
                 code="user.checkpoint",
             ) from error
         self.reseed()

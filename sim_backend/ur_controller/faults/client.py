@@ -58,8 +58,8 @@ class FaultClient:
             self._socket = socket.create_connection((host, port), timeout)
         except OSError as error:
             raise DeviceError(
-                f"no controller stand-in answers on {self._address} ({words_of(error)}): start one with "
-                f"`toolee emulate ur --host {host}`",
+                f"no emulated controller answers on {self._address} ({words_of(error)}): start one with `toolee "
+                f"emulate ur --host {host}`",
                 code="device.no_controller",
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -87,7 +87,7 @@ class FaultClient:
                     raise ConnectionError("closed")
                 self._buffer += data
         except OSError as error:
-            message = f"the controller stand-in on {self._address} does not answer: {words_of(error)}"
+            message = f"the emulated controller on {self._address} does not answer: {words_of(error)}"
             raise DeviceError(message, code="device.no_controller") from error
         line, self._buffer = self._buffer.split(b"\n", 1)
         answer: dict[str, Any] = json.loads(line)

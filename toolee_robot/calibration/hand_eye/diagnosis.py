@@ -109,9 +109,9 @@ def check_scale(scale: tuple[float, float], board: Board) -> None:
     factor, sigma = scale
     if abs(factor - 1.0) > max(SCALE, SIGMAS * sigma):
         raise UserError(
-            f"the squares are not {board.square * 1e3:.2f} mm: by the arm's motions they are "
-            f"{factor * board.square * 1e3:.2f} ± {2 * sigma * board.square * 1e3:.2f} mm; measure the scale bars of "
-            "the print again. If they are right, the focal length or the unit of the arm's positions is wrong",
+            f"the squares are not {board.square * 1e3:.2f} mm: the arm's motions give "
+            f"{factor * board.square * 1e3:.2f} ± {2 * sigma * board.square * 1e3:.2f} mm. Measure the scale bars "
+            "of the print again. If they are right, the focal length or the unit of the arm's positions is wrong",
             code="user.calibration_board_scale",
         )
 
@@ -141,7 +141,7 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
     off = float(np.linalg.norm(place - expected))
     remedy = "measure that again, look for another station's poses, or for the board on another robot"
     if axes_swapped(place, expected):
-        remedy += "; or x and y are swapped there: then correct them, and those of what the camera looks at"
+        remedy += "; or x and y are swapped there: then correct both the camera's position and its target"
     raise UserError(
         f"the camera comes out at {_text(place)} m in base_link, {off:.2f} m from the station file's {_text(expected)} "
         f"m: {remedy}",
@@ -168,13 +168,13 @@ def check_depths(depths: Array, expected: Array) -> None:
         return
     if ratio > 100.0 or ratio < 0.02:
         raise UserError(
-            f"the depth at the board is {ratio:.3g} times what the colour image says: it is not in metres: "
-            "depth_unit, the length of one step of the depth images, is wrong, such as 0.001 for millimetres",
+            f"the depth at the board is {ratio:.3g} times that of the colour image, so depth_unit is wrong. Give "
+            "the length of one depth step in metres, such as 0.001 for millimetres",
             code="user.calibration_depth_unit",
         )
     raise UserError(
-        f"the depth at the board is {ratio:.3f} times what the colour image says: the depth is not registered to the "
-        "colour image, the intrinsics are another stream's, or the board's scale is wrong",
+        f"the depth at the board is {ratio:.3f} times that of the colour image. Either depth is not registered to "
+        "colour, or the intrinsics are another stream's, or the board's scale is wrong",
         code="user.calibration_depth",
     )
 

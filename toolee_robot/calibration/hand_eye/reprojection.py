@@ -250,8 +250,8 @@ def check_motion(Xs_base_flange: Sequence[Array]) -> MotionSpread:
     if not spread.sufficient:
         raise UserError(
             f"the poses turn the board by at most {np.rad2deg(spread.first):.0f}° about one axis and "
-            f"{np.rad2deg(spread.second):.0f}° about any axis across it; {np.rad2deg(MIN_ROTATION):.0f}° about both "
-            "are needed, or the camera's place is undetermined: tilt the board left, right, up and down, and turn it",
+            f"{np.rad2deg(spread.second):.0f}° about any axis across it. Both need {np.rad2deg(MIN_ROTATION):.0f}°. "
+            "Tilt the board left, right, up and down, and turn it",
             code="user.calibration_degenerate",
         )
     return spread

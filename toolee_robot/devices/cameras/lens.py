@@ -189,7 +189,7 @@ class Lens:
                 true += off
                 if np.abs(off).max() < PRECISION / self.intrinsics.fx:
                     return true
-        message = "the lens distorts so much that its pixels have no direction: its coefficients are wrong"
+        message = "the distortion coefficients are wrong: pixels of this lens would have no direction"
         raise NotReadyError(message, code="not_ready.camera_lens")
 
 

@@ -127,7 +127,7 @@ def choose_lens(told: Lens, stated: StatedLens | None, *, undistorted: bool | No
         if not mine.agrees(theirs):
             raise NotReadyError(
                 f"the recording was undistorted to the intrinsics {_text(mine)}, the station file's are "
-                f"{_text(theirs)}: record again with this file, or play it with the one of then",
+                f"{_text(theirs)}: record again with this file, or play it with the old file",
                 code="not_ready.camera_intrinsics",
             )
         return ChosenLens(told, own, told)
@@ -143,8 +143,8 @@ def choose_lens(told: Lens, stated: StatedLens | None, *, undistorted: bool | No
     if stated.distortion is not None and (off := told.largest_difference(stated.lens)) > SAME_LENS:
         raise NotReadyError(
             f"camera.distortion of the station file is not the camera's own: they differ by up to {off:.1f} px, and "
-            "nobody can tell which is right. Leave it out, and the camera's own holds; or measure it by `toolee "
-            "calibrate intrinsics --station`, whose record holds",
+            "one is wrong. Leave it out to use the camera's own, or measure it by `toolee calibrate intrinsics "
+            "--station`",
             code="not_ready.camera_distortion",
         )
     return ChosenLens(told, LensSource.CAMERA, told)
@@ -161,9 +161,9 @@ def _check_near(told: Lens, stated: StatedLens) -> None:
     if off > OTHER_LENS * told.intrinsics.width:
         what = "the record in camera.intrinsics" if stated.measured else "camera.fx and the others"
         raise NotReadyError(
-            f"by {what} pixels are up to {off:.0f} px from where the camera's own intrinsics "
-            f"({_text(told.intrinsics)}) have them: that is another camera's, or another mode's; measure again by "
-            "`toolee calibrate intrinsics --station`",
+            f"{what} shift pixels by up to {off:.0f} px from the camera's own intrinsics "
+            f"({_text(told.intrinsics)}). They belong to another camera or mode. Measure again by `toolee calibrate "
+            "intrinsics --station`",
             code="not_ready.camera_distortion",
         )
 

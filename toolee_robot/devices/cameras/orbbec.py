@@ -41,8 +41,8 @@ def sdk() -> Any:
             ob = importlib.import_module("pyorbbecsdk")
     except ImportError as error:
         raise UserError(
-            f"the Orbbec driver needs pyorbbecsdk2 ({error}): run `python -m pip install --no-deps pyorbbecsdk2`; what "
-            "else it asks for are viewers, and an OpenCV that takes the place of this project's",
+            f"the Orbbec driver needs pyorbbecsdk2 ({error}): run `python -m pip install --no-deps pyorbbecsdk2`. "
+            "Its own dependencies are viewers, and an OpenCV that would replace this project's",
             code="user.missing_package",
         ) from error
     ob.Context.set_logger_to_file(ob.OBLogLevel.NONE, "")

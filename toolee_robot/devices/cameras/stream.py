@@ -186,7 +186,7 @@ class Refusal(StrEnum):
     FROZEN = "its picture is frozen: new stamps on the same pixels"
     UNPAIRED = "colour and depth are of different times"
     LATE = "its frames come late"
-    SETTLING = "its clock is being followed better than before, which puts the frame before the last one"
+    SETTLING = "its clock was corrected, which puts this frame before the last one"
 
 
 class FrameGate:
@@ -270,7 +270,7 @@ class FrameGate:
                 message = f"the camera's {name} image is {image.shape}, its profile says {expected[name]}: restart it"
                 raise DeviceError(message, code="device.camera_format")
         if images.rgb.dtype != np.uint8 or images.depth.dtype not in (np.uint16, np.float32):
-            message = f"the camera gives {images.rgb.dtype} colour and {images.depth.dtype} depth: its driver is wrong"
+            message = f"the camera gives {images.rgb.dtype} colour and {images.depth.dtype} depth: its driver is faulty"
             raise DeviceError(message, code="device.camera_format")
         known = images.depth[::8, ::8]
         known = known[np.isfinite(known) & (known != 0)]

@@ -214,8 +214,9 @@ class AbilityLine:
         self._doubted[header] = (sent, stamp)
         self.counts.unanswered += 1
         raise NoAnswerError(
-            f"no hand {self._address} answers on {self._port.path}: check its power, its two wires, that its UART "
-            "and both stuffings are on (We16, We46, We47), its address, and that hand.port is not another device's",
+            f"no hand {self._address} answers on {self._port.path}. Check its power and its two wires. Its UART and "
+            "both stuffings must be on (We16, We46, We47). Check its address, and that hand.port is not another "
+            "device's",
             code="no_answer.hand_silent",
         )
 
@@ -348,8 +349,8 @@ class AbilityHand(PolledHand[AbilityLine, NDArray[np.bool_]]):
         stamp, reply = line.exchange(degrees) if self.readings else line.find()
         if not self.readings and not reply.touch.any():
             raise DeviceError(
-                "the hand says nothing of its touch pads: it has none, or they are broken, and could not tell what it "
-                "holds; use one with pads, or a mount",
+                "the hand reports no touch pads: it has none, or they are broken, so it cannot sense a tool. Use "
+                "one with pads, or a mount",
                 code="device.hand_no_pads",
             )
         closures = _SIGNS * reply.positions

@@ -171,8 +171,8 @@ class InspireLine(ABC):
                 raise _refused(f"to take {data.hex(' ')} for register {register}")
         if answers:
             raise NoAnswerError(
-                f"the hand {self._hand_id} on {self._port.path} answers questions and does not take what is written "
-                f"(register {register}, {ATTEMPTS} attempts): switch it off and on, and end every other program that "
+                f"the hand {self._hand_id} on {self._port.path} answers, but does not take what is written "
+                f"(register {register}, {ATTEMPTS} attempts). Power-cycle it, and end every other program that "
                 "commands it",
                 code="no_answer.hand_write",
             )

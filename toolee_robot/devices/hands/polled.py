@@ -204,7 +204,7 @@ class PolledHand(ABC, Generic[LineT, SaidT]):
             reading, short = self._spread(reading)
             if short:
                 reading.refuse_fault()
-                message = f"{self.blocked}: {', '.join(short)} did not open; look at it"
+                message = f"{self.blocked}: {', '.join(short)} did not open. Check the hand"
                 raise DeviceError(message, code="device.hand_blocked")
 
     def close(self, timeout: float = MOTION_S) -> None:
@@ -222,7 +222,7 @@ class PolledHand(ABC, Generic[LineT, SaidT]):
             self._grip.end()
             reading, stuck = self._grasp(reading)
             if stuck:
-                message = f"{self.blocked}: {', '.join(stuck)} did not close; look at it"
+                message = f"{self.blocked}: {', '.join(stuck)} did not close. Check the hand"
                 raise DeviceError(message, code="device.hand_stall")
             self._grip.begin(reading)
 
@@ -325,7 +325,7 @@ class PolledHand(ABC, Generic[LineT, SaidT]):
         try:
             done.result(COMMAND_S)
         except FutureTimeoutError:
-            message = "the hand did not take a command in time: look at its cable"
+            message = "the hand did not take a command in time. Check its cable"
             raise NoAnswerError(message, code="no_answer.hand_silent") from None
 
     def _next(self) -> Reading[SaidT]:

@@ -82,11 +82,11 @@ def reading_of(told: Told) -> Reading[Told]:
         cold = [motor for motor in told.motors.values() if motor.trouble and not motor.hot]
         code, remedy = "device.hand_over_temperature", "let it cool down"
         if cold:
-            code, remedy = "device.hand_motor", "look at it in the maker's own interface"
+            code, remedy = "device.hand_motor", "check it in the maker's own interface"
         message = f"the hand reports a fault ({', '.join(troubles)}): {remedy}; a motor that is halted does not press"
         fault = DeviceError(message, code=code)
     if _ignored(told):
-        troubles.append("its controllers do not do what it is told")
+        troubles.append("its controllers do not follow commands")
         message = f"the hand: {troubles[-1]}; see that its trajectory controllers run and nothing else commands it"
         fault = fault or DeviceError(message, code="device.hand_command")
     if told.motors_age > MOTORS_S:
@@ -245,7 +245,7 @@ def _ignored(told: Told) -> bool:
 def _build(model: HandModel, port: str, config: HandConfig, clock: Clock) -> ShadowHand:
     if config.efforts is None:
         lacking = ", ".join(f"hand.efforts.{field.name}" for field in fields(HandEfforts))
-        message = f"nobody but the lab knows what the efforts of its {model.label} mean: measure and give {lacking}"
+        message = f"the meaning of the {model.label}'s efforts differs from hand to hand: measure and give {lacking}"
         raise ConfigError(f"{message}; docs/how-to/shadow_hand.md", code="config.hand_efforts")
     return ShadowHand(model, port, config.efforts, clock)
 

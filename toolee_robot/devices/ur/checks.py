@@ -60,8 +60,8 @@ _SAFETY_REMEDY = {
     3: "find out why, then release it at the teach pendant; software never does",
     4: "move the arm back inside its limits by hand, from the teach pendant",
     5: "close the safeguard (the door, the light curtain) and reset it",
-    6: "release the emergency stop when the reason is gone, and confirm it at the teach pendant",
-    7: "release the emergency stop when the reason is gone, and confirm it at the teach pendant",
+    6: "when it is safe, release the emergency stop, and confirm it at the teach pendant",
+    7: "when it is safe, release the emergency stop, and confirm it at the teach pendant",
 }
 
 IMPLAUSIBLE = 100.0
@@ -221,7 +221,7 @@ def _motion(state: UrState) -> Iterator[Finding]:
     if state.robot_status_bits & _TEACH_BIT:
         yield fail("freedrive", "the teach button is pressed", "let go of it")
     if state.runtime_state in RUNTIME_PAUSED:
-        remedy = "stop it at the pendant: Play would move the arm on to where the program last sent it"
+        remedy = "stop it at the pendant: Play would move the arm to the program's last target"
         yield fail("program", "a paused program waits on the robot", remedy)
     elif state.runtime_state == _PLAYING:
         yield warn("program", "a program runs on the robot", "stop it: connecting stops and replaces it")

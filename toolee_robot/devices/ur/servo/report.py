@@ -99,10 +99,7 @@ def _reported(drives: Array) -> Array | None:
     return drives if known.any() else None
 
 
-STOPPED_BEFORE = (
-    "the robot had stopped itself and is ready again by now, as after a door on its safeguard was opened: see why, "
-    "then reset"
-)
+STOPPED_BEFORE = "the robot had stopped itself and is ready again, as after a safeguard door. Find out why, then reset"
 """What is told of a stop at rest whose reason nobody has seen in time."""
 
 
