@@ -69,7 +69,7 @@ def test_nails_without_a_frame_are_refused(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump({"work": {"block_size": BLOCK, "nails": [LEFT, RIGHT]}}))
     with raises(ConfigError, code="config.no_frame") as refused:
         load_station(path)
-    assert "gives work.nails and" in str(refused.value)
+    assert "gives work.nails, but" in str(refused.value)
 
 
 def test_the_wood_moves_with_its_nails() -> None:

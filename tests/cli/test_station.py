@@ -205,7 +205,7 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
     del said["work"]["nail_xy"]
     path.write_text(yaml.safe_dump(said))
     assert run(["rehearse", "hammer", str(path)]) == 2
-    assert "measure and give work.nail_xy" in " ".join(capsys.readouterr().err.split())
+    assert "Measure and give work.nail_xy" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_what_cannot_be_told_from_the_rest_stays_and_is_said(
     path = tmp_path / "lab.yaml"
     path.write_text(_version_2("servo: {gain: 1200, lookahead: 0.03, lag: 0.07, watchdog: 8}\n"))
     _, told = _upgrade(path, capsys)
-    assert "Take them out of" in told
+    assert "Delete them in" in told
     assert load_lab_station(path).servo.watchdog == 8
     assert load_lab_station(path).servo.lag == 0.07
 

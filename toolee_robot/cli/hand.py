@@ -226,7 +226,7 @@ def _clear_faults(hand: Hand) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Efforts(HandOptions):
-    """Show the present and the largest efforts of a Shadow Hand's motors.
+    """Show a Shadow Hand's motor efforts, present and largest.
 
     Example: toolee hand efforts --station lab.yaml --seconds 60
 
