@@ -78,7 +78,7 @@ def test_the_tool_leaves_the_hand_as_it_is_let_go(bench: Bench) -> None:
     log = Log()
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.NO_GRIP
-    assert "let go" in result.reason
+    assert "was released" in result.reason
     assert log.motions == ["to the handover", "home"]
     assert at_rest(bench.sim)
 
@@ -217,7 +217,7 @@ def test_a_look_tells_how_far_the_camera_is_off(bench: Bench, millimetres: float
         said.append([text for text in log.messages if "camera" in text])
     assert said[1] == [], "once a job"
     (text,) = said[0]
-    assert f"{millimetres:.0f} ± {1e3 * sigma:.0f} mm off" in text
+    assert f"{millimetres:.0f} ± {1e3 * sigma:.0f} mm at the tool (corrected)" in text
     assert ("Calibrate it again" in text) is again
 
 
