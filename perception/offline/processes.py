@@ -19,6 +19,7 @@ import cv2
 import torch
 
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.runtime.interrupts import SIGNALS, interrupts_held
 from toolee_robot.runtime.process_environment import ONE_THREAD, environment
 
 P = ParamSpec("P")
@@ -32,7 +33,7 @@ class WorkerPool(ProcessPoolExecutor):
     """A pool of spawned processes.
 
     They are spawned because a fork would inherit the threads of torch and embree in an undefined state. They end when
-    the parent process ends, for whatever reason, and do not receive Ctrl-C; when an exception leaves the pool's
+    the parent process ends, for whatever reason, and do not receive interrupts; when an exception leaves the pool's
     context, the pool kills them.
 
     Args:
@@ -57,8 +58,8 @@ class WorkerPool(ProcessPoolExecutor):
         Returns:
             The future of the call's result.
         """
-        # A worker that Ctrl-C interrupts while it holds a queue's lock would block the pool.
-        with _ctrl_c_blocked():  # a process inherits the signal mask
+        # A worker that is interrupted while it holds a queue's lock would block the pool.
+        with _interrupts_blocked():  # a process inherits the signal mask
             return super().submit(function, *args, **kwargs)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -66,18 +67,19 @@ class WorkerPool(ProcessPoolExecutor):
         if kind is None:
             self.shutdown(cancel_futures=True)
             return
-        with _ctrl_c_blocked():
+        with _interrupts_blocked():
             for worker in list((self._processes or {}).values()):  # kill_workers() of Python 3.14
                 worker.kill()
             self.shutdown(cancel_futures=True)
 
 
 @contextlib.contextmanager
-def _ctrl_c_blocked() -> Iterator[None]:
-    """Context in which Ctrl-C is deferred to its end."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def _interrupts_blocked() -> Iterator[None]:
+    """Context in which interrupts are deferred to its end; a process that is started in it never gets one."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
-        yield
+        with interrupts_held():  # one that another thread receives
+            yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 

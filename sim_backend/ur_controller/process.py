@@ -196,6 +196,7 @@ def _child() -> None:
     # Signals to the whole process group are for the parent, which closes its clients before it ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     pipe = sys.stdin.buffer
     options, plant, setup, verbose, realtime = pickle.loads(pipe.read(int.from_bytes(pipe.read(4), "big")))
 

@@ -19,7 +19,7 @@ from toolee_robot.calibration.observation import BoardView
 from toolee_robot.calibration.record import IntrinsicsRecord, read_intrinsics
 from toolee_robot.devices.cameras import StatedLens, StreamedCamera
 from toolee_robot.devices.cameras.recording import recording_of
-from toolee_robot.errors import ConfigError, StaleDataError, UserError
+from toolee_robot.errors import ConfigError, DeviceError, StaleDataError, UserError
 from toolee_robot.hal import Clock
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.yaml_files import to_record
@@ -143,8 +143,8 @@ class IntrinsicsJob:
         try:
             with self.listener.waiting("looking") as waiting:
                 self._take(camera, clock, views, waiting)
-        except KeyboardInterrupt:
-            self.listener.warn("ended before all views were taken")
+        except (KeyboardInterrupt, DeviceError) as end:  # the views so far cost a person's time
+            self.listener.warn(f"ended before all views were taken. {end}")
         return self._solve(views.views, board, (k.width, k.height), serial)
 
     def _take(self, camera: StreamedCamera, clock: Clock, views: HandHeldViews, waiting: Waiting) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,8 +21,9 @@ from toolee_robot.recording import PICTURE, RECORDING
 from toolee_robot.recording.mcap_file import tool_model
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
-from toolee_robot.runtime.files import json_line, run_folder, write_atomic
+from toolee_robot.runtime.files import RunFolder, json_line, run_folder, write_atomic
 from toolee_robot.runtime.gc_pause import gc_settled
+from toolee_robot.runtime.interrupts import interrupts_held
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.runtime.process_environment import code_version
 from toolee_robot.tasks.common.observer import Observers
@@ -168,7 +169,8 @@ class JobResult:
 def run_job(spec: JobSpec, out: Path, observer: JobObserver | None = None) -> JobResult:
     """Do a job and write its folder, whatever its outcome.
 
-    An interrupt stops the arm and is reported. After a stop with the tool in the hand the observer is asked.
+    An interrupt stops the arm and is reported; one that comes after the job has ended changes nothing any more. After a
+    stop with the tool in the hand the observer is asked. What was recorded is kept whatever goes wrong.
 
     Args:
         spec: The job.
@@ -182,14 +184,16 @@ def run_job(spec: JobSpec, out: Path, observer: JobObserver | None = None) -> Jo
         TooleeError: The job could not begin.
     """
     observer = JobObserver() if observer is None else observer
-    with run_folder(out, spec.source.name) as folder:
+    with ExitStack() as ending, run_folder(out, spec.source.name) as folder:
         observer.doing("loading the networks and building the station")
-        result, verdict, figures = _run(spec, folder.path, observer)
+        result, verdict, figures = _run(spec, folder, observer, ending)
         path = folder.keep()
     return JobResult(result, verdict, {**figures, "run_folder": str(path)}, path)
 
 
-def _run(spec: JobSpec, folder: Path, observer: JobObserver) -> tuple[HammerResult, Verdict | None, dict[str, Any]]:
+def _run(
+    spec: JobSpec, folder: RunFolder, observer: JobObserver, ending: ExitStack
+) -> tuple[HammerResult, Verdict | None, dict[str, Any]]:
     began, source = time.perf_counter(), spec.source
     networks = None if spec.variant.perfect else job_networks(spec.paper_weights, spec.device)
     collector = PictureCollector(source.config.task.flush_protrusion)
@@ -197,7 +201,7 @@ def _run(spec: JobSpec, folder: Path, observer: JobObserver) -> tuple[HammerResu
         gc_settled() as settle,
         nullcontext() if source.real_time_factor is None else LatencyMonitor() as machine,
         source.open(observer.prompt, observer.doing) as opened,
-        RunRecorder(folder / RECORDING, _metadata(spec, opened), observer.message) as recorder,
+        RunRecorder(folder.path / RECORDING, _metadata(spec, opened), observer.message) as recorder,
     ):
         observer.opened(opened.words, spec.mode, recorder)
         if opened.shape is not None:
@@ -211,7 +215,8 @@ def _run(spec: JobSpec, folder: Path, observer: JobObserver) -> tuple[HammerResu
         if machine is not None:
             machine.begin()
         settle()
-        result = _done(task, observer)
+        folder.measured = True
+        result = _done(task, observer, ending)
         if result.fault is not None and (why := opened.why_late(result.fault)):
             result = replace(result, reason=f"{result.reason}. {why[0].upper()}{why[1:]}")
         stall = None if machine is None else machine.longest
@@ -220,11 +225,11 @@ def _run(spec: JobSpec, folder: Path, observer: JobObserver) -> tuple[HammerResu
     seconds = time.perf_counter() - began
     ran = Ran(result, verdict, truths, opened, seconds, stall, _stalled(source, opened, result, stall))
     figures = job_figures(ran, {**source.facts, "real_time_factor": source.real_time_factor, **spec.facts})
-    _write(folder / "summary.json", (json_line(job_summary(ran, figures)) + "\n").encode(), observer)
+    _write(folder.path / "summary.json", (json_line(job_summary(ran, figures)) + "\n").encode(), observer)
     strikes = f"{figures['strikes']} strike{'' if figures['strikes'] == 1 else 's'}"
     outcome = "Flush" if figures["success"] else str(figures["outcome"]).replace("_", " ").capitalize()
     picture = collector.picture(f"{outcome} after {strikes}", f"{opened.words}, {spec.mode}")
-    _write(folder / PICTURE, picture, observer)
+    _write(folder.path / PICTURE, picture, observer)
     return result, verdict, figures
 
 
@@ -236,12 +241,16 @@ def _write(path: Path, data: bytes, observer: JobObserver) -> None:
         observer.message(f"{path.name} is missing: {error}")
 
 
-def _done(task: HammeringTask, observer: JobObserver) -> HammerResult:
+def _done(task: HammeringTask, observer: JobObserver, ending: ExitStack) -> HammerResult:
+    """Do the job; from its end on interrupts are held, until its records are written."""
     try:
         with observer.live():
             result = task.run()
-        return after_stop(task, result, observer)
+        result = after_stop(task, result, observer)
+        ending.enter_context(interrupts_held(forget=True))
+        return result
     except KeyboardInterrupt:
+        ending.enter_context(interrupts_held(forget=True))
         return task.result(Outcome.INTERRUPTED, "interrupted by a person; the arm was stopped")
 
 

@@ -6,38 +6,41 @@ import io
 import os
 import signal
 import sys
-import threading
 from collections.abc import Sequence
 from types import FrameType
 from typing import Any
 
+from toolee_robot.runtime.interrupts import SIGNALS, raise_interrupts, restore_interrupts
+
 EXIT_INTERRUPTED = 130
+INTERRUPTED_LINE = '{"error": {"code": "interrupted", "message": "interrupted before there was a result"}}\n'
+"""What --json prints then."""
 
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run `toolee` and exit with the command's exit code.
 
-    Until the command starts, nothing moves, and Ctrl-C ends the process at once: whatever was being imported.
+    Until the command starts, nothing moves, and an interrupt ends the process at once: whatever was being imported.
 
     Args:
         args: The arguments; None for those of the process.
     """
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _leave)
+    for number in SIGNALS:
+        if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
+            signal.signal(number, _leave)
     _let_threads_sleep()
     output = _patient_output()
     from toolee_robot.cli.app import EXIT_FAILED, run
 
     try:
-        code = run(args, start=_may_move)
+        code = run(args, start=raise_interrupts)
         sys.stdout.flush()
         if output is not None and output.failure is not None:
             code = code or EXIT_FAILED
             if not isinstance(output.failure, BrokenPipeError):  # of `| head` nothing is said
                 print(f"error: part of the output is lost: {output.failure.strerror}", file=sys.stderr)
     finally:
-        if signal.getsignal(signal.SIGINT) in (_leave, _interrupt):
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+        restore_interrupts()
     sys.exit(code)
 
 
@@ -71,38 +74,9 @@ def _patient_output() -> _Output | None:
 
 def _leave(_signum: int, _frame: FrameType | None) -> None:
     os.write(2, b"Interrupted.\n")
+    if "--json" in sys.argv:
+        os.write(1, INTERRUPTED_LINE.encode())
     os._exit(EXIT_INTERRUPTED)
-
-
-def _may_move() -> None:
-    """From here on Ctrl-C is an exception, at which the arm is stopped."""
-    if signal.getsignal(signal.SIGINT) is _leave:
-        signal.signal(signal.SIGINT, _interrupt)
-        sys.unraisablehook = _unraisable
-
-
-def _interrupt(signum: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, but after an import that is going on: libraries swallow it there, or break."""
-    while frame is not None:
-        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
-            _interrupt_again(signum)
-            return
-        frame = frame.f_back
-    raise KeyboardInterrupt
-
-
-def _interrupt_again(signum: int = signal.SIGINT) -> None:
-    again = threading.Timer(0.05, os.kill, (os.getpid(), signum))
-    again.daemon = True
-    again.start()
-
-
-def _unraisable(ignored: sys.UnraisableHookArgs) -> None:
-    """An interrupt that came in a callback, from which nothing can be raised, comes again."""
-    if issubclass(ignored.exc_type, KeyboardInterrupt):
-        _interrupt_again()
-    else:
-        sys.__unraisablehook__(ignored)
 
 
 def _let_threads_sleep() -> None:

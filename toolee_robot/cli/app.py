@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import json
 import shutil
-import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
-from types import FrameType, ModuleType
+from types import ModuleType
 from typing import Protocol
 
-from toolee_robot.cli import EXIT_INTERRUPTED
+from toolee_robot.cli import EXIT_INTERRUPTED, INTERRUPTED_LINE
 from toolee_robot.errors import TooleeError, UserError
 
 EXIT_FAILED, EXIT_USER = 1, 2
@@ -63,10 +62,6 @@ def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: N
     """
     words = sys.argv[1:] if args is None else list(args)
     as_json = "--json" in words
-    heard = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
-    for number, handler in heard.items():  # they stop the arm as Ctrl-C does; nohup ignores a terminal that is closed
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, _terminate)
     try:
         command = parse(words)
         as_json = getattr(command, "json", False)
@@ -89,10 +84,13 @@ def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: N
         return EXIT_USER
     except KeyboardInterrupt:
         print("Interrupted.", file=sys.stderr)
+        if as_json:
+            print(INTERRUPTED_LINE, end="", flush=True)
         return EXIT_INTERRUPTED
-    finally:
-        for number, handler in heard.items():
-            signal.signal(number, handler)
+    except Exception as error:
+        if as_json:
+            _print_error("internal", f"{type(error).__name__}: {error}")
+        raise
 
 
 def parse(words: Sequence[str]) -> Command:
@@ -201,10 +199,6 @@ def _missing_package(error: ModuleNotFoundError) -> UserError:
         f"{what}` in the repository. For `toolee estimate` alone, requirements-perception.txt is enough",
         code="user.missing_package",
     )
-
-
-def _terminate(_signum: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _complain(error: TooleeError, as_json: bool) -> None:

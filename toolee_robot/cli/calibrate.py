@@ -20,7 +20,7 @@ from rich.panel import Panel
 
 from toolee_robot.cli.output import Flag, JsonOption
 from toolee_robot.cli.terminal import ConsoleListener
-from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class Camera(BoardOptions):
         with run_folder(self.out, "camera") as folder:
             try:
                 figures = self._calibrate(config, folder.path, listener)
-            except (TooleeError, KeyboardInterrupt):
+            except BaseException:
                 if (folder.path / FILE).is_file():  # images were taken, which cost a person's time
                     kept = folder.keep()
                     listener.warn(f"the images so far are kept in {kept}. To compute with them, give --images {kept}")

@@ -224,7 +224,7 @@ def _finite(value: Any) -> Any:
 
 
 class RunFolder:
-    """Folder of a run; without `keep` it is removed at the end of the context.
+    """Folder of a run; at the end of the context it is removed, unless `keep` was called or something was measured.
 
     Args:
         path: Present folder.
@@ -234,11 +234,12 @@ class RunFolder:
         path: Present folder.
         final: Folder after `keep`.
         kept: Whether `keep` was called.
+        measured: Whether it holds what cannot be had again.
     """
 
     def __init__(self, path: Path, final: Path) -> None:
         self.path, self.final = path, final
-        self.kept = False
+        self.kept = self.measured = False
 
     def keep(self) -> Path:
         """Move the complete run to its final folder, with a number appended if that exists."""
@@ -284,7 +285,9 @@ def run_folder(out: Path, name: str) -> Iterator[RunFolder]:
     try:
         yield folder
     finally:
-        if not folder.kept:
+        if folder.measured and not folder.kept:
+            folder.keep()
+        elif not folder.kept:
             shutil.rmtree(folder.path, ignore_errors=True)
             if made_out:
                 _remove_if_empty(out)

@@ -104,6 +104,7 @@ class LatencyMonitor:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", __name__, str(fd), str(os.getpid()), str(self._pause), *map(str, cores)],
                 pass_fds=(fd,),
+                start_new_session=True,  # so that it does not receive Ctrl-C
             )
         finally:
             os.close(fd)

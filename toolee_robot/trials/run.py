@@ -22,10 +22,11 @@ from multiprocessing.connection import Connection
 from multiprocessing.connection import wait as wait_for
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from threading import Lock, Thread
+from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.runtime.interrupts import raise_interrupts
 from toolee_robot.runtime.process_environment import ONE_THREAD, environment
 from toolee_robot.trials.plan import Trial, TrialPlan
 from toolee_robot.trials.results import Happened, Record, Results
@@ -40,6 +41,7 @@ _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(PRELOADED)
 _running: set[BaseProcess] = set()
 _starting = Lock()
+_stopping = Event()
 
 
 def run_apart(spec: JobSpec, out: Path) -> dict[str, Any]:
@@ -63,6 +65,8 @@ def run_apart(spec: JobSpec, out: Path) -> dict[str, Any]:
             process.start()
         told.close()  # so that the pipe ends with the job
         _running.add(process)
+        if _stopping.is_set():  # while it was started
+            process.terminate()
         try:
             answer = figures.recv()
         except EOFError:
@@ -80,6 +84,7 @@ def run_apart(spec: JobSpec, out: Path) -> dict[str, Any]:
 
 def stop_jobs() -> None:
     """Tell every job of `run_apart` that still runs to stop its arm and end."""
+    _stopping.set()
     for process in tuple(_running):
         process.terminate()
 
@@ -88,7 +93,7 @@ def _do(folder: Path, spec: JobSpec, out: Path, told: Connection, said: Path) ->
     from toolee_robot.app.job import run_job
 
     Thread(target=_end_with_parent, daemon=True).start()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # it stops the arm, as Ctrl-C does
+    raise_interrupts()  # SIGTERM stops the arm, as Ctrl-C does
     with said.open("wb") as file:
         for stream in (sys.stdout, sys.stderr):
             os.dup2(file.fileno(), stream.fileno())
@@ -229,6 +234,7 @@ def on_threads(call: Callable[[T], R], items: Sequence[T], count: int | None) ->
         The results, in the order in which they are finished; those that are, before an error of another call.
     """
     left, most = iter(items), count or cores()
+    _stopping.clear()
     with ThreadPoolExecutor(most) as pool:
         waiting: set[Future[R]] = set()
         try:

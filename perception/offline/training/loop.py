@@ -23,6 +23,7 @@ from toolee_robot.errors import TooleeError, UserError, words_of
 from toolee_robot.perception.offline.training.options import TrainingOptions
 from toolee_robot.perception.precision import torch_device
 from toolee_robot.runtime.files import written_whole
+from toolee_robot.runtime.interrupts import interrupts_held
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -283,9 +284,10 @@ class TrainingRun(ABC):
             "elapsed": self.elapsed,
             "log": self.log,
         }
-        with written_whole(self.checkpoint_path) as scratch:
-            torch.save(state, scratch)
-        self.write()
+        with interrupts_held():  # checkpoint and weights are of the same step
+            with written_whole(self.checkpoint_path) as scratch:
+                torch.save(state, scratch)
+            self.write()
 
     def _restore(self) -> None:
         path = self.checkpoint_path

@@ -1,0 +1,89 @@
+"""Interrupts: Ctrl-C, SIGTERM and SIGHUP all end a command in the same order, as a KeyboardInterrupt."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""The interrupts; one that the process ignores, as under nohup, stays ignored."""
+SAME_WISH_S = 1.0
+"""Time after an interrupt in which others are not heard [s]: a second one would break what the first one cleans up."""
+
+_heard = -SAME_WISH_S
+"""When the last one was raised, on the monotonic clock [s]."""
+
+
+def raise_interrupts() -> None:
+    """Let each interrupt of this process raise KeyboardInterrupt in its main thread, which calls this."""
+    for number in SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
+    sys.unraisablehook = _unraisable
+
+
+def restore_interrupts() -> None:
+    """Let them do again what they do in any Python program."""
+    for number in SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler if number is signal.SIGINT else signal.SIG_DFL)
+
+
+@contextmanager
+def interrupts_held(*, forget: bool = False) -> Iterator[None]:
+    """Context that no interrupt leaves: a step that must not be done by half.
+
+    Args:
+        forget: Whether one that comes meanwhile is forgotten; otherwise it is raised at the end.
+    """
+    if threading.current_thread() is not threading.main_thread():  # only that one is interrupted
+        yield
+        return
+    came: list[int] = []
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    raising = [number for number, handler in before.items() if callable(handler)]
+    for number in raising:
+        signal.signal(number, lambda signum, _: came.append(signum))
+    try:
+        yield
+    finally:
+        for number in raising:
+            signal.signal(number, before[number])
+        if came and not forget:
+            signal.raise_signal(came[0])
+
+
+def _interrupt(signum: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, but after an import that is going on: libraries swallow it there, or break."""
+    global _heard
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            _interrupt_again(signum)
+            return
+        frame = frame.f_back
+    if time.monotonic() - _heard < SAME_WISH_S:
+        return
+    _heard = time.monotonic()
+    raise KeyboardInterrupt
+
+
+def _interrupt_again(signum: int = signal.SIGINT) -> None:
+    again = threading.Timer(0.05, os.kill, (os.getpid(), signum))
+    again.daemon = True
+    again.start()
+
+
+def _unraisable(ignored: sys.UnraisableHookArgs) -> None:
+    """An interrupt that came in a callback, from which nothing can be raised, comes again."""
+    global _heard
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        _heard = -SAME_WISH_S
+        _interrupt_again()
+    else:
+        sys.__unraisablehook__(ignored)
