@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import warnings
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.perception.cloud import check_depth_unit
-from toolee_robot.runtime.files import read_array, read_bytes
+from toolee_robot.runtime.files import read_array
+from toolee_robot.runtime.images import read_image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 """Image files that are read; .npy arrays as well."""
-LARGEST_IMAGE = 50_000_000
-"""Most pixels of an image that is decoded; RGB-D cameras have up to 12 million."""
-LARGEST_FILE = 512 * 1024**2
-"""Largest image file [bytes]."""
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:
@@ -108,10 +101,8 @@ def _read_array(path: Path, what: str) -> NDArray[Any]:
                 f"{what} file {path} is not a readable .npy array: {words_of(error)}", code="user.file_unreadable"
             ) from error
     try:
-        packed = read_bytes(path, LARGEST_FILE)
-        _check_size(packed)
-        data = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED)
-    except (OSError, ValueError, cv2.error) as error:
+        data = read_image(path)
+    except (OSError, ValueError) as error:
         raise UserError(
             f"cannot read the {what} file {path}: {words_of(error)}", code="user.file_unreadable"
         ) from error
@@ -122,18 +113,4 @@ def _read_array(path: Path, what: str) -> NDArray[Any]:
         )
     if data.ndim == 3 and data.shape[2] >= 3:
         data = data[:, :, [2, 1, 0, *range(3, data.shape[2])]]
-    return np.asarray(data)
-
-
-def _check_size(packed: bytes) -> None:
-    """Refuse an image that would fill the memory, before it is decoded; what is no image OpenCV says."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what is damaged OpenCV tells
-            width, height = Image.open(BytesIO(packed)).size
-    except Image.DecompressionBombError:
-        raise ValueError(f"it has more than {LARGEST_IMAGE:,} pixels") from None
-    except (OSError, ValueError, SyntaxError):
-        return
-    if width * height > LARGEST_IMAGE:
-        raise ValueError(f"it has {width}x{height} pixels, more than {LARGEST_IMAGE:,}")
+    return data

@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
+from safetensors.torch import save as serialised
 
 from toolee_robot.errors import AssetError, words_of
-from toolee_robot.runtime.files import read_json, read_text, sha256, write_atomic
+from toolee_robot.runtime.files import read_json, read_text, sha256, write_atomic, written_whole
+from toolee_robot.runtime.interrupts import interrupts_held
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
 """Folder of the shipped weights."""
@@ -50,14 +53,20 @@ def save_weights(directory: Path, name: str, tensors: dict[str, torch.Tensor], d
         shards[-1][key] = value
         size += n
     directory.mkdir(parents=True, exist_ok=True)
-    for old in directory.glob(f"{name}-*-of-*.safetensors"):
-        old.unlink()
     files = [directory / f"{name}-{i + 1:05d}-of-{len(shards):05d}.safetensors" for i in range(len(shards))]
-    for shard, file in zip(shards, files, strict=True):
-        save_file(shard, file)
-        file.chmod(0o644)  # safetensors makes it readable for its owner alone
-    files.append(directory / f"{name}.json")
-    files[-1].write_text(json.dumps(description, indent=1) + "\n")
+    with interrupts_held():
+        with ExitStack() as whole:  # the old ones stay until all of the new ones are on the disk
+            for shard, file in zip(shards, files, strict=True):
+                # By Python: where the disk is full the library's own error has no file and no remedy.
+                whole.enter_context(written_whole(file)).write_bytes(serialised(shard))
+        for old in set(directory.glob(f"{name}-*-of-*.safetensors")) - set(files):
+            old.unlink()
+        files.append(directory / f"{name}.json")
+        write_atomic(files[-1], (json.dumps(description, indent=1) + "\n").encode())
+        _write_sums(directory, name, files)
+
+
+def _write_sums(directory: Path, name: str, files: list[Path]) -> None:
     own = (f"{name}-", f"{name}.")  # of this name before
     others = {file: digest for file, digest in _sums(directory).items() if not file.startswith(own)}
     sums = others | {file.name: sha256(file) for file in files}

@@ -22,14 +22,17 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
+from toolee_robot.calibration.board import SHEETS
+from toolee_robot.calibration.intrinsics import read_views
 from toolee_robot.calibration.record import INTRINSICS_FORMAT, read_intrinsics, write_signed
+from toolee_robot.calibration.session import read_image as read_board_image
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.image_files import read_depth, read_rgb
 from toolee_robot.perception.io import bop_images, parse_intrinsics, read_pose
 from toolee_robot.perception.offline.annotation.clicks import ClicksFile, read_clicks, write_clicks
 from toolee_robot.perception.weight_files import load_weights, save_weights
 from toolee_robot.runtime.files import claimed, from_json, read_text, run_folder
-from toolee_robot.station import load_station
+from toolee_robot.station import load_station, sim_station
 from toolee_robot.trials import TrialPlan, load_plan
 from toolee_robot.trials.results import RESULTS, Happened, Results, read_results
 
@@ -104,8 +107,13 @@ def test_an_image_too_large_for_the_memory_is_not_decoded(tmp_path: Path) -> Non
     head = struct.pack(">IIBBBBB", 20_000, 20_000, 16, 0, 0, 0, 0)
     path = tmp_path / "large.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
-    for read in (read_rgb, read_depth):
-        with raises(UserError, code="user.file_unreadable") as refused:
+    for read, code in (
+        (read_rgb, "user.file_unreadable"),
+        (read_depth, "user.file_unreadable"),
+        (lambda path: read_board_image(path, sim_station().camera.intrinsics), "user.image"),
+        (lambda path: read_views(path.parent, SHEETS["a3"].board), "user.image"),
+    ):
+        with raises(UserError, code=code) as refused:
             read(path)
         assert "pixels" in str(refused.value)
 

@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 import torch
 
+from tests.errors import raises
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.cli.app import run
+from toolee_robot.errors import UserError
 from toolee_robot.perception.detection.refiner import MaskRefinement
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH, EeTable, Example
 from toolee_robot.perception.offline.dataset.scenes import write_scene
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.synthesis.example import examples_of
+from toolee_robot.perception.offline.training.options import remember
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.types import CameraIntrinsics
 
@@ -112,6 +115,15 @@ def test_a_bad_configuration_is_named(
     assert run(["train", "pose", *arguments]) == 2
     assert expected_text in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text", ["{", "[1]", "\0", "NaN"])
+def test_a_damaged_configuration_of_a_begun_training_is_named(text: str, tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text(text)
+    with raises(UserError, code="user.training_config") as refused:
+        remember(tmp_path, True, {"lr": 0.1})
+    assert str(tmp_path / "config.json") in str(refused.value)
+    assert (tmp_path / "config.json").read_text() == text
 
 
 @pytest.mark.parametrize("network", ["segmentation", "refinement"])

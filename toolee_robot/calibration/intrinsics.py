@@ -12,8 +12,9 @@ import numpy as np
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.observation import MIN_CORNERS, BoardView, find_board
 from toolee_robot.calibration.record import INTRINSICS_FORMAT, IntrinsicsRecord
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array
+from toolee_robot.runtime.images import read_image
 from toolee_robot.types import CameraIntrinsics
 
 MIN_VIEWS = 10
@@ -59,7 +60,10 @@ def read_views(folder: Path, board: Board) -> tuple[list[BoardView], list[str], 
     unseen: list[str] = []
     size: tuple[int, int] | None = None
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.suffix.lower() in PICTURES else None
+        try:
+            image = read_image(path) if path.suffix.lower() in PICTURES else None
+        except (OSError, ValueError) as error:
+            raise UserError(f"cannot read the image {path}: {words_of(error)}", code="user.image") from error
         if image is None or image.dtype != np.uint8:
             continue
         grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY), np.uint8)

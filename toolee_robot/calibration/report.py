@@ -20,6 +20,7 @@ from toolee_robot.calibration.record import CalibrationRecord
 from toolee_robot.frames import HALF_TURN
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.html_page import Page
+from toolee_robot.runtime.images import read_image
 from toolee_robot.runtime.pose_text import pose_text
 
 _INCH = 0.0254  # [m]
@@ -239,7 +240,10 @@ def _coverage(record: CalibrationRecord) -> bytes:
 def _contact_sheet(record: CalibrationRecord, folder: Path) -> bytes | None:
     tiles = []
     for pose in record.poses:
-        image = cv2.imread(str(folder / pose.name), cv2.IMREAD_COLOR)
+        try:
+            image = read_image(folder / pose.name, cv2.IMREAD_COLOR)
+        except (OSError, ValueError):  # the calibration goes without: it was moved or damaged since
+            image = None
         if image is None:
             continue
         for u, v in pose.pixels:

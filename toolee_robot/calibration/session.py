@@ -20,9 +20,10 @@ from toolee_robot.calibration.hand_eye.diagnosis import check_depths, check_pose
 from toolee_robot.calibration.hand_eye.solve import CameraCalibration
 from toolee_robot.calibration.observation import Observation, camera_board, find_board
 from toolee_robot.calibration.record import FORMAT, CalibrationRecord, RecordedPose, Row, Rows, rows
-from toolee_robot.errors import UserError
+from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array, BaseFrame, rotation_angle, transform_points
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.images import read_image as read_pixels
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.types import CameraIntrinsics, DhCalibration
 
@@ -215,18 +216,20 @@ def read_image(path: Path, intrinsics: CameraIntrinsics) -> NDArray[np.uint8]:
     Raises:
         UserError: It cannot be read (`user.image`), or has another size than the intrinsics say (`user.image_size`).
     """
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    return np.asarray(_checked(image, path, intrinsics), np.uint8)
+    return np.asarray(_checked(path, intrinsics, cv2.IMREAD_GRAYSCALE), np.uint8)
 
 
 def _depth(path: Path, intrinsics: CameraIntrinsics) -> Array:
-    return np.asarray(_checked(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), path, intrinsics), np.float64)
+    return np.asarray(_checked(path, intrinsics, cv2.IMREAD_UNCHANGED), np.float64)
 
 
-def _checked(image: object, path: Path, intrinsics: CameraIntrinsics) -> NDArray[np.generic]:
-    if image is None:
-        raise UserError(f"cannot read the image {path}", code="user.image")
-    array = np.asarray(image)
+def _checked(path: Path, intrinsics: CameraIntrinsics, flags: int) -> NDArray[np.generic]:
+    try:
+        array, why = read_pixels(path, flags), "it is no image"
+    except (OSError, ValueError) as error:
+        array, why = None, words_of(error)
+    if array is None:
+        raise UserError(f"cannot read the image {path}: {why}", code="user.image")
     if array.ndim != 2 or array.shape != (intrinsics.height, intrinsics.width):
         raise UserError(
             f"{path} is {array.shape}, but the intrinsics are for {(intrinsics.height, intrinsics.width)} (height, "

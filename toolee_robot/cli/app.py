@@ -9,6 +9,7 @@ docstring is the group's help, the class's docstring the command's.
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 import sys
@@ -18,7 +19,7 @@ from types import ModuleType
 from typing import Protocol
 
 from toolee_robot.cli import EXIT_INTERRUPTED, INTERRUPTED_LINE
-from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.errors import TooleeError, UserError, words_of
 
 EXIT_FAILED, EXIT_USER = 1, 2
 
@@ -87,6 +88,11 @@ def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: N
         if as_json:
             print(INTERRUPTED_LINE, end="", flush=True)
         return EXIT_INTERRUPTED
+    except OSError as error:
+        if error.filename is None and error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise
+        _complain(_unusable(error), as_json)
+        return EXIT_USER
     except Exception as error:
         if as_json:
             _print_error("internal", f"{type(error).__name__}: {error}")
@@ -199,6 +205,12 @@ def _missing_package(error: ModuleNotFoundError) -> UserError:
         f"{what}` in the repository. For `toolee estimate` alone, requirements-perception.txt is enough",
         code="user.missing_package",
     )
+
+
+def _unusable(error: OSError) -> UserError:
+    """A file or folder that cannot be read or written, wherever that was tried."""
+    name = "a file" if error.filename is None else error.filename
+    return UserError(f"cannot use {name}: {words_of(error)}; make room or choose another place", code="user.place")
 
 
 def _complain(error: TooleeError, as_json: bool) -> None:

@@ -168,7 +168,6 @@ class Clouds(JsonOption):
         of_detector = not (self.true_masks or self.whole_tools)
         if self.weights is not None and not of_detector:
             raise UserError("leave --weights out: true masks need no detector", code="user.option")
-        # Before the work: it may take hours.
         make_folder(self.out.parent)
         with progress_bars(console) as report:
             clouds = rendered_clouds(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 import threading
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.recording.messages import matrix, plain
+from toolee_robot.runtime.images import decode_image
 from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.station import ONLY_NAIL, StationConfig, sim_station
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
@@ -116,10 +116,6 @@ class SeenDecision:
     data: dict[str, Any]
 
 
-LARGEST_IMAGE = 50_000_000
-"""Most pixels of an image that is decoded."""
-
-
 @dataclass(eq=False)
 class RunHistory:
     """What a run recorded, by topic. Messages may be added while others read."""
@@ -207,13 +203,14 @@ class RunHistory:
         Raises:
             UserError: It cannot be decoded (`user.recording_unreadable`).
         """
-        png = self.images.values[index]
-        width, height = struct.unpack(">II", png[16:24]) if len(png) >= 24 else (0, 0)
-        bgr = None
-        if 0 < width * height <= LARGEST_IMAGE:
-            bgr = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+        try:
+            bgr, why = decode_image(self.images.values[index], cv2.IMREAD_COLOR), ""
+        except ValueError as error:
+            bgr, why = None, f": {error}"
         if bgr is None:
-            raise UserError(f"image {index + 1} of the recording cannot be decoded", code="user.recording_unreadable")
+            raise UserError(
+                f"image {index + 1} of the recording cannot be decoded{why}", code="user.recording_unreadable"
+            )
         return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
 
     def frame(self, index: int) -> RgbdFrame:

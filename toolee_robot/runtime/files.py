@@ -53,7 +53,7 @@ def written_whole(path: Path) -> Iterator[Path]:
         ) from error
 
 
-def write_atomic(path: Path, data: bytes) -> None:
+def write_atomic(path: Path, data: bytes | memoryview) -> None:
     """Write a file atomically; see `written_whole`.
 
     Args:

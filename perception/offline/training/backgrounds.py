@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from toolee_robot.errors import UserError
+from toolee_robot.runtime.images import read_image
 
 _SIZE = (424, 512)
 """Height and width to which photographs are cut [px]."""
@@ -37,7 +39,11 @@ class Backgrounds:
 
     def __init__(self, folder: Path, device: torch.device) -> None:
         paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in (".jpg", ".jpeg", ".png"))
-        pictures = [_cut(image) for p in paths if (image := cv2.imread(str(p), cv2.IMREAD_COLOR)) is not None]
+        pictures = []
+        for path in paths:
+            with suppress(OSError, ValueError):  # of a folder of photographs those that can be used
+                if (image := read_image(path, cv2.IMREAD_COLOR)) is not None:
+                    pictures.append(_cut(image))
         if not pictures:
             raise UserError(
                 f"{folder} holds no JPEG or PNG picture: give a folder of photographs without tools",

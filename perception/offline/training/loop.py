@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, TypeVar
@@ -22,7 +23,7 @@ from torch import Tensor, nn
 from toolee_robot.errors import TooleeError, UserError, words_of
 from toolee_robot.perception.offline.training.options import TrainingOptions
 from toolee_robot.perception.precision import torch_device
-from toolee_robot.runtime.files import written_whole
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.interrupts import interrupts_held
 
 Network = TypeVar("Network", bound=nn.Module)
@@ -187,7 +188,12 @@ class TrainingRun(ABC):
         return self._options.progress(self.elapsed / 60, self.step)
 
     def loop(self) -> None:
-        """Train until the budget or the session is used up. Raises TooleeError when the loss is not finite."""
+        """Train until the budget or the session is used up; an interrupt loses no step.
+
+        Raises:
+            TooleeError: The loss is not finite.
+            UserError: The checkpoint is damaged, or cannot be written.
+        """
         options, distributed = self._options, self.distributed
         if self.resumed:
             self._restore()
@@ -200,27 +206,35 @@ class TrainingRun(ABC):
         end = self.elapsed + session
         began = time.monotonic() - self.elapsed
         last_checkpoint, last_log, last_step = self.elapsed, self.elapsed, self.step
-        while self.progress < 1.0 and self.elapsed < end:
-            rate = options.lr * min(1.0, (self.step + 1) / options.warmup_steps) * self.schedule(self.progress)
-            for group in self.optimizer.param_groups:
-                group["lr"] = rate
-            values, norm = self._optimise()
-            self.step += 1
-            if self.step % options.log_every and self.step != options.max_steps:
-                continue
-            # The ranks must end with the same step.
-            self.elapsed = distributed.broadcast(time.monotonic() - began)
-            entry = {name: float(value) for name, value in values.items()} | {"gradient_norm": float(norm)}
-            self._stop_unless_finite(entry)
-            more = self.grow()
-            if self.elapsed - last_log >= self.log_seconds:
-                seconds = max(self.elapsed - last_log, 1e-9)
-                per_second = (self.step - last_step) * options.batch * distributed.world / seconds
-                self.record({**entry, "lr": rate, "examples_per_second": per_second, **more})
-                last_log, last_step = self.elapsed, self.step
-            if self.elapsed - last_checkpoint > 60 * options.checkpoint_minutes:
-                last_checkpoint = self.elapsed
-                self._checkpoint()
+        try:
+            while self.progress < 1.0 and self.elapsed < end:
+                rate = options.lr * min(1.0, (self.step + 1) / options.warmup_steps) * self.schedule(self.progress)
+                for group in self.optimizer.param_groups:
+                    group["lr"] = rate
+                with interrupts_held():  # they come between two steps
+                    values, norm = self._optimise()
+                    self.step += 1
+                if self.step % options.log_every and self.step != options.max_steps:
+                    continue
+                # The ranks must end with the same step.
+                self.elapsed = distributed.broadcast(time.monotonic() - began)
+                entry = {name: float(value) for name, value in values.items()} | {"gradient_norm": float(norm)}
+                self._stop_unless_finite(entry)
+                more = self.grow()
+                if self.elapsed - last_log >= self.log_seconds:
+                    seconds = max(self.elapsed - last_log, 1e-9)
+                    per_second = (self.step - last_step) * options.batch * distributed.world / seconds
+                    self.record({**entry, "lr": rate, "examples_per_second": per_second, **more})
+                    last_log, last_step = self.elapsed, self.step
+                if self.elapsed - last_checkpoint > 60 * options.checkpoint_minutes:
+                    last_checkpoint = self.elapsed
+                    self._checkpoint()
+        except KeyboardInterrupt:
+            self.elapsed = time.monotonic() - began
+            if all(bool(value.isfinite().all()) for value in self.average.values()):  # it is looked at now and then
+                self.record({"event": "interrupted"})
+                self._save()
+            raise
         self._checkpoint()
 
     def record(self, values: dict[str, Any]) -> None:
@@ -274,6 +288,12 @@ class TrainingRun(ABC):
             )
 
     def _checkpoint(self) -> None:
+        if self.distributed.first:
+            self._save()
+            self.write()
+
+    def _save(self) -> None:
+        """Write the state from which the training goes on."""
         if not self.distributed.first:
             return
         state = {
@@ -284,10 +304,10 @@ class TrainingRun(ABC):
             "elapsed": self.elapsed,
             "log": self.log,
         }
-        with interrupts_held():  # checkpoint and weights are of the same step
-            with written_whole(self.checkpoint_path) as scratch:
-                torch.save(state, scratch)
-            self.write()
+        with interrupts_held():
+            stream = BytesIO()
+            torch.save(state, stream)
+            write_atomic(self.checkpoint_path, stream.getbuffer())
 
     def _restore(self) -> None:
         path = self.checkpoint_path

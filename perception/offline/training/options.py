@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -115,11 +116,18 @@ def remember(out: Path, resume: bool, config: dict[str, Any], name: str = CONFIG
         name: Name of the configuration file.
 
     Raises:
-        UserError: The configuration has changed.
+        UserError: The configuration has changed, or that of the beginning is damaged.
     """
     path = out / name
     if resume and path.is_file():
-        before = read_json(path)
+        try:
+            before = dict(read_json(path))
+        except (OSError, ValueError, TypeError) as error:
+            raise UserError(
+                f"cannot read {path}, by which the training there was begun: give another --out, or delete it to go on "
+                f"with these options ({words_of(error)})",
+                code="user.training_config",
+            ) from error
         # The duration may change, what is learnt may not.
         changed = {k for k in before.keys() | config.keys() if before.get(k) != config.get(k)} - _MAY_CHANGE
         if changed:
@@ -139,17 +147,20 @@ def is_first() -> bool:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder if it is missing.
+    """Make a folder if it is missing, and look whether it can be written: before the work, which may take hours.
 
     Args:
         folder: The folder.
 
     Raises:
-        UserError: It cannot be made.
+        UserError: It cannot be made or written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
     except OSError as error:
         raise UserError(
-            f"cannot make the folder {folder}: {words_of(error)}", code="user.folder_not_writable"
+            f"cannot make or write the folder {folder}: {words_of(error)}; choose another place",
+            code="user.folder_not_writable",
         ) from error

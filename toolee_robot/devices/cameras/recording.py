@@ -22,6 +22,7 @@ from toolee_robot.devices.cameras.stream import CameraProfile, RawImages
 from toolee_robot.errors import NoAnswerError, UserError, words_of
 from toolee_robot.hal import Clock
 from toolee_robot.runtime.files import read_json, write_atomic
+from toolee_robot.runtime.images import read_image
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 RECORDING = "recording.json"
@@ -67,7 +68,13 @@ class Recording:
         """
         size = (self.intrinsics.height, self.intrinsics.width)
         paths = [_image(self.folder, name, number) for name in ("rgb", "depth")]
-        bgr, depth = cv2.imread(str(paths[0]), cv2.IMREAD_COLOR), cv2.imread(str(paths[1]), cv2.IMREAD_UNCHANGED)
+        try:
+            bgr, depth = read_image(paths[0], cv2.IMREAD_COLOR), read_image(paths[1])
+        except (OSError, ValueError) as error:
+            raise UserError(
+                f"frame {number} of {self.folder} cannot be read: {words_of(error)}: record again",
+                code="user.camera_recording",
+            ) from error
         for path, image, shape in ((paths[0], bgr, (*size, 3)), (paths[1], depth, size)):
             if image is None or image.shape != shape:
                 raise UserError(f"{path} is no image of the recording: record again", code="user.camera_recording")
