@@ -6,7 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,9 @@ import pytest
 from tests.errors import raises
 from toolee_robot.app.job import JobSpec, run_job
 from toolee_robot.app.simulated import Rehearsal, Simulated
-from toolee_robot.app.sources import Opened, Tell
+from toolee_robot.app.sources import Lab, Opened, Source, Tell
 from toolee_robot.app.variant import Variant
-from toolee_robot.errors import DeviceError, StaleDataError, UserError
+from toolee_robot.errors import DeviceError, StaleDataError, TooleeError, UserError
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.station import StationConfig, load_lab_station, sim_station
@@ -40,6 +40,8 @@ class DeadLink:
     name: str = "dead"
     real_time_factor: float | None = None
     mode: str = "its arm's link is dead"
+
+    def check(self, doing: Tell) -> None: ...
 
     @contextmanager
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:  # noqa: ARG002
@@ -116,6 +118,24 @@ def test_a_seed_and_a_real_time_factor_are_within_bounds() -> None:
     with raises(UserError, code="user.real_time_factor"):
         Rehearsal(lab, LAB, 0, factor=1.5)
     assert Rehearsal(lab, LAB, 0).real_time_factor == 0.25
+
+
+def test_what_is_missing_is_told_before_the_networks_are_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("toolee_robot.app.job.job_networks", lambda *_: pytest.fail("the networks were loaded"))
+    lab = load_lab_station(LAB)
+    assert lab.camera.device is not None
+    sources: tuple[Source, ...] = (
+        Lab(replace(lab, calibration=None), LAB),
+        Rehearsal(replace(lab, calibration=None), LAB, 0),
+        Lab(lab, LAB),
+    )
+    for source, named in zip(sources, ("calibration", "calibration", lab.camera.device.serial), strict=True):
+        with pytest.raises(TooleeError) as refused:
+            run_job(JobSpec(source), tmp_path)
+        assert named in str(refused.value)
+        assert not list(tmp_path.iterdir())
 
 
 def test_a_real_robots_job_loads_no_simulation() -> None:

@@ -185,6 +185,7 @@ def run_job(spec: JobSpec, out: Path, observer: JobObserver | None = None) -> Jo
     """
     observer = JobObserver() if observer is None else observer
     with ExitStack() as ending, run_folder(out, spec.source.name) as folder:
+        spec.source.check(observer.doing)
         observer.doing("loading the networks and building the station")
         result, verdict, figures = _run(spec, folder, observer, ending)
         path = folder.keep()

@@ -20,6 +20,7 @@ from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, Dra
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.station import SIMULATED, SIMULATED_CALIBRATION, StationConfig, load_station, sim_station, with_setup
+from toolee_robot.stations.lab import check_purpose
 from toolee_robot.tasks.hammering.grasp import measured_grasp
 from toolee_robot.tools import Tool
 from toolee_robot.types import ArmModel
@@ -145,6 +146,9 @@ class Simulated:
             "errors": self._drawn.facts,
         }
 
+    def check(self, doing: Tell) -> None:
+        """See `Source`."""
+
     @contextmanager
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:  # noqa: ARG002  (a simulation needs neither)
         """See `Source`."""
@@ -216,6 +220,12 @@ class Rehearsal:
             "hand_driver": True,
             "errors": self._errors.facts,
         }
+
+    def check(self, doing: Tell) -> None:  # noqa: ARG002  (an emulated camera is always there)
+        """See `Source`."""
+        from toolee_robot.stations.rehearsal import job_cell
+
+        check_purpose(job_cell(self.config, self.station_file, self.seed).measured)
 
     @contextmanager
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Station
+from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import StationConfig, load_lab_station, with_setup
-from toolee_robot.stations.lab import LabStation
+from toolee_robot.stations.camera import open_camera
+from toolee_robot.stations.lab import LabStation, check_purpose
 from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp
 from toolee_robot.tools import ToolShape
 
@@ -69,6 +71,17 @@ class Source(Protocol):
     @property
     def facts(self) -> Mapping[str, Any]:
         """What identifies the run, for its records."""
+
+    def check(self, doing: Tell) -> None:
+        """Look before anything that takes long whether what is most often missing is there.
+
+        Args:
+            doing: Told what is connected to.
+
+        Raises:
+            ConfigError: The station file lacks something, or its calibration does not hold.
+            DeviceError: The camera does not answer.
+        """
 
     def open(self, tell: Tell, doing: Tell) -> AbstractContextManager[Opened]:
         """Open the devices.
@@ -130,6 +143,14 @@ class Lab:
     def facts(self) -> Mapping[str, Any]:
         """See `Source`."""
         return {"source": "lab", "seed": None, "arm": "ur-rtde", "controller_profile": None, "hand_driver": True}
+
+    def check(self, doing: Tell) -> None:
+        """See `Source`."""
+        check_purpose(self.config)
+        assert self.config.camera.device is not None, "it has just been checked"
+        doing(f"looking for the camera {self.config.camera.device.serial}")
+        with open_camera(self.config.camera, HostClock()):
+            pass
 
     @contextmanager
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:
