@@ -14,7 +14,7 @@ from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 
 pytest_plugins = ("tests.plugins.tiers",)
-FINE = ("tests/benchmarks/test_servo.py",)
+FINE = ("tests/benchmarks/test_scripts.py",)
 """Whose own bounds are a millisecond: a stall that the others tolerate breaks them."""
 CYCLE = 0.002
 """[s] At 500 Hz: a machine that stalled for so long has missed one itself."""

@@ -14,26 +14,14 @@ E = TypeVar("E", bound=TooleeError)
 
 
 class Raised(Generic[E]):
-    """The error that a `raises` block caught.
-
-    Attributes:
-        value: The error; set once the block has ended.
-    """
+    """The error that a `raises` block caught."""
 
     value: E
 
 
 @contextmanager
 def raises(kind: type[E], code: str) -> Iterator[Raised[E]]:
-    """Expect an error of a class and with exactly this code.
-
-    Args:
-        kind: The class of the error, or a base class of it.
-        code: The error's whole `code`, such as "limit.velocity".
-
-    Yields:
-        A record whose `value` is the error after the block.
-    """
+    """Expect an error of a class and with exactly this code."""
     raised: Raised[E] = Raised()
     with pytest.raises(kind) as info:
         yield raised

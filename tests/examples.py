@@ -14,12 +14,5 @@ def is_nightly() -> bool:
 
 
 def examples(count: int) -> settings:
-    """Settings of a property test.
-
-    Args:
-        count: Examples that it draws in every run; nightly so many times more as other tests draw more.
-
-    Returns:
-        A decorator, or the parent of further settings.
-    """
+    """Settings of a property test."""
     return settings(max_examples=count * settings().max_examples // QUICK, deadline=None)

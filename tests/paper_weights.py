@@ -12,16 +12,7 @@ from toolee_robot.perception.offline.research.tooleenet.network import PaperNet
 
 
 def untrained_paper_weights(folder: Path, column: str = "symmetry-aware", seed: int = 0) -> Path:
-    """Write them.
-
-    Args:
-        folder: Where.
-        column: Column of the paper's Table I.
-        seed: Seed of the network.
-
-    Returns:
-        The folder.
-    """
+    """Write them."""
     torch.manual_seed(seed)
     save(folder, PaperNet(COLUMNS[column].dim), COLUMNS[column], {})
     return folder

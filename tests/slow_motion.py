@@ -13,10 +13,7 @@ WINDOW = 0.1
 
 
 def assert_slow(trace: Trace, rate: float) -> None:
-    """The set-points that a controller of this rate [Hz] got, and the joints themselves, stay within the caps.
-
-    A window may begin and end with a tick of two steps.
-    """
+    """The set-points that a controller of this rate [Hz] got, and the joints themselves, stay within the caps."""
     n = round(WINDOW * rate)
     for q in (trace.q_target, trace.q):
         speeds = (q[n:] - q[:-n]) * rate / n

@@ -68,11 +68,7 @@ def undocumented(source: str) -> Iterator[str]:
 
 
 class Classes:
-    """The classes of the product by name: which are the project's errors, and what a method inherits.
-
-    Args:
-        sources: Sources of modules.
-    """
+    """The classes of the product by name: which are the project's errors, and what a method inherits."""
 
     def __init__(self, sources: Iterable[str]) -> None:
         self._classes: dict[str, list[ast.ClassDef]] = {}
@@ -115,11 +111,7 @@ def _room(path: str) -> str:
 
 
 def names_from_other_rooms(sources: Mapping[str, str]) -> set[tuple[str, str]]:
-    """Which names are imported from another room: pairs of the room that has them, and the name.
-
-    Args:
-        sources: Source of each file by its path.
-    """
+    """Which names are imported from another room: pairs of the room that has them, and the name."""
     found = set()
     for path, source in sources.items():
         for node in ast.walk(ast.parse(source)):
@@ -145,10 +137,7 @@ def _raised(function: ast.FunctionDef) -> set[str]:
 
 
 def _functions(body: list[ast.stmt], owner: ast.ClassDef | None = None) -> Iterator[tuple[ast.FunctionDef, str, str]]:
-    """Public functions with their qualified name and docstring; that of a constructor is its class's.
-
-    A setter has none of its own: its property is documented.
-    """
+    """Public functions with their qualified name and docstring; that of a constructor is its class's."""
     for node in body:
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
             yield from _functions(node.body, node)
@@ -161,12 +150,7 @@ def _functions(body: list[ast.stmt], owner: ast.ClassDef | None = None) -> Itera
 
 
 def missing_sections(source: str, classes: Classes, names: Callable[[str], bool]) -> Iterator[str]:
-    """The sections that the docstrings of a module's public functions lack, as "function: section".
-
-    Only what another room imports needs them, with the methods of a class. For the others one line does.
-    Two or more parameters need `Args:` and, where a result is returned, `Returns:`; each error of the project that the
-    function itself raises stands under `Raises:`. A docstring "See `X`." refers to the one that holds.
-    """
+    """The sections that the docstrings of a module's public functions lack, as "function: section"."""
     tree = ast.parse(source)
     owners = {id(member): node for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for member in node.body}
     for function, name, docstring in _functions(tree.body):

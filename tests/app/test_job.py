@@ -4,26 +4,39 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
 from toolee_robot.app.job import JobSpec, run_job
+from toolee_robot.app.perceivers import AlteredPoses, job_perceiver
 from toolee_robot.app.simulated import Rehearsal, Simulated
 from toolee_robot.app.sources import Lab, Opened, Source, Tell
 from toolee_robot.app.variant import Variant
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import DeviceError, StaleDataError, TooleeError, UserError
+from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.station import StationConfig, load_lab_station, sim_station
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
-
-pytestmark = pytest.mark.sim(seconds=10)
+from toolee_robot.types import (
+    CameraError,
+    CameraIntrinsics,
+    Detection,
+    HoldingHand,
+    InHandEstimate,
+    RgbdFrame,
+    ToolEstimate,
+)
 
 CONFIG = sim_station()
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
@@ -57,6 +70,7 @@ class DeadLink:
             yield Opened(sim.station, CONFIG, grasp, sim.tool.name, "a hammer", sim.judge, sim.tool, why_late)
 
 
+@pytest.mark.sim(seconds=10)
 @pytest.mark.parametrize("why", [WHY, ""])
 def test_the_reason_of_a_job_that_ended_for_late_data_says_why_they_were_late(tmp_path: Path, why: str) -> None:
     job = run_job(JobSpec(DeadLink(why), Variant.PERFECT_PERCEPTION), tmp_path)
@@ -85,6 +99,8 @@ print(job.figures["outcome"], sorted(path.name for path in job.folder.iterdir())
 """
 
 
+@pytest.mark.sim(seconds=10)
+@pytest.mark.nightly
 def test_a_full_disk_loses_neither_the_result_nor_the_folder(tmp_path: Path) -> None:
     command = [sys.executable, "-c", _ON_A_FULL_DISK, str(tmp_path)]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -93,11 +109,13 @@ def test_a_full_disk_loses_neither_the_result_nor_the_folder(tmp_path: Path) -> 
     assert "device_fault ['recording.mcap', 'summary.json']" in said
 
 
+@pytest.mark.sim(seconds=10)
 def test_a_job_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     run_job(JobSpec(DeadLink(""), Variant.PERFECT_PERCEPTION), tmp_path)
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.sim(seconds=10)
 @pytest.mark.parametrize(
     ("variant", "nails", "weights", "code"),
     [
@@ -111,6 +129,7 @@ def test_what_is_no_job_is_refused(variant: Variant, nails: tuple[str, ...], wei
         JobSpec(Simulated(CONFIG, 0), variant, weights, nails)
 
 
+@pytest.mark.sim(seconds=10)
 def test_a_seed_and_a_real_time_factor_are_within_bounds() -> None:
     lab = load_lab_station(LAB)
     with raises(UserError, code="user.seed"):
@@ -120,6 +139,7 @@ def test_a_seed_and_a_real_time_factor_are_within_bounds() -> None:
     assert Rehearsal(lab, LAB, 0).real_time_factor == 0.25
 
 
+@pytest.mark.sim(seconds=10)
 def test_what_is_missing_is_told_before_the_networks_are_loaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -138,6 +158,7 @@ def test_what_is_missing_is_told_before_the_networks_are_loaded(
         assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.sim(seconds=10)
 def test_a_real_robots_job_loads_no_simulation() -> None:
     """Neither its parts nor the job itself, with the networks."""
     code = (
@@ -146,3 +167,85 @@ def test_a_real_robots_job_loads_no_simulation() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+NOMINAL = transform(Rotation.from_rotvec([0.1, 0.2, 0.3]), [0.24, 0.0, 0.03])
+SEEN = transform(Rotation.from_rotvec([0.3, 0.1, 0.2]), [0.25, 0.01, 0.02])
+
+
+class Sees:
+    """A perceiver that has seen the face."""
+
+    def estimate(
+        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
+    ) -> list[ToolEstimate]:
+        raise NotImplementedError
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],  # noqa: ARG002
+        Xs_camera_hand: Sequence[Array],  # noqa: ARG002
+        category: Category | None = None,  # noqa: ARG002
+        camera: CameraError | None = None,  # noqa: ARG002
+    ) -> InHandEstimate:
+        return InHandEstimate(Category.HAMMER_HEAD, SEEN, np.eye(6) * 1e-6, 0.9, 6, 6, True, "ok")
+
+
+def opened() -> Any:
+    """What a perceiver needs of the open devices of a real station."""
+    grasp = SimpleNamespace(X_hand_ee=NOMINAL, ee_off=None)
+    return SimpleNamespace(config=sim_station(), grasp=grasp, truth=None, shape=None)
+
+
+@pytest.mark.parametrize(
+    ("variant", "place", "turn"),
+    [
+        (Variant.FULL, SEEN, SEEN),
+        (Variant.POSITION_ONLY, SEEN, NOMINAL),
+        (Variant.NORMAL_ONLY, NOMINAL, SEEN),
+        (Variant.ONE_VIEW, SEEN, SEEN),
+        (Variant.PAPER, SEEN, SEEN),
+    ],
+)
+def test_the_rest_of_the_pose_is_nominal(variant: Variant, place: Array, turn: Array) -> None:
+    perceiver, config = job_perceiver(variant, Sees(), opened())
+    X = perceiver.fuse([], []).X_hand_ee
+    np.testing.assert_array_equal(X[:3, 3], place[:3, 3])
+    np.testing.assert_allclose(X[:3, :3], turn[:3, :3], atol=1e-12)
+    assert (config.task.views == 1) == (variant is Variant.ONE_VIEW)
+
+
+@pytest.mark.parametrize(("variant", "networks"), [(Variant.PERFECT_PERCEPTION, None), (Variant.ICP, Sees())])
+def test_what_only_a_simulation_knows_is_refused_on_a_robot(variant: Variant, networks: Sees | None) -> None:
+    with raises(UserError, code="user.no_truth") as refused:
+        job_perceiver(variant, networks, opened())
+    assert "only a simulation knows" in str(refused.value)
+
+
+class SeesTwo(Sees):
+    """A perceiver that sees one end effector with a pose and one without."""
+
+    def estimate(
+        self,
+        frame: RgbdFrame,  # noqa: ARG002
+        hand: HoldingHand | None = None,  # noqa: ARG002
+        categories: Sequence[Category] = CATEGORIES,  # noqa: ARG002
+    ) -> list[ToolEstimate]:
+        detections = [
+            Detection(Category.HAMMER_HEAD, score, np.zeros((2, 2), bool), (0, 0, 1, 1)) for score in (0.9, 0.1)
+        ]
+        poses = SEEN, np.full((4, 4), np.nan)
+        return [ToolEstimate(d, X, np.eye(6), 0.9, True, "ok") for d, X in zip(detections, poses, strict=True)]
+
+
+def test_another_estimator_gets_the_nominal_pose_and_replaces_the_networks() -> None:
+    X_camera_hand = transform(Rotation.from_rotvec([0.0, 0.4, 0.0]), [0.0, 0.1, 0.5])
+    shift = transform(p=[0.0, 0.0, 0.01])
+    depth = np.ones((2, 2), np.float32)
+    frame = RgbdFrame(np.zeros((2, 2, 3), np.uint8), depth, CameraIntrinsics(2.0, 2.0, 1.0, 1.0, 2, 2), 0.0)
+    perceiver = AlteredPoses(SeesTwo(), NOMINAL, lambda _, __, nominal: nominal @ shift)
+    posed, unposed = perceiver.estimate(frame, HoldingHand(X_camera_hand, np.eye(3)))
+    np.testing.assert_allclose(posed.X_camera_ee, X_camera_hand @ NOMINAL @ shift)
+    assert posed.detection.score == 0.9
+    assert np.isnan(unposed.X_camera_ee).all(), "what has no pose keeps the reason why"
+    np.testing.assert_array_equal(perceiver.fuse([], []).X_hand_ee, SEEN)

@@ -7,6 +7,7 @@ import re
 
 import pytest
 
+from benchmarks.servo import run
 from benchmarks.swing import KINDS, STRAIGHT_BOUND, SWING_BOUND, compare
 from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel
@@ -41,3 +42,14 @@ def test_a_script_prints_its_figures(
     main = importlib.import_module(f"benchmarks.{name}").main
     main() if arguments is None else main(arguments)
     assert re.search(says, capsys.readouterr().out)
+
+
+@pytest.mark.realtime
+@pytest.mark.nightly
+@pytest.mark.parametrize(("model", "seconds"), [(ArmModel.UR10, 8.0), (ArmModel.UR10E, 30.0)])
+def test_every_target_is_met(model: ArmModel, seconds: float) -> None:
+    measured = run(model, seconds, "127.0.0.36")
+    assert list(measured.targets.values()) == [True] * 4, measured
+    assert measured.servo.memory_growth < 2**20
+    # Not those about late ones, of which a restless machine has many; and of those that are left, tracking is told.
+    assert measured.trace.followed * measured.trace.ticks > 100

@@ -14,7 +14,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA, draw_session, picture
-from tests.devices.cameras.toy_recording import say_undistorted, toy_recording
+from tests.devices.cameras.test_recording import say_undistorted, toy_recording
 from toolee_robot.calibration.observation import find_board
 from toolee_robot.calibration.record import read_record, write_record
 from toolee_robot.calibration.touches import see_corner

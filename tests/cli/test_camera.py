@@ -10,7 +10,7 @@ import cv2
 import pytest
 import yaml
 
-from tests.devices.cameras.toy_recording import INTRINSICS, SERIAL, say_undistorted, toy_recording
+from tests.devices.cameras.test_recording import INTRINSICS, SERIAL, say_undistorted, toy_recording
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.record import INTRINSICS_FORMAT, IntrinsicsRecord, write_record
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run

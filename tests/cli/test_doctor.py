@@ -260,6 +260,7 @@ def test_a_tilted_base_is_looked_at_without_what_needs_an_upright_one(
     assert not {"handover", "views", "strike"} & set(found)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_a_rehearsal_sees_every_device_behind_the_stand_in(capsys: pytest.CaptureFixture[str]) -> None:
     code, record, said = _doctor(capsys, "--robot-host", "127.0.0.49", "--world", "pybullet")

@@ -72,14 +72,7 @@ def _line(out: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Job:
-    """A job that ran to its end.
-
-    Attributes:
-        returncode: Exit code of the command.
-        record: The line that --json prints.
-        err: Standard error.
-        folder: Where the command ran; it wrote to out/.
-    """
+    """A job that ran to its end."""
 
     returncode: int
     record: dict[str, Any]
@@ -95,16 +88,7 @@ def _whole_job(folder: Path, *args: str) -> _Job:
 
 @dataclass(frozen=True)
 class _Tilt:
-    """Tilt of the face against the nail at a strike, by the simulation, and what it may come from.
-
-    Attributes:
-        degrees: The tilt [deg].
-        look: Number of the look before it, from 0.
-        sigma_deg: Standard deviation of the face's direction that the job had from that look [deg].
-        drift_deg: What the job takes the tool to have turned in the hand by in the strikes since [deg].
-        turned_deg: How far the face's normal is from where that look had it in the hand, by the simulation [deg].
-        bend_deg: How far the nail was bent, by the simulation [deg].
-    """
+    """Tilt of the face against the nail at a strike, by the simulation, and what it may come from."""
 
     degrees: float
     look: int
@@ -158,10 +142,7 @@ def test_the_corrected_job_is_as_accurate_as_measured(corrected: _Job) -> None:
 
 
 def test_every_strike_tilts_by_no_more_than_the_pose_and_the_drift_in_the_hand_explain(corrected: _Job) -> None:
-    """A straight strike is planned square: what is left is the error of the look before it, and the drift since.
-
-    The first look's error is known. That of a later one, from fewer views, is within 95 % of what the job takes it for.
-    """
+    """A straight strike is planned square: what is left is the error of the look before it, and the drift since."""
     tilts = _tilts(corrected.folder)
     first = [t for t in tilts if t.look == 0]
     later = [t for t in tilts if t.look > 0]

@@ -31,14 +31,7 @@ MOUNT = ToolMount(
 
 
 class Rig(ABC):
-    """A hand, and what can be made of it.
-
-    Attributes:
-        senses: Whether it can tell what it holds, and when it is silent.
-        rest: Time until its fingers stand after a stop [s].
-        reading: Largest difference of two readings of a joint that stands [rad].
-        bends: Angle by which a joint bends at least when it is shut [rad].
-    """
+    """A hand, and what can be made of it."""
 
     hand: Hand
     model: HandModel
@@ -114,8 +107,7 @@ class EmulatedRig(Rig):
 
 
 class LabRig(Rig):
-    """The hand of a station file. Somebody empties it before each test, and has a handle ready; nothing is done to its
-    wire."""
+    """The hand of a station file."""
 
     rest = 0.5
     reading = 0.01

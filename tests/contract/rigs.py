@@ -31,10 +31,7 @@ NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])
 
 
 class Rig(ABC):
-    """An entered arm. rate: [Hz] expected. limits: it was made with. tracking: measured against commanded at rest
-    [rad]. reading: between two readings of the joints at rest [rad]. watch: bounds of every motion. force_time: over
-    which a zeroed force is averaged [s]. zeroed: largest norm of that average [N]. carried: by the flange. faults:
-    whether stops, contacts and cuts can be brought about without a person. disturbed: one was."""
+    """An entered arm: its rate [Hz], limits and tolerances [rad, s, N], and which faults can be brought about."""
 
     arm: Arm
     rate: float
@@ -271,8 +268,7 @@ def zeroed_force(model: ArmModel, duration: float) -> float:
 
 
 def hardware_watch(host: str) -> MotionWatch:
-    """The driver's own bounds: a machine that cannot keep them moves no robot. A stand-in shares the machine with the
-    suite and may be late, no more than that."""
+    """The driver's own bounds: a machine that cannot keep them moves no robot."""
     watch = MotionWatch()
     if is_loopback(host):
         watch = replace(watch, data_cycles=PATIENT.data_cycles, overruns=PATIENT.overruns)

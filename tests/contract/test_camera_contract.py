@@ -14,7 +14,7 @@ import pytest
 
 from tests.contract.lab import station_of
 from tests.errors import raises
-from tests.rigs.camera_devices import CameraEvent, OrbbecDevice
+from tests.rigs.camera_rig import CameraEvent, OrbbecDevice
 from tests.rigs.software_airo import SoftwareAiroCamera
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.airo import AiroStream

@@ -19,9 +19,7 @@ STOP_ACCELERATION, STOP_JERK = 15.0, 1500.0
 
 
 class PaperArm:
-    """driven: every sample (6,) that it went through, at `rate`. tick: called after each of them. fault: what the next
-    motion ends with half-way. pause: wall-clock time of a sample [s]. meets: share of the next motion at which it feels
-    a contact; lag: by how much its measured joints are behind then [rad of path time, s]. fresh: whether data comes."""
+    """An arm on paper that drives each sample exactly; tests set its faults, pauses and contacts."""
 
     rate = 125.0
 

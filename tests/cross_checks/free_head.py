@@ -40,18 +40,7 @@ MODEL = """
 
 
 def in_pybullet(spec: NailSpec, mass: float, speed: float, offset: float = 0.0, tilt: float = 0.0) -> float:
-    """How far a free head drives the station's nail.
-
-    Args:
-        spec: Nail and wood.
-        mass: Mass of the head [kg].
-        speed: Its speed [m/s].
-        offset: Distance of the face's centre from the nail's axis [m].
-        tilt: Angle between the head and the nail's axis [rad].
-
-    Returns:
-        How far [m].
-    """
+    """How far a free head drives the station's nail."""
     return next(make_bench(spec)).strike(mass, speed, offset=offset, tilt=tilt)
 
 
@@ -63,19 +52,7 @@ def wire_mass(spec: NailSpec) -> float:
 def in_mujoco(
     spec: NailSpec, mass: float, speed: float, offset: float = 0.0, tilt: float = 0.0, nail: float = LUMPED_MASS
 ) -> float:
-    """How far a free head drives a nail in MuJoCo.
-
-    Args:
-        spec: Nail and wood.
-        mass: Mass of the head [kg].
-        speed: Its speed [m/s].
-        offset: Distance of the face's centre from the nail's axis [m].
-        tilt: Angle between the head and the nail's axis [rad].
-        nail: Mass of the nail [kg].
-
-    Returns:
-        How far [m].
-    """
+    """How far a free head drives a nail in MuJoCo."""
     model = mujoco.MjModel.from_xml_string(
         MODEL.format(
             step=TIME_STEP, contact=4 * TIME_STEP, plastic=spec.plastic_moment, nail=nail,

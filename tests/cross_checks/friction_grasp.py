@@ -92,16 +92,7 @@ MODEL = """
 
 
 def held_by_friction(rig: Rig, finger_force: float, friction: float) -> HeldStrike:
-    """Strike the nail once.
-
-    Args:
-        rig: The rig; the bounds of its grip are not used.
-        finger_force: Sum of the forces of the fingers [N].
-        friction: Coefficient of friction between handle, palm and fingers.
-
-    Returns:
-        What the strike does; `along` is the way of the handle's surface on the palm.
-    """
+    """Strike the nail once."""
     spec, hammer = rig.spec, rig.hammer
     grip_x, height = -hammer.reach - rig.eccentricity, spec.protrusion + GAP + FACE_DROP
     fingers = "".join(

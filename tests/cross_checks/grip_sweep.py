@@ -23,13 +23,7 @@ FINER = 4  # times shorter steps, with which a hammer must be lost, too, if it i
 
 @dataclass(frozen=True)
 class Case:
-    """How hammers are held.
-
-    Attributes:
-        friction: Coefficient of friction in the hand.
-        finger_force: Sum of the finger forces [N].
-        wrist_torque: Torque at which the wrist yields [Nm].
-    """
+    """How hammers are held."""
 
     friction: float = 0.6
     finger_force: float = 60.0
@@ -50,13 +44,7 @@ def cases() -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Series:
-    """A series of strikes with one hammer, up to its loss.
-
-    Attributes:
-        strikes: What each strike did.
-        lost: Whether the grip lost the hammer, in a strike or while it was swung.
-        finite: Whether every number stayed finite.
-    """
+    """A series of strikes with one hammer, up to its loss."""
 
     strikes: tuple[HeldStrike, ...]
     lost: bool

@@ -32,14 +32,7 @@ LIFT = 0.6  # [m/s] at most, upwards
 
 @dataclass(frozen=True)
 class Hammer:
-    """A hammer.
-
-    Attributes:
-        mass: Its mass [kg].
-        moments: Moments of inertia about the handle, the axis about which a strike turns it, and the vertical [kg m^2].
-        balance: Distance of the centre of mass from the grip [m].
-        reach: Distance of the face's centre from the grip [m].
-    """
+    """A hammer."""
 
     mass: float = 0.7
     moments: tuple[float, float, float] = (4e-4, 4e-3, 4e-3)
@@ -49,17 +42,7 @@ class Hammer:
 
 @dataclass(frozen=True)
 class Rig:
-    """A held strike.
-
-    Attributes:
-        hammer: The hammer.
-        speed: Speed at the contact [m/s].
-        limits: What the grip transmits.
-        wrist_torque: Torque at which the wrist yields [Nm].
-        eccentricity: Distance of the face's centre from the nail's axis along the handle, towards the hand [m].
-        sideways: Distance of the face's centre from the nail's axis across the handle [m].
-        spec: Nail and wood.
-    """
+    """A held strike."""
 
     hammer: Hammer = field(default_factory=Hammer)
     speed: float = 1.2
@@ -87,20 +70,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class HeldStrike:
-    """What one held strike does.
-
-    Attributes:
-        driven: How far the nail is driven [m].
-        along: Slip along the handle [m], positive out of the hand.
-        across: Slip across the handle [m].
-        tilt: Largest tilt of the handle in the hand [rad].
-        left: Tilt that is left at the end [rad].
-        rebound: Largest speed of the face away from the nail [m/s].
-        yielded: Largest turn of the wrist [rad].
-        spin: Slip about the handle and of the tilt's rest pose [rad]; pybullet only.
-        lost: Whether the grip lost the handle.
-        finite: Whether every number stayed finite.
-    """
+    """What one held strike does."""
 
     driven: float
     along: float

@@ -85,12 +85,7 @@ MODEL = """
 
 
 class _Tilt:
-    """The torque against a tilt of the handle, by the law of `AssistedGrip`.
-
-    Args:
-        gains: The grip's gains.
-        bound: Largest torque [Nm].
-    """
+    """The torque against a tilt of the handle, by the law of `AssistedGrip`."""
 
     def __init__(self, gains: GripGains, bound: float) -> None:
         self._gains, self._bound = gains, bound
@@ -113,15 +108,7 @@ class _Tilt:
 
 
 def held_in_mujoco(rig: Rig, gains: GripGains) -> HeldStrike:
-    """Strike the nail once.
-
-    Args:
-        rig: The rig.
-        gains: Stiffness and damping of the grip.
-
-    Returns:
-        What the strike does.
-    """
+    """Strike the nail once."""
     spec, hammer, limits = rig.spec, rig.hammer, rig.limits
     model = mujoco.MjModel.from_xml_string(
         MODEL.format(

@@ -40,18 +40,7 @@ CARRIAGE_FORCE = 1e5  # [N] limit of its motor
 
 
 class HeldInPybullet:
-    """The rig in pybullet.
-
-    Args:
-        rig: The rig.
-        finer: How many times shorter than the station's the steps are; the grip is laid out for the station's.
-
-    Attributes:
-        grip: The grip.
-        nail: The nail.
-        tool: pybullet's id of the hammer.
-        finite: Whether every number stayed finite.
-    """
+    """The rig in pybullet."""
 
     def __init__(self, client: int, rig: Rig, finer: int = 1) -> None:
         self._client, self._rig, self._finer = client, rig, finer

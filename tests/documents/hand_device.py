@@ -18,8 +18,7 @@ SPEED = 20.0  # [rad/s]
 
 
 class HandDevice:
-    """Fingers run to their goals, or to `handle` [rad] where one lies in them; `silent`: it answers nothing;
-    `jammed`: it never arrives. port: where a driver finds it."""
+    """Fingers run to their goals, or to `handle` [rad] where one lies in them; `silent`: it answers nothing."""
 
     def __init__(self) -> None:
         self._ours, theirs = os.openpty()

@@ -31,14 +31,12 @@ from tests.faults.rows.arm import arm_rows
 from tests.faults.rows.cameras import camera_rows, missing_cameras
 from tests.faults.rows.collisions import collision_rows, restricted_rows
 from tests.faults.rows.commands import command_rows
-from tests.faults.rows.following import following_rows
 from tests.faults.rows.hands import hand_rows
-from tests.faults.rows.inputs import input_rows
+from tests.faults.rows.inputs import input_rows, switch_rows
 from tests.faults.rows.job import job_rows
-from tests.faults.rows.process import process_rows
+from tests.faults.rows.process import following_rows, process_rows
 from tests.faults.rows.released_stops import released_rows
 from tests.faults.rows.start import calibration_rows, start_rows
-from tests.faults.rows.switch import switch_rows
 from tests.rigs.driver_rig import rig
 from tests.rigs.job_rig import Bench
 from tests.rigs.setting import Setting

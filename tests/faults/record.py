@@ -28,25 +28,7 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class FaultRow:
-    """Result of one fault; times and distances are None where nothing moved or nothing is timed.
-
-    Attributes:
-        number: Number in the list of docs/concepts/safety.md.
-        fault: The injected fault.
-        phase: When it was injected.
-        on: Arm or station under which it was injected.
-        expected: Required reaction.
-        got: Measured reaction.
-        latched: Whether the next motion was refused until a person's reset.
-        handled: Whether everything was as required.
-        why: What was not, if any.
-        reaction: Time from the fault to the first tick in which the joints leave the uninterrupted motion [s].
-        standstill: Time from the fault to rest [s].
-        allowed: Largest permitted `standstill`: time to detect the fault, braking time at the limits, two cycles [s].
-        speed: Speed of the fastest joint at the fault [rad/s].
-        off_path: Largest deviation of the joints from the path after the fault [rad].
-        again: Number of discarded measurements during which the machine stalled or the moment was missed.
-    """
+    """Result of one fault; times and distances are None where nothing moved or nothing is timed."""
 
     number: int
     fault: str

@@ -16,26 +16,19 @@ from tests.faults.rows.collisions import (
     COLLISIONS,
     RESTRICTED,
     UNREACHABLE,
-    collision_row,
     collision_rows,
-    restricted_row,
     restricted_rows,
 )
-from tests.faults.rows.following import following_rows
-from tests.faults.rows.inputs import input_rows
-from tests.faults.rows.process import process_rows
-from tests.faults.rows.released_stops import RELEASED_STOPS, ReleasedStop, released_row, released_rows
-from tests.faults.rows.switch import ONE_CONTACT, STUCK, SWITCH_FAULTS, at_rest, in_slow_motion, switch_rows
+from tests.faults.rows.inputs import SWITCH_FAULTS, input_rows, switch_rows
+from tests.faults.rows.process import following_rows, process_rows
+from tests.faults.rows.released_stops import RELEASED_STOPS, released_row, released_rows
+from tests.faults.rows.start import HAND, START_FAULTS, StartFault, start_row
 from tests.rigs.driver_rig import Rig, rig
 from tests.rigs.setting import Setting
-from toolee_robot.devices.person import Contact
-from toolee_robot.devices.ur import driver
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot import error_codes
 from toolee_robot.types import ArmModel
-
-pytestmark = pytest.mark.realtime
 
 HARSH = Setting(ArmModel.UR10E, "127.0.0.64", "harsh")
 OWN = replace(HARSH, host="127.0.0.65")
@@ -66,12 +59,6 @@ def ctrl_c_ignored() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def uploaded_again(controller: ControllerProcess) -> None:
-    """A release after which a program moves the arm."""
-    controller.fault("unlock")
-    upload(controller)
-
-
 def upload(controller: ControllerProcess) -> None:
     with socket.create_connection((controller.host, SCRIPT_PORT), 2.0) as sock:
         sock.sendall(MOVES.encode())
@@ -82,6 +69,7 @@ def check(measurement: Measurement, machine: LatencyMonitor) -> None:
     assert row.handled, row.why
 
 
+@pytest.mark.realtime
 def test_every_detection_has_a_row() -> None:
     codes = {fault.code for fault in (*COLLISIONS, *RESTRICTED)}
     kinds = {"C153", "C157", "C158", "C159", "C173", "C174", f"C{error_codes.PATH_SANITY}A{error_codes.SUDDEN_STOP}"}
@@ -95,11 +83,14 @@ def test_every_detection_has_a_row() -> None:
     assert not codes & set(UNREACHABLE)
 
 
+@pytest.mark.nightly
+@pytest.mark.realtime
 def test_release_and_play_move_nothing(arm_rig: Rig, machine: LatencyMonitor) -> None:
     first = next(iter(released_rows(arm_rig)))
     check(first, machine)
 
 
+@pytest.mark.realtime
 @pytest.mark.nightly
 @pytest.mark.parametrize("rows", [released_rows, following_rows, collision_rows, input_rows, switch_rows])
 def test_rows_on_one_stand_in(rows: object, arm_rig: Rig, machine: LatencyMonitor) -> None:
@@ -107,18 +98,21 @@ def test_rows_on_one_stand_in(rows: object, arm_rig: Rig, machine: LatencyMonito
         check(measurement, machine)
 
 
+@pytest.mark.realtime
 @pytest.mark.nightly
 def test_a_restricted_safety_configuration(machine: LatencyMonitor) -> None:
     for measurement in restricted_rows(OWN):
         check(measurement, machine)
 
 
+@pytest.mark.realtime
 @pytest.mark.nightly
 def test_ctrl_c_reaches_a_task_whose_parent_ignores_it(machine: LatencyMonitor) -> None:
     with ctrl_c_ignored():
         check(next(iter(process_rows(OWN))), machine)
 
 
+@pytest.mark.realtime
 def test_the_matrix_has_the_switch_in_each_phase(arm_rig: Rig) -> None:
     rows = [(row.fault, row.phase) for row in switch_rows(arm_rig)]
     assert len(set(rows)) == len(rows)
@@ -126,6 +120,7 @@ def test_the_matrix_has_the_switch_in_each_phase(arm_rig: Rig) -> None:
         assert {phase for name, phase in rows if name == fault.fault} >= {Phase.REST, Phase.SWING}
 
 
+@pytest.mark.realtime
 def test_a_slider_that_is_moved_at_rest_latches_nothing(arm_rig: Rig) -> None:
     row = slider_at_rest(arm_rig)
     assert row.handled, row.why
@@ -135,6 +130,7 @@ def test_a_slider_that_is_moved_at_rest_latches_nothing(arm_rig: Rig) -> None:
 # -- the matrix can fail -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.realtime
 def test_a_stop_that_does_not_come_is_not_handled(arm_rig: Rig) -> None:
     row = released_row(replace(RELEASED_STOPS[0], stop=lambda _: None), Phase.REST, arm_rig)
     assert not row.handled
@@ -142,67 +138,28 @@ def test_a_stop_that_does_not_come_is_not_handled(arm_rig: Rig) -> None:
     assert "program is PLAYING" in row.why
 
 
-@pytest.mark.nightly  # that the matrix can fail, others show in every run
-def test_an_arm_that_moves_after_the_release_is_not_handled(arm_rig: Rig) -> None:
-    row = released_row(replace(RELEASED_STOPS[0], release=uploaded_again), Phase.REST, arm_rig)
+SETTING = Setting(ArmModel.UR10E, "127.0.0.68")
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[ControllerProcess]:
+    with ControllerProcess(model=SETTING.model, host=SETTING.host) as controller:
+        yield controller
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize("name", ["wrong payload", "wrong TCP", "local control"])
+def test_the_driver_refuses_to_start(controller: ControllerProcess, name: str) -> None:
+    (fault,) = (f for f in START_FAULTS if f.fault == name)
+    row = start_row(fault, SETTING, controller)
+    assert row.handled, row.why
+    assert row.off_path == 0.0
+
+
+@pytest.mark.realtime
+def test_a_robot_that_is_as_configured_is_no_handled_fault(controller: ControllerProcess) -> None:
+    right = {"mass": HAND.mass, "cog": HAND.center_of_mass.tolist()}
+    row = start_row(StartFault("none", "payload", right, "kg", "payload page"), SETTING, controller)
     assert not row.handled
-    assert "after release and Play" in row.why
-
-
-@pytest.mark.nightly  # that the matrix can fail, others show in every run
-def test_another_code_than_that_of_the_cause_is_not_handled(arm_rig: Rig) -> None:
-    (push,) = (fault for fault in COLLISIONS if fault.code == "C153")
-    row = collision_row(replace(push, code="C157"), Phase.REST, arm_rig)
-    assert not row.handled
-    assert "C157 expected, the controller says C153" in row.why
-
-
-@pytest.mark.nightly
-def test_an_arm_that_moves_once_it_is_switched_on_is_not_handled(arm_rig: Rig) -> None:
-    def switched_on_and_uploaded(controller: ControllerProcess) -> None:
-        fault.release(controller)
-        upload(controller)
-
-    fault = _released("emergency stop, pulled out, switched on, Play")
-    row = released_row(replace(fault, release=switched_on_and_uploaded), Phase.REST, arm_rig)
-    assert not row.handled
-    assert "after release and Play" in row.why
-
-
-def test_a_slider_that_nobody_looks_at_is_not_handled(arm_rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driver, "check_speed_slider", lambda _: None)
-    row = slider_at_rest(arm_rig)
-    assert not row.handled
-    assert "not_ready.speed_slider expected" in row.why
-
-
-def test_a_switch_that_works_is_no_handled_fault(arm_rig: Rig) -> None:
-    row = at_rest(replace(STUCK, inject=lambda _: None), arm_rig)
-    assert not row.handled
-    assert "person_near.switch_not_taken expected, it was permitted" in row.why
-    assert "person_near.swing_not_confirmed expected, it was permitted" in row.why
-
-
-@pytest.mark.nightly
-def test_contacts_that_may_agree_with_each_other_are_not_handled(arm_rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Contact, "_read", lambda self, bits: self._bit(bits, self._made_input))
-    row = in_slow_motion(ONE_CONTACT, arm_rig)
-    assert not row.handled
-    assert "person_near.during_motion expected" in row.why
-
-
-@pytest.mark.nightly
-def test_a_range_that_is_not_left_is_not_handled(machine: LatencyMonitor) -> None:
-    fault = next(f for f in RESTRICTED if f.code == "C191A1")
-    row = Measurement(
-        12, fault.fault, Phase.SWING, OWN.name, "", lambda: restricted_row(
-            replace(fault, limits=lambda own, _: own), Phase.SWING, OWN
-        )
-    ).row(machine)  # fmt: skip
-    assert not row.handled
-    assert "the controller has not stopped the swing" in row.why
-
-
-def _released(name: str) -> ReleasedStop:
-    (fault,) = (fault for fault in RELEASED_STOPS if fault.fault == name)
-    return fault
+    assert "the driver started" in row.why
+    assert "a program was sent to the robot" in row.why

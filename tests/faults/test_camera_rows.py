@@ -20,13 +20,11 @@ from tests.faults.rows.cameras import (
     other_camera_row,
     other_lens_row,
 )
-from tests.rigs.camera_devices import CameraEvent
-from tests.rigs.camera_rig import CAMERAS, CameraKind, DriverCamera
+from tests.rigs.camera_rig import CAMERAS, CameraEvent, CameraKind, DriverCamera
 from tests.rigs.job_rig import Bench
 from toolee_robot.devices.cameras.stream import FrameGate, RawImages, Refusal
 from toolee_robot.errors import UserError
 from toolee_robot.hal import Station
-from toolee_robot.tasks.hammering.task import HammeringTask
 
 pytestmark = pytest.mark.realtime
 
@@ -145,25 +143,12 @@ def _not_handled(row: FaultRow, why: str) -> None:
 
 
 @pytest.mark.nightly  # a whole job
-def test_a_camera_that_works_is_no_handled_fault(bench: Bench) -> None:
-    fault = replace(_fault(CameraEvent.FROZEN), event=CameraEvent.NOTHING)
-    row = camera_row(fault, Phase.REST, TOOLKIT, bench)
-    _not_handled(row, "device_fault expected")
-    assert "strikes were swung, 0 may be" in row.why
-
-
-@pytest.mark.nightly  # a whole job
 def test_without_the_gate_of_the_frames(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def admit(_: FrameGate, __: RawImages, arrival: float) -> float | Refusal:
         return arrival
 
     monkeypatch.setattr(FrameGate, "admit", admit)
     _not_handled(camera_row(_fault(CameraEvent.FROZEN), Phase.REST, TOOLKIT, bench), "stale_data.camera_frozen")
-
-
-def test_without_the_check_of_the_calibration(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(HammeringTask, "_check_calibration", lambda _: bench.people.__setattr__("gives", False))
-    _not_handled(camera_calibration_row(*CALIBRATIONS[1], TOOLKIT, bench), "it went on")
 
 
 # -- the rig -------------------------------------------------------------------------------------------------------

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any
 
 import pytest
 
-from tests.faults.record import FaultRow, Phase
+from tests.faults.record import Phase
 from tests.faults.rows.hands import FAULTS, ROWS, HandFault, hand_row
 from tests.rigs.hand_rig import HANDS, DriverHand
 from tests.rigs.job_rig import Bench
 from tests.rigs.wired_hands import WiredHand
-from toolee_robot.tasks.common import watches
-from toolee_robot.tasks.common.motions import Motions
 
 pytestmark = pytest.mark.realtime
 
@@ -48,10 +44,6 @@ def bench() -> Iterator[Bench]:
     bench = Bench()
     with bench.sim:
         yield bench
-
-
-def _fault(name: str, phase: Phase) -> HandFault:
-    return next(f for f in FAULTS if (f.fault, f.phase) == (name, phase))
 
 
 def test_every_fault_of_the_hand_is_there() -> None:
@@ -88,32 +80,6 @@ def test_a_fault_is_handled(bench: Bench, kind: WiredHand, fault: HandFault) -> 
         fault.phase,
         f"{kind.label}, simulated UR10",
     )
-
-
-def _not_handled(row: FaultRow, why: str) -> None:
-    assert not row.handled
-    assert why in row.why
-
-
-@pytest.mark.nightly
-def test_without_the_watch_of_the_hand(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Motions, "check_hand", lambda _: None)
-    monkeypatch.setattr(watches, "_check_fault", lambda _: None)
-    _not_handled(hand_row(_fault("hand too hot", Phase.REST), HANDS[1], bench), "1 strikes were swung, 0 may be")
-
-
-@pytest.mark.nightly
-def test_a_hand_that_lets_go(bench: Bench) -> None:
-    def let_go(emulator: Any, _kind: WiredHand) -> None:
-        def open_at_once(hand: Any) -> None:
-            for motor in hand.motors:
-                motor.position = 0.0
-
-        emulator.hold(None)
-        emulator.tell(open_at_once)
-
-    fault = replace(_fault("hand too hot", Phase.REST), event=let_go)
-    _not_handled(hand_row(fault, HANDS[1], bench), "the emulated hand let go")
 
 
 def test_a_driver_in_the_bench_is_the_hand_that_the_job_sees(bench: Bench) -> None:

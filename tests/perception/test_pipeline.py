@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ import torch
 
 from tests.errors import raises
 from toolee_robot.end_effectors import CATEGORIES, Category
-from toolee_robot.errors import AssetError, PerceptionError, UserError
+from toolee_robot.errors import PerceptionError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.detection.passes import Crop
@@ -26,11 +25,7 @@ CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
 
 
 class ColourDetector:
-    """Finds what is painted in one colour a category: a real, if simple, detector.
-
-    Attributes:
-        crops: Where it looked, None for the whole image.
-    """
+    """Finds what is painted in one colour a category: a real, if simple, detector."""
 
     def __init__(self, score: float = 0.9) -> None:
         self._score = score
@@ -205,9 +200,3 @@ def test_an_expected_pose_rules_out_the_opposite_end(perception: ToolPerception)
 def test_fusing_frames_without_the_tool_is_refused(perception: ToolPerception) -> None:
     with raises(PerceptionError, code="perception.not_seen"):
         perception.fuse([[], []], [np.eye(4)] * 2)
-
-
-def test_missing_weights_name_the_file(tmp_path: Path) -> None:
-    with raises(AssetError, code="asset.missing") as refused:
-        ToolPerception.load(tmp_path)
-    assert "segmentation.json" in str(refused.value)

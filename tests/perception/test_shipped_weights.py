@@ -41,21 +41,7 @@ SURE = 0.5
 
 @dataclass(frozen=True)
 class Scores:
-    """What the shipped weights reach on `FRAMES`.
-
-    Attributes:
-        targets: End effectors to be found.
-        found: Share of them with a detection of their category at a mask IoU of at least 0.5.
-        mask_iou: Mean IoU of their masks with the true ones.
-        AP50: Average precision of the masks at that IoU, all categories in one ranking.
-        false_alarms: Detections with a score over `SURE` that match no end effector.
-        poses: Share of the targets with a pose within each of `metrics.THRESHOLDS`.
-        usable_right: Share of the targets with a pose that is marked usable and lies within 10 deg 2 cm.
-        usable_wrong: Poses marked usable that lie within 10 deg 2 cm of no end effector of their category.
-        usable_without_tool: Poses marked usable in frames without a tool.
-        head_median_mm: Median position error of the hammer heads that were found [mm].
-        head_median_deg: Median angle error of the same, modulo the symmetry [deg].
-    """
+    """What the shipped weights reach on `FRAMES`."""
 
     targets: int
     found: float

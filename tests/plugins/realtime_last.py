@@ -21,31 +21,14 @@ _FEWEST = 4
 
 @dataclass
 class _Share:
-    """What one worker runs when the processes of all that do not wait have ended.
-
-    Attributes:
-        files: Their names in the queue.
-        worker: The one that waits for it, or runs it; none where it died and its successor is not there yet.
-    """
+    """What one worker runs when the processes of all that do not wait have ended."""
 
     files: frozenset[str]
     worker: WorkerController | None = None
 
 
 class RealtimeLast(LoadFileScheduling):
-    """Whole files go to the workers, as with `--dist loadfile`, but two workers wait until the processes of all others
-    have ended. Then one of them runs the tests marked `realtime`, one after another, and the other one, at the same
-    time, those marked `realtime(light=True)`, one after another: on a machine that does nothing else, and in processes
-    that have run no other test. Of two or three workers one waits, and runs the light ones after the others. Where
-    nothing is marked so, nobody waits; a single worker runs the tests marked `realtime` after all others.
-
-    Args:
-        config: of the controlling process.
-        log: xdist's debug log.
-        tiers: a file that the workers have written when they have collected: JSON, `{tier: {node id: seconds}}`, with
-            what the marker says of how long the test's file takes; the light ones are a tier of their own, `light`.
-            (What a worker tells of its collection is the node ids, without markers.)
-    """
+    """Whole files go to the workers; those marked `realtime` follow after all others, on one or two workers."""
 
     collection: list[str] | None
     workqueue: OrderedDict[str, dict[str, bool]]

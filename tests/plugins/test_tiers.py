@@ -155,28 +155,6 @@ def test_a_worker_that_dies_is_replaced_and_only_its_test_fails(with_light: pyte
     assert sorted(names[-10:]) == sorted(_QUIET + _LIGHT)
 
 
-@pytest.mark.nightly  # those that die in a test in every run
-def test_those_that_die_while_they_wait_are_replaced(with_light: pytest.Pytester) -> None:
-    with_light.makepyfile(
-        test_d_kills="""
-import os, pathlib, signal
-own = os.environ["PYTEST_XDIST_WORKER"]
-pathlib.Path(own).write_text(str(os.getpid()))
-def test_kills():
-    assert own in ("gw0", "gw1"), "the others wait"
-    for other in ("gw2", "gw3"):
-        os.kill(int(pathlib.Path(other).read_text()), signal.SIGKILL)
-"""
-    )
-    result = with_light.runpytest_subprocess("-n", "4")
-    result.assert_outcomes(passed=26)
-    assert all(f"[{worker}] node down" in result.stdout.str() for worker in ("gw2", "gw3"))
-    log = _log(with_light)
-    assert sorted(name for name, _ in log[-10:]) == sorted(_QUIET + _LIGHT)
-    quiet, light = ({pid for name, pid in log if name in part} for part in (_QUIET, _LIGHT))
-    assert (len(quiet), len(light), len(quiet | light)) == (1, 1, 2)
-
-
 def test_a_choice_of_files_runs_in_the_process_itself(suite: pytest.Pytester) -> None:
     result = suite.runpytest_subprocess("-n", "auto", "test_b_unit.py")
     result.assert_outcomes(passed=4, deselected=1)

@@ -76,8 +76,7 @@ def _has_examples(item: pytest.Item) -> bool:
 
 @pytest.hookimpl(optionalhook=True, tryfirst=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One for each core, one more since tests also wait, and two for those marked `realtime`: one fewer where memory is
-    short. A choice of tests runs in this process."""
+    """One for each core, one more since tests also wait, and two for those marked `realtime`; none for single files."""
     files = any(Path(str(argument).partition("::")[0]).suffix == ".py" for argument in config.args)
     options = any(getattr(config.option, name, None) for name in ("keyword", "lf", "hardware"))
     if files or options or config.getoption("-m") == "realtime":

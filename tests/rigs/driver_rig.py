@@ -12,10 +12,9 @@ from typing import Literal
 import numpy as np
 
 from tests.faults.record import MissedMomentError
-from tests.rigs.joints_path import MOVING, Stop, stop_after
+from tests.rigs.joints_path import MOVING, PATIENT, Stop, stop_after
 from tests.rigs.setting import Setting
 from tests.rigs.strikes import Swing, plan_swing
-from tests.rigs.time_bounds import PATIENT
 from toolee_robot.control.motion.contact_force import strike_guard
 from toolee_robot.control.motion.touch_force import forces_at_rest
 from toolee_robot.control.planning.timing import joint_move
@@ -42,14 +41,7 @@ StopKind = Literal["program", "protective", "safeguard", "emergency"]
 
 @dataclass(frozen=True)
 class Happening:
-    """Result of a fault injected during a swing.
-
-    Attributes:
-        stop: Motion of the joints.
-        error: Error that `execute` raised, or None.
-        report: Report of the motion, or None.
-        answer: What the injected action returned or raised.
-    """
+    """Result of a fault injected during a swing."""
 
     stop: Stop
     error: Exception | None
@@ -126,10 +118,7 @@ class Rig:
             answer[0] = error
 
     def is_latched(self) -> bool:
-        """Whether the next motion is refused without any movement.
-
-        A fault at rest may be detected only by the first attempt to move.
-        """
+        """Whether the next motion is refused without any movement."""
         for _ in range(2):
             q = np.array(self.controller.state()["q_target"])
             try:

@@ -36,18 +36,7 @@ WAIT = 2.0
 
 
 class HandPace:
-    """Lets the simulation run no faster than the host's time, and no further ahead of the hand than it has to.
-
-    The driver's clock is the station's, so that a hand is not late because the simulation stood still. On a busy
-    machine the simulation could also leave behind the threads of driver and emulated hand, which no real arm does: it
-    waits for their next reading, unless that does not come. Call it before every step of the simulation.
-
-    Args:
-        clock: The station's clock.
-
-    Attributes:
-        hand: The driver, entered; None while there is none.
-    """
+    """Lets the simulation run no faster than the host's time, and no further ahead of the hand than it has to."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock, self._due = clock, time.monotonic()
@@ -75,12 +64,7 @@ class HandPace:
 
 
 class DriverHand(ClosedHand):
-    """The simulated hand, closed around the hammer, with a driver's judgement; use it in its `with` block.
-
-    Attributes:
-        kind: Which hand.
-        emulator: The emulated hand.
-    """
+    """The simulated hand, closed around the hammer, with a driver's judgement; use it in its `with` block."""
 
     def __init__(self, simulation: SimStation, simulated: SimHand, kind: WiredHand) -> None:
         super().__init__(simulated)

@@ -45,13 +45,7 @@ SEED = 101
 
 
 class ClosedHand:
-    """The simulated hand closed around the hammer, which does not open.
-
-    Attributes:
-        opened: Number of calls of `open`.
-        closed: Whether the hand reports that it is closed; it senses the tool only then.
-        blinks: Number of further readings that falsely report no grip.
-    """
+    """The simulated hand closed around the hammer, which does not open."""
 
     def __init__(self, hand: SimHand) -> None:
         self._hand = hand
@@ -202,10 +196,7 @@ class Bench:
 
     @contextmanager
     def in_real_time(self) -> Iterator[None]:
-        """Context in which the simulation does not run faster than real time, so that watching threads keep up.
-
-        Lost time, for instance during planning, is not caught up.
-        """
+        """Context in which the simulation does not run faster than real time, so that watching threads keep up."""
         world = self.sim.world
         due = time.monotonic()
 

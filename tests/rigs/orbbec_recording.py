@@ -47,16 +47,7 @@ def write_recording(
     depth: CameraIntrinsics = DEPTH,
     last_stamp: int | None = None,
 ) -> None:
-    """Write a recording of a Femto Bolt, at FPS.
-
-    Args:
-        path: The file, `.bag`.
-        pictures: Pairs of colour, (H, W, 3), and depth, (h, w) [mm].
-        serial: Serial number.
-        color: Pinhole model of the colour camera.
-        depth: That of the depth camera.
-        last_stamp: Number of the pair whose stamp all later ones have, too; None for none.
-    """
+    """Write a recording of a Femto Bolt, at FPS."""
     t = _BEGIN
     messages = [
         ("/cam/deviceInfo", t, "info", _info(t, serial)),

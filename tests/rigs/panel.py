@@ -22,15 +22,7 @@ DOOR_CLOSED, SWITCH_HELD, ALL = 0b0001, 0b0100, 0b1111
 
 
 class Panel:
-    """The wiring.
-
-    Attributes:
-        closed: Whether the door is closed.
-        held: Whether the switch is pressed.
-        high: Bits that are stuck high.
-        low: Bits that are stuck low.
-        dead: Whether no reading arrives.
-    """
+    """The wiring."""
 
     def __init__(self) -> None:
         self.closed = self.held = self.dead = False

@@ -41,13 +41,7 @@ AFTER = 1.0  # [s] for which the last command of a stop is held
 
 @dataclass(frozen=True)
 class Setting:
-    """A controller stand-in and the driver's settings for it.
-
-    Attributes:
-        model: Model of the arm.
-        host: Loopback address.
-        profile: How the controller follows, measures and stops.
-    """
+    """A controller stand-in and the driver's settings for it."""
 
     model: ArmModel
     host: str
@@ -185,11 +179,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class _Plant:
-    """Creates the joints in the stand-in's process.
-
-    Attributes:
-        q: Their positions at the start [rad].
-    """
+    """Creates the joints in the stand-in's process."""
 
     q: tuple[float, ...]
 

@@ -22,14 +22,7 @@ TIMEOUT = 0.3
 
 
 class SoftwareAiroCamera:
-    """A camera that gives noise of 0 to 254 grey levels at 0.6 to 0.8 m, its uppermost row without depth.
-
-    Attributes:
-        frozen: Whether the picture no longer changes.
-        silent: Whether no image comes.
-        broken: Whether it is gone.
-        depth: Depth instead of the noise [m]; None for the noise.
-    """
+    """A camera that gives noise of 0 to 254 grey levels at 0.6 to 0.8 m, its uppermost row without depth."""
 
     def __init__(self) -> None:
         self._rng = np.random.default_rng(0)
@@ -62,11 +55,7 @@ class SoftwareAiroCamera:
         return COLOR.matrix
 
     def grab_images(self) -> None:
-        """Wait for the next pair of images.
-
-        Raises:
-            RuntimeError: None came within TIMEOUT, or the camera is gone.
-        """
+        """Wait for the next pair of images."""
         time.sleep(1 / FPS)
         if self.silent:
             self._closed.wait(TIMEOUT)
@@ -95,9 +84,5 @@ class SoftwareAiroCamera:
         return self._rgb
 
     def retrieve_colored_point_cloud(self) -> Any:
-        """The toolkit's point cloud, which the adapter does not ask for.
-
-        Raises:
-            NotImplementedError: Always.
-        """
+        """The toolkit's point cloud, which the adapter does not ask for."""
         raise NotImplementedError

@@ -2,37 +2,34 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
+from tests.rigs.joints_path import PATIENT
+from tests.rigs.setting import Setting
 from toolee_robot.control.arm_dynamics import bound_stop
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.devices.ur.config import UrArmConfig
+from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.end_effectors import Category
+from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.station import draw_hammer
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.station import StationConfig, sim_station
 from toolee_robot.types import ArmModel, Payload, Trajectory
 
 
 @dataclass(frozen=True)
 class Swing:
-    """A planned swing.
-
-    Attributes:
-        config: Configuration of the station.
-        robot: Kinematic model of arm and hand.
-        world: Collision model with the held hammer.
-        q_hand: Joint positions of the hand, (n,) [rad].
-        X_hand_ee: Pose of the end effector in the hand, (4, 4).
-        tool: Mass of the tool [kg] and its centre of mass in the end effector's frame [m].
-        plan: Plan of the strike.
-        strike: The strike with stops that keep the joints' torques, as a supervisor that was told no payload sends it.
-    """
+    """A planned swing."""
 
     config: StationConfig
     robot: RobotModel
@@ -60,3 +57,23 @@ def plan_swing(model: ArmModel) -> Swing:
     plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail(), tool=swung)
     strike = bound_stop(plan.strike, robot, model, q_hand, None)
     return Swing(config, robot, world, q_hand, X_hand_ee, swung, plan, strike)
+
+
+def main() -> None:
+    """Connect the arm, wait for the line, swing."""
+    # A process that a shell started in the background inherits that Ctrl-C is ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    profile: ProfileName = "harsh" if sys.argv[3] == "harsh" else "ideal"
+    setting = Setting(ArmModel(sys.argv[2]), sys.argv[1], profile)
+    swing = plan_swing(setting.model)
+    with UnsupervisedUrArm(UrArmConfig(setting.host, setting.servo), swing.config.arm) as arm:
+        print("ready", flush=True)
+        sys.stdin.readline()
+        try:
+            print(arm.execute(swing.plan.strike, None, PATIENT).outcome, flush=True)
+        except DeviceError as error:
+            print(type(error).__name__, flush=True)
+
+
+if __name__ == "__main__":
+    main()

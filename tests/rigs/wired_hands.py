@@ -25,14 +25,7 @@ TCP = "tcp://127.0.0.1:6000"
 
 @dataclass(frozen=True)
 class Unheard:
-    """How a hand goes on telling its state and takes no command, nor acknowledges one.
-
-    Attributes:
-        event: Event by which it is so.
-        says: What its driver says of it.
-        code: Code of that error.
-        gives: Way by which what it holds gives way so that it is told to close further, in its own unit.
-    """
+    """How a hand goes on telling its state and takes no command, nor acknowledges one."""
 
     event: str
     says: str
@@ -42,21 +35,7 @@ class Unheard:
 
 @dataclass(frozen=True)
 class WiredHand:
-    """A hand on one of its wires.
-
-    Attributes:
-        config: What a station file says of it.
-        label: Its name in the fault table.
-        handle: Angle at which its fingers meet a handle, in the hand's own unit.
-        heats: Event by which it gets too hot.
-        jams: Event by which its middle finger jams.
-        slip: Way by which a slipping handle gives way, in that unit; 0 for a hand that has no rows in the fault table.
-        margin: Largest distance of a finger that still holds from where it meets the handle, in that unit.
-        unheard: How it takes no command; None for one that answers each command with its state, and so is silent then.
-        pace: Rate of its emulated motors' time.
-        rest: Time until its fingers stand after a stop [s].
-        bends: Angle by which a joint bends at least when it is shut [rad].
-    """
+    """A hand on one of its wires."""
 
     config: HandConfig
     label: str

@@ -11,10 +11,10 @@ import pytest
 
 from tests.robots.three_finger import THREE_FINGER_HAND
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
-from toolee_robot.errors import AssetError, ConfigError
+from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.robots import HANDS, SHADOW_HAND, load_robot, wrap_fingers
-from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.robots import HANDS, load_robot
+from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import HandConfig, sim_station
 from toolee_robot.tasks.common.outcome import Outcome
@@ -50,13 +50,6 @@ def _bent() -> Array:
     return HAND.posture("preshape")
 
 
-def test_the_station_file_chooses_the_hand() -> None:
-    assert load_robot(hand=HAND.name).hand_joints == HAND.joints
-    assert load_robot().hand_joints == SHADOW_HAND.joints
-    with pytest.raises(ConfigError, match="shadow_right"):
-        load_robot(hand="claw")
-
-
 def test_pinocchio_and_numpy_agree_on_its_kinematics(robot: RobotModel) -> None:
     q_arm = np.array([0.3, -1.2, 1.4, -0.4, 0.7, 0.2])
     poses = robot.description.link_poses(q_arm, _bent())
@@ -64,14 +57,6 @@ def test_pinocchio_and_numpy_agree_on_its_kinematics(robot: RobotModel) -> None:
     tip = inverse(poses[HAND.frame]) @ poses["b_upper"]
     np.testing.assert_allclose(HAND.link_poses(_bent())["b_upper"], tip, atol=1e-9)
     assert tip[1, 3] < -0.02, "bent fingers are before the palm"
-
-
-def test_the_arm_carries_hand_and_tool(robot: RobotModel) -> None:
-    bare = robot.description.hand_payload(_bent())
-    assert bare.mass == pytest.approx(0.1 + 0.6 + 0.001 + 4 * 0.08)  # plate, palm, its mark, fingers
-    loaded = robot.payload(_bent(), HAND.grasp.X_hand_tool(0.014), 0.8, np.zeros(3))
-    assert loaded.mass == pytest.approx(bare.mass + 0.8)
-    assert loaded.center_of_mass[2] > bare.center_of_mass[2]
 
 
 def test_planning_sees_its_fingers(robot: RobotModel, handover: Trajectory) -> None:
@@ -82,39 +67,6 @@ def test_planning_sees_its_fingers(robot: RobotModel, handover: Trajectory) -> N
     q = robot.ik.branches(into_the_table @ inverse(robot.X_flange_hand(HAND.posture("open")))[None])
     q = q[np.all(np.isfinite(q), axis=-1)]
     assert "table" in world.closest(q[0]).pair
-
-
-def test_fingers_wrap_around_a_handle() -> None:
-    X_hand_tool = HAND.grasp.X_hand_tool(0.014)
-    poses = HAND.link_poses(wrap_fingers(HAND, X_hand_tool, 0.014))
-    for finger in "abc":
-        in_tool = inverse(X_hand_tool) @ poses[f"{finger}_upper"] @ [0.0, 0.0, 0.045, 1.0]
-        assert 0.014 + 0.007 < np.hypot(in_tool[0], in_tool[1]) < 0.05
-        assert in_tool[1] > 0, "around the far side: the palm is at -y"
-
-
-@pytest.mark.nightly
-def test_it_closes_on_a_hammer_and_holds_it_by_contact(handover: Trajectory) -> None:
-    with SimStation.build(CONFIG, 100, SimOptions(q_start=handover.q[-1])) as simulation:
-        station, world = simulation.station, simulation.world
-        assert station.hand.joint_names == HAND.joints
-        assert station.person.request_handover("", 10.0)
-        station.hand.close()
-        state = station.hand.state()
-        assert state.joints.q.shape == (len(HAND.joints),)
-        assert state.holding
-        assert set(state.contact_forces) == {"opposer", "a", "b", "c", "palm"}
-        assert state.contact_forces["opposer"] > 1.0
-        assert station.person.release("", 10.0)
-        before = inverse(world.X_base_hand()) @ world.X_base_tool()
-        world.advance(0.5)
-        after = inverse(world.X_base_hand()) @ world.X_base_tool()
-        assert station.hand.state().holding
-        assert np.linalg.norm(after[:3, 3] - before[:3, 3]) < 0.002
-        # The flange feels the tool's weight: the sensor knows how the hand is mounted.
-        assert station.arm.state().wrench[2] == pytest.approx(-9.81 * simulation.tool.mass, abs=1.0)
-        station.hand.open()
-        assert not station.hand.state().holding
 
 
 @pytest.mark.nightly

@@ -46,9 +46,7 @@ def _chain(model: ArmModel, q: Array) -> Array:
 
 
 def _measured(model: ArmModel, seed: int) -> tuple[DhCalibration, list[Array]]:
-    """A factory calibration of an arm whose six axes are a millimetre and a milliradian off (standard deviations), by
-    textbook: the common normals of neighbouring axes, which nearly parallel axes have far away. Also the axes' frames
-    at q = 0 in the controller's base."""
+    """A factory calibration of an arm whose six axes are a millimetre and a milliradian off (standard deviations)."""
     rng = np.random.default_rng(seed)
     nominal = DhParameters.of(model)
     axes = [

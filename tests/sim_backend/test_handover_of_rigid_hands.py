@@ -20,8 +20,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 @pytest.mark.parametrize("hand", ["inspire", "ability"])
 @pytest.mark.parametrize("seed", [7403, 3])
 def test_the_hand_closes_around_it_and_the_arm_does_not_stop(hand: str, seed: int) -> None:
-    """7403: the handle, tilted by 13 degrees, lies across the thumb of the one hand and meets it on the way to the
-    other's palm."""
+    """Seed 7403: the handle, tilted by 13 degrees, meets the thumb on its way to the palm."""
     config = load_station(EXAMPLES / f"{hand}.yaml")
     with SimStation.build(config, seed, SimOptions(wrench_errors=1.0, compliance=1.0)) as simulation:
         station, robot = simulation.station, RobotModel.of_station(config)

@@ -10,18 +10,15 @@ import pytest
 
 from tests.errors import raises
 from tests.sim_backend.kinematics import HOME, joints_for_hand, line
-from toolee_robot.errors import DeviceError, LimitError, StaleDataError, UserError
+from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_angle, transform
-from toolee_robot.hal import Arm, Clock, ContactGuard, Hand, MotionOutcome, Person, RgbdCamera
 from toolee_robot.robots import PALM, SHADOW_HAND, load_robot
 from toolee_robot.sim_backend import InHandOffset, SimOptions, SimStation
-from toolee_robot.sim_backend.devices.arm import SimArm
-from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.physics.grip import RELEASE_SLIP, GripLimits
 from toolee_robot.station import sim_station
 from toolee_robot.tools import ToolKind, make_tool, split
-from toolee_robot.types import Payload, Trajectory
+from toolee_robot.types import Payload
 
 pytestmark = pytest.mark.sim
 
@@ -54,15 +51,6 @@ def held(q_handover: Array) -> Iterator[SimStation]:
         yield simulation
 
 
-def test_devices_are_what_the_protocols_ask_for(empty: SimStation) -> None:
-    station = empty.station
-    assert isinstance(station.arm, Arm)
-    assert isinstance(station.hand, Hand)
-    assert isinstance(station.camera, RgbdCamera)
-    assert isinstance(station.person, Person)
-    assert isinstance(station.clock, Clock)
-
-
 def test_a_tool_against_fingers_that_nobody_moves_presses_on_the_hand(empty: SimStation) -> None:
     """Rigid fingers are one link with what carries them."""
     world = empty.world
@@ -71,70 +59,6 @@ def test_a_tool_against_fingers_that_nobody_moves_presses_on_the_hand(empty: Sim
     forces = empty.station.hand.state().contact_forces
     assert forces[PALM] > 0.0
     assert sum(forces.values()) == forces[PALM]
-
-
-def test_arm_tracks_a_trajectory_and_ends_at_rest(empty: SimStation) -> None:
-    arm = empty.station.arm
-    trajectory = line([HOME, HOME + NUDGE], 1.0)
-    report = arm.execute(trajectory)
-    assert report.outcome is MotionOutcome.COMPLETED
-    assert np.abs(report.q_commanded - report.q_measured).max() < 5e-3
-    assert np.diff(report.stamps) == pytest.approx(1 / arm.rate)
-    state = arm.state()
-    np.testing.assert_allclose(state.joints.q, HOME + NUDGE, atol=1e-3)
-    assert np.abs(state.joints.qd).max() < 5e-3
-    # In free space the wrench is what the payload's model misses: little.
-    assert np.linalg.norm(report.wrenches[5:, :3], axis=1).max() < 5.0
-
-
-@pytest.mark.parametrize(
-    ("change", "code"),
-    [
-        (lambda t: Trajectory(t.times, t.q + 0.05, t.qd, t.qdd), "limit.start"),
-        (lambda t: Trajectory(t.times / 20, t.q, t.qd * 20, t.qdd * 400), "limit.velocity"),
-        (lambda t: Trajectory(t.times, np.where(t.q == t.q[-1], np.nan, t.q), t.qd, t.qdd), "limit.not_finite"),
-        (lambda t: Trajectory(t.times, t.q + np.linspace(0, 7, len(t.q))[:, None], t.qd, t.qdd), "limit.position"),
-    ],
-)
-def test_arm_refuses_what_breaks_a_limit_and_does_not_move(empty: SimStation, change: object, code: str) -> None:
-    assert callable(change)
-    before = empty.station.clock.now()
-    with raises(LimitError, code):
-        empty.station.arm.execute(change(line([HOME, HOME + NUDGE], 1.0)))
-    assert empty.station.clock.now() == before
-    np.testing.assert_allclose(empty.station.arm.state().joints.q, HOME, atol=1e-3)
-
-
-def test_arm_brakes_at_a_contact_within_its_limits(empty: SimStation) -> None:
-    station, world = empty.station, empty.world
-    hand = world.X_base_hand()
-    down = joints_for_hand(transform(p=[0.0, 0.0, -0.25]) @ hand, HOME)
-    tip = (hand @ [0.0, 0.0, 0.15, 1.0])[:3]
-    shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[0.1, 0.1, 0.05], physicsClientId=world.client)
-    at = [tip[0], tip[1], tip[2] - 0.13 - 0.05]
-    box = pb.createMultiBody(0.0, shape, -1, at, physicsClientId=world.client)
-    # As foam rubber: something rigid would have the robot stop itself, before the arm has braked on its path.
-    pb.changeDynamics(box, -1, contactStiffness=5e3, contactDamping=100.0, physicsClientId=world.client)
-    report = station.arm.execute(line([HOME, down], 1.5), ContactGuard(force=15.0, ignore_before=0.05))
-    assert report.outcome is MotionOutcome.CONTACT
-    assert report.contact is not None
-    assert np.linalg.norm(report.wrenches[report.stamps == report.contact.stamp][0, :3]) > 15.0
-    # It stopped well before the end of the path, and without a jolt: no step beyond the braking acceleration.
-    assert np.abs(report.q_commanded[-1] - down).max() > 0.05
-    qd = np.diff(report.q_commanded, axis=0) * station.arm.rate
-    qdd = np.diff(qd, axis=0) * station.arm.rate
-    assert np.abs(qdd).max() < 1.1 * CONFIG.arm.stop_acceleration
-    assert np.abs(station.arm.state().joints.qd).max() < 0.02
-
-
-def test_stop_from_a_callback_ends_the_motion(empty: SimStation) -> None:
-    station = empty.station
-    begin = station.clock.now()
-    empty.observers.append(lambda sample: station.arm.stop() if sample.stamp > begin + 0.4 else None)
-    report = station.arm.execute(line([HOME, HOME + NUDGE], 1.0))
-    assert report.outcome is MotionOutcome.STOPPED
-    assert np.abs(report.q_commanded[-1] - (HOME + NUDGE)).max() > 0.02
-    assert np.abs(station.arm.state().joints.qd).max() < 5e-3
 
 
 def test_an_exception_leaves_the_arm_at_rest_and_closed(empty: SimStation) -> None:
@@ -153,25 +77,6 @@ def test_an_exception_leaves_the_arm_at_rest_and_closed(empty: SimStation) -> No
         arm.state()
 
 
-def test_a_cut_link_is_stale_and_stops_the_arm(empty: SimStation) -> None:
-    station = empty.station
-    assert isinstance(station.arm, SimArm)
-    assert isinstance(station.hand, SimHand)
-    station.arm.cut_link()
-    station.hand.cut_link()
-    with raises(StaleDataError, code="link_lost"):
-        station.arm.execute(line([HOME, HOME + NUDGE], 1.0))
-    assert np.abs(empty.world.robot.arm_state()[1]).max() < 5e-3
-    station.clock.sleep(0.3)
-    with raises(StaleDataError, code="stale_data.arm"):
-        station.arm.state(max_age=0.1)
-    with raises(StaleDataError, code="stale_data.hand"):
-        station.hand.state(max_age=0.1)
-    station.arm.restore_link()
-    station.hand.restore_link()
-    assert station.arm.state().joints.stamp == station.hand.state().joints.stamp == station.clock.now()
-
-
 def test_time_goes_on_only_by_moving_and_sleeping(empty: SimStation) -> None:
     station = empty.station
     now = station.clock.now()
@@ -180,27 +85,6 @@ def test_time_goes_on_only_by_moving_and_sleeping(empty: SimStation) -> None:
     assert station.clock.now() == now
     station.clock.sleep(0.123)
     assert station.clock.now() == pytest.approx(now + 0.123, abs=3e-4)
-
-
-def test_nobody_comes_when_nobody_is_there(empty: SimStation) -> None:
-    now = empty.station.clock.now()
-    assert not empty.station.person.request_handover("", 0.5)
-    assert empty.station.clock.now() == pytest.approx(now + 0.5, abs=1e-3)
-
-
-def test_a_hand_that_closes_on_nothing_does_not_hold(empty: SimStation) -> None:
-    empty.station.hand.close(8.0)
-    state = empty.station.hand.state()
-    assert not state.holding
-    assert not state.assisted
-
-
-def test_hand_holds_by_contact_of_thumb_and_fingers(held: SimStation) -> None:
-    state = held.station.hand.state()
-    assert state.holding
-    assert state.assisted
-    assert state.contact_forces["thumb"] > 0
-    assert sum(state.contact_forces[finger] > 0 for finger in ("index", "middle", "ring", "little")) >= 3
 
 
 def test_tool_lies_in_the_hand_about_where_the_person_put_it(held: SimStation) -> None:
@@ -229,6 +113,7 @@ def test_held_tool_moves_with_the_hand(held: SimStation, q_handover: Array) -> N
     assert np.linalg.norm(there.wrenches[5:, :3], axis=1).max() < 8.0
 
 
+@pytest.mark.nightly
 def test_a_grip_pulled_too_hard_slips_and_lets_go(q_handover: Array) -> None:
     tool = make_tool(ToolKind.BALL_PEEN_HAMMER, 4984)
     with SimStation.build(CONFIG, 3, SimOptions(q_start=q_handover, tool=tool, offset=InHandOffset())) as simulation:
@@ -261,23 +146,6 @@ def test_a_grip_pulled_too_hard_slips_and_lets_go(q_handover: Array) -> None:
         assert not station.hand.state().holding
         station.clock.sleep(1.0)
         assert world.X_base_tool()[2, 3] < 0.3  # it has fallen
-
-
-def test_opening_lets_the_tool_fall_but_stopping_does_not(q_handover: Array) -> None:
-    tool = make_tool(ToolKind.BALL_PEEN_HAMMER, 4984)
-    with SimStation.build(CONFIG, 3, SimOptions(q_start=q_handover, tool=tool)) as simulation:
-        station = simulation.station
-        station.person.request_handover("", 10.0)
-        with station.hand as hand:
-            hand.close(8.0)
-        station.person.release("", 10.0)
-        assert simulation.world.grip is not None
-        assert simulation.world.grip.holding
-        with raises(DeviceError, code="device.closed"):
-            station.hand.state()
-        with station.hand as hand:
-            hand.open(8.0)
-            assert not hand.state().holding
 
 
 def test_offsets_are_drawn_over_the_whole_range_and_by_seed() -> None:

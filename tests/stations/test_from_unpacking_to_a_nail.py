@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from tests.stations.lab_camera import LAB, TOOLEE
-from tests.trials.terminal import Terminal
+from tests.trials.test_at_terminal import Terminal
 from toolee_robot.doctor.robot import expected_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess

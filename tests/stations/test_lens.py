@@ -148,11 +148,7 @@ def test_corners_are_where_a_pinhole_camera_has_them(
 
 
 def hand_eye(distortion: tuple[float, ...] | None, told: tuple[float, ...] | None) -> tuple[CameraCalibration, float]:
-    """Calibrate a camera to the robot by a board on the flange, through librealsense's software device.
-
-    `distortion` is the lens's, `told` what the device and the station file say; returns the calibration and its true
-    error at its target [mm].
-    """
+    """Calibrate a camera to the robot by a board on the flange, through librealsense's software device."""
     pytest.importorskip("pyrealsense2", exc_type=ImportError)
     true, config, clock = camera(distortion, REALSENSE), camera(told, REALSENSE), HostClock()
     scene, rng, seen = Scene(true), np.random.default_rng(0), []

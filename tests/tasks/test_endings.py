@@ -11,8 +11,7 @@ import pybullet as pb
 import pytest
 
 from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
-from tests.rigs.people import People
-from tests.rigs.scripted_perception import ScriptedPerception, moved, unsure
+from tests.rigs.people import People, ScriptedPerception, moved, unsure
 from tests.tasks.bench import Log, is_home, soon
 from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.end_effectors import Category

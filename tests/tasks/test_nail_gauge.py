@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.rigs.job_rig import CONFIG, Bench
-from tests.tasks.bench import Log
+from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
+from tests.tasks.bench import Log, is_home
 from tests.tasks.noisy_arm import Rig
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
+from toolee_robot.perception.nail.sight import HeadOffset
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.tasks.common.held_tool import HeldTool
-from toolee_robot.tasks.common.outcome import HammerResult, Outcome
+from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Strike
+from toolee_robot.tasks.hammering.nail_driving import STRIKES_BEFORE_SECOND_LOOK
 from toolee_robot.tasks.hammering.nail_gauge import (
     CLEAR,
     LEAST_RESISTANCE,
@@ -21,10 +23,11 @@ from toolee_robot.tasks.hammering.nail_gauge import (
     NailGauge,
     deepest_strike,
 )
+from toolee_robot.tasks.hammering.nail_watch import is_bent
 from toolee_robot.tasks.hammering.touch import Contact, SidewaysContactError, Touch
 from toolee_robot.types import Trajectory
 
-pytestmark = pytest.mark.sim(seconds=20)
+pytestmark = pytest.mark.sim(seconds=50)
 
 
 def knock_at_the_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch, force: float, seconds: float) -> None:
@@ -88,6 +91,7 @@ def test_what_later_touches_tell_of_the_stiffness_counts_for_earlier_ones(bench:
     assert touches[0].height != touches[0].felt
 
 
+@pytest.mark.nightly
 def test_a_knock_of_one_cycle_is_no_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """A servo packet that comes late shakes the arm by 10 N for a cycle."""
     knock_at_the_wood(bench, monkeypatch, force=20.0, seconds=0.008)
@@ -127,7 +131,10 @@ def test_a_tool_that_is_pressed_from_the_side_is_lifted_and_looked_at_again(
     assert log.motions.count("to the touch") == begun
 
 
-@pytest.mark.parametrize(("swings", "outcome"), [(0.3, Outcome.OUT_OF_STRIKES), (np.inf, Outcome.DEVICE_FAULT)])
+@pytest.mark.parametrize(
+    ("swings", "outcome"),
+    [(0.3, Outcome.OUT_OF_STRIKES), pytest.param(np.inf, Outcome.DEVICE_FAULT, marks=pytest.mark.nightly)],
+)
 def test_an_arm_that_a_strike_has_left_swinging_is_waited_for_but_not_for_ever(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, swings: float, outcome: Outcome
 ) -> None:
@@ -153,3 +160,76 @@ def test_a_heavy_hammer_may_drive_a_nail_deeper_before_it_counts_as_bent() -> No
     assert deepest_strike(0.4, 1.2) == deepest_strike(0.8, 1.2) == MAX_DEPTH_PER_STRIKE
     assert deepest_strike(1.5, 1.2) * LEAST_RESISTANCE == pytest.approx(0.5 * 1.5 * 1.2**2)
     assert deepest_strike(1.5, 1.2) < 0.015, "a nail that stands 20 mm and falls over is still told"
+
+
+USUAL = CONFIG.task.strikes_between_looks
+LONG = replace(CONFIG, task=replace(CONFIG.task, max_strikes=20))
+
+
+def test_a_nail_that_leans_as_it_was_set_is_not_struck(bench: Bench) -> None:
+    nail = bench.sim.world.nail
+    nail.place(nail.spec.protrusion, (0.0, np.deg2rad(25)))
+    log = Log()
+    result = bench.seeing_task(log).run()
+    assert result.outcome is Outcome.BENT
+    assert "the camera sees the nail lean" in result.reason
+    assert not result.strikes
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+@pytest.mark.nightly
+def test_a_lab_whose_camera_sees_it_wrongly_leaves_it_out(bench: Bench) -> None:
+    nail = bench.sim.world.nail
+    nail.place(nail.spec.protrusion, (0.0, np.deg2rad(25)))
+    config = replace(CONFIG, task=replace(CONFIG.task, watch_nail=False))
+    log = Log()
+    result = bench.seeing_task(log, config).run()
+    assert "the camera sees" not in result.reason
+    assert "touch the nail" in log.motions
+
+
+class Bending(Log):
+    """Pushes the nail's head aside after the last strike before a look at the tool."""
+
+    def __init__(self, bench: Bench, aside: float) -> None:
+        super().__init__()
+        self._bench, self._aside = bench, aside
+
+    def strike(self, strike: Strike) -> None:
+        super().strike(strike)
+        if len(self.strikes) == USUAL:
+            nail = self._bench.sim.world.nail
+            nail.place(nail.protrusion, (float(np.arcsin(self._aside / nail.protrusion)), 0.0))
+
+
+@pytest.mark.parametrize(("aside", "bent"), [pytest.param(0.0, False, marks=pytest.mark.nightly), (0.004, True)])
+def test_a_nail_that_strikes_have_bent_is_seen_and_struck_no_further_once_it_is_seen_again(
+    bench: Bench, aside: float, bent: bool
+) -> None:
+    log = Bending(bench, aside)
+    result = bench.seeing_task(log, LONG).run()
+    if not bent:
+        assert result.outcome is Outcome.FLUSH, result.reason
+        assert not any("does not see the nail" in message for message in log.messages)
+        return
+    assert result.outcome is Outcome.BENT
+    assert "the camera sees the nail's head" in result.reason
+    assert "for the second time" in result.reason
+    assert any("it may be bent" in message for message in log.messages), "it is told at the first look"
+    assert len(result.strikes) == USUAL + STRIKES_BEFORE_SECOND_LOOK
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_a_head_that_is_seen_aside_twice_but_not_on_the_same_side_is_none() -> None:
+    def seen(angle: float, distance: float = 0.004) -> HeadOffset:
+        return HeadOffset(distance * np.array([np.cos(angle), np.sin(angle)]), 0.0005**2 * np.eye(2))
+
+    assert is_bent(seen(0.3), seen(1.0))
+    assert not is_bent(seen(0.3), seen(2.5))
+    assert not is_bent(seen(0.3), seen(0.3, distance=0.002)), "it is not aside at the next one"
+    assert not is_bent(seen(0.3), None)
+    assert not is_bent(None, seen(0.3))

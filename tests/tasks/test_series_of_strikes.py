@@ -76,6 +76,7 @@ def test_a_nail_is_touched_after_its_second_strike_and_its_last_one_and_not_in_b
     assert 0.0 < result.nail_seconds < result.robot_seconds
 
 
+@pytest.mark.nightly
 def test_a_strike_that_is_not_felt_is_followed_by_a_touch_which_tells_that_the_nail_was_hit(bench: Bench) -> None:
     strike = replace(CONFIG.strike, contact_force=400.0)
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=3), strike=strike)

@@ -14,7 +14,7 @@ from tests.faults.record import Phase
 from tests.faults.rows.job_fault import Scene
 from tests.faults.rows.job_faults import JOB_FAULTS
 from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
-from tests.rigs.scripted_perception import ScriptedPerception
+from tests.rigs.people import ScriptedPerception
 from tests.tasks.bench import Log, soon
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.planning.straight import plan_straight
@@ -64,8 +64,7 @@ class Swing:
         return self.motions.swing("strike", self.plan, self.motions.held)[0]
 
     def fails(self, error: type[MotionFaultError]) -> MotionReport:
-        """The swing ends with this error; the arm stands and goes on standing, on its path, before the nail; nothing
-        moves before a person has confirmed a reset. Returns what was done."""
+        """The swing ends with this error; the arm stands and goes on standing, on its path, before the nail."""
         with pytest.raises(error) as caught:
             self.run()
         report = caught.value.report
@@ -198,8 +197,7 @@ def test_a_fault_at_rest_and_the_way_out(swing: Swing, name: str) -> None:
 
 @pytest.mark.realtime
 def test_somebody_steps_in(swing: Swing) -> None:
-    """A thread of its own asks for it every 10 ms: how many cycles later it is heard depends on the machine, hence a
-    strike that never gets to the nail is all that is asked here."""
+    """A thread of its own asks for it every 10 ms: how many cycles later it is heard depends on the machine."""
     soon(swing.bench, swing.bench.people.step_in, 0.05)()
     with swing.bench.in_real_time(), pytest.raises(PersonNearError, match="was stopped") as caught:
         swing.run()

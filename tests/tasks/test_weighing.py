@@ -46,14 +46,7 @@ class Enough(Exception):
 
 
 class Until(TaskObserver):
-    """Ends the job as a stage begins; keeps messages and speeds of the flange; does something after a motion.
-
-    Attributes:
-        stage: The stage; None for none.
-        after: What is done after the first motion of a name.
-        messages: The messages.
-        fastest: Largest speed of the flange in the motions of a name [m/s].
-    """
+    """Ends the job as a stage begins; keeps messages and speeds of the flange; does something after a motion."""
 
     def __init__(self, stage: Stage | None = None) -> None:
         self.stage = stage
@@ -211,6 +204,7 @@ def test_a_tool_that_the_arm_cannot_carry_leaves_the_arm_at_the_handover(monkeyp
         assert "home" not in observer.fastest
 
 
+@pytest.mark.nightly
 def test_no_motion_to_weigh_the_tool_leaves_the_arm_at_the_handover(monkeypatch: pytest.MonkeyPatch) -> None:
     config = sim_station()
 

@@ -31,11 +31,7 @@ pytestmark = pytest.mark.sim(seconds=40)
 
 
 class Watched:
-    """The shipped detector, and what it was asked.
-
-    Attributes:
-        asked: Categories and crop of each call.
-    """
+    """The shipped detector, and what it was asked."""
 
     def __init__(self) -> None:
         self._segmenter = Segmenter.load()

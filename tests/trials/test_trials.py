@@ -168,6 +168,7 @@ def test_jobs_that_crash_at_their_start_do_not_end_those_beside_them(tmp_path: P
     assert [record.trial.arm for record in finished(PLAN, tmp_path)] == [Variant.FULL] * 3
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=10)
 def test_a_job_that_is_refused_before_it_begins_is_no_result(tmp_path: Path) -> None:
     """It has no figures, which the report could not show."""
@@ -184,18 +185,6 @@ def test_an_error_that_no_job_can_mend_ends_the_plan(tmp_path: Path) -> None:
 
     with raises(UserError, code="user.option"):
         run_trials(PLAN, tmp_path, 1, quietly, refused)
-
-
-def test_the_outcomes_do_not_depend_on_how_many_run_side_by_side(tmp_path: Path) -> None:
-    both = threading.Barrier(2, timeout=20.0)
-
-    def together(spec: JobSpec, out: Path) -> dict[str, Any]:
-        both.wait()  # two are under way at any time
-        return job(spec, out)
-
-    one = run_trials(PLAN, tmp_path / "one", 1, quietly, job)
-    two = run_trials(PLAN, tmp_path / "two", 2, quietly, together)
-    assert [(r.trial, r.figures) for r in one] == [(r.trial, r.figures) for r in two]
 
 
 def test_a_job_that_the_machine_stalled_is_repeated_and_counted(tmp_path: Path) -> None:

@@ -23,8 +23,9 @@ from tests.trials.test_trials import PLAN, job
 from toolee_robot.app.variant import Variant
 from toolee_robot.errors import TooleeError
 from toolee_robot.runtime.ray_cluster import on_ray
-from toolee_robot.trials import TrialPlan, run_trials
-from toolee_robot.trials.results import read_results
+from toolee_robot.trials import TrialPlan, load_plan, run_trials
+from toolee_robot.trials.report import FIGURES
+from toolee_robot.trials.results import RESULTS, Record, read_results
 from toolee_robot.trials.run import Workers, on_threads
 
 OF_THE_RUN = frozenset({"seconds", "stage_seconds", "run_folder"})
@@ -197,3 +198,59 @@ def test_a_simulated_trial_has_the_same_outcome_on_ray(tmp_path: Path) -> None:
     }
     assert here.command == there.command
     assert Path(there.figures["run_folder"], "summary.json").is_file()
+
+
+_MAIN = "from toolee_robot.cli import main; main()"
+# Uncorrected jobs are the shortest: the first one of these misses the nail.
+_PLAN = "name: A test\nfirst_seed: 101\ntrials: 2\narms: [no_correction]\nerrors: exact\n"
+
+
+def _command(plan: Path, out: Path, *options: str) -> list[str]:
+    return [sys.executable, "-c", _MAIN, "trials", str(plan), "--out", str(out), *options]
+
+
+def _run(plan: Path, out: Path, *options: str) -> str:
+    done = subprocess.run(_command(plan, out, *options), capture_output=True, text=True, timeout=600.0, check=True)
+    return done.stdout
+
+
+def _same(records: list[Record]) -> list[object]:
+    return [(r.trial, r.command, {k: v for k, v in r.figures.items() if k not in OF_THE_RUN}) for r in records]
+
+
+@pytest.mark.sim
+@pytest.mark.nightly
+def test_a_killed_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    """Killed with its job in the middle of the second trial, and with a line that was being written."""
+    file, out, whole = tmp_path / "plan.yaml", tmp_path / "killed", tmp_path / "whole"
+    file.write_text(_PLAN)
+    plan = load_plan(file)
+    results, runs = out / RESULTS, out / "runs" / "no_correction"
+    run = subprocess.Popen(_command(file, out, "--jobs", "1"), start_new_session=True, stdout=subprocess.DEVNULL)
+    try:
+        _until(lambda: list(runs.glob(".*-seed102.partial/recording.mcap")), "the second job has begun")
+    finally:
+        os.killpg(run.pid, signal.SIGKILL)
+        run.wait()
+    (finished,) = runs.glob("[0-9]*")
+    kept = results.read_bytes()
+    assert kept.count(b"\n") == 2, "the plan and the first trial"
+    with results.open("ab") as torn:
+        torn.write(kept.splitlines()[1][:1000])
+
+    assert "0 of 1 flush" in _run(file, out, "--report-only")
+    assert json.loads((out / FIGURES).read_text())["finished"] == 1
+
+    assert "1 of 2 trials are there already" in _run(file, out, "--jobs", "1")
+    assert results.read_bytes().startswith(kept), "the first trial was not run again"
+    folders = sorted(folder.name.split("-")[-1] for folder in runs.glob("[0-9]*"))
+    assert (folders, finished.is_dir()) == (["seed101", "seed102"], True)
+
+    _run(file, whole, "--jobs", "1")
+    resumed, uninterrupted = read_results(plan, out)[0], read_results(plan, whole)[0]
+    assert _same(resumed) == _same(uninterrupted)
+    assert (out / FIGURES).read_text() == (whole / FIGURES).read_text()
+
+    before = results.read_bytes()
+    assert "2 of 2 trials are there already" in _run(file, out, "--jobs", "1")
+    assert results.read_bytes() == before, "nothing is left to be run"

@@ -11,14 +11,7 @@ from toolee_robot.viewer.station_view import TIMELINE
 
 
 class Logged:
-    """A stream of Rerun into a file.
-
-    Args:
-        path: The file.
-
-    Attributes:
-        stream: The `rerun.RecordingStream`.
-    """
+    """A stream of Rerun into a file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

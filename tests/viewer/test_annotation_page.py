@@ -17,7 +17,7 @@ from websockets import Origin, Subprotocol
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tests.perception.offline.annotation.rendered import RenderedEnd, rendered_ends
+from tests.perception.offline.annotation.scenes import RenderedEnd, rendered_ends
 from tests.viewer.browser import ARGUMENTS, CHROMIUM
 from toolee_robot.cli.app import run
 from toolee_robot.perception.offline.annotation.clicks import (

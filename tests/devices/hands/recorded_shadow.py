@@ -58,7 +58,6 @@ COMMANDED = [
     "rh_LFJ5", "rh_THJ1", "rh_THJ2", "rh_THJ3", "rh_THJ4", "rh_THJ5",
 ]  # fmt: skip
 """Joints of the example of /rh_trajectory_controller/command, in its order."""
-WRIST_DESIRED = [0.12041453184118814, 0.17462944274957784]
 """/rh_wr_trajectory_controller/state."""
 
 

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import struct
 import time
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
-import numpy as np
 import pytest
 
+from tests.devices.hands.conftest import PACE, InspireWire
 from tests.devices.hands.conftest import InspireWire as Emulator
 from tests.errors import raises
 from tests.rigs.wired_hands import eventually, told
-from toolee_robot.devices.hands.inspire import GRIP_FORCE, UNTAKEN, InspireHand
+from toolee_robot.devices.hands.inspire import (
+    ANGLE_ACT,
+    ANGLE_SET,
+    ATTEMPTS,
+    FORCE_SET,
+    GRIP_FORCE,
+    UNTAKEN,
+    InspireHand,
+    InspireLine,
+    ModbusLine,
+    SerialLine,
+)
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
-from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.hands.inspire import Hand
-from toolee_robot.sim_backend.hands.kit import happen
+from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, ModbusEmulator
+from toolee_robot.sim_backend.hands.kit import LineFault, happen
 
 pytestmark = pytest.mark.realtime(light=True)
 
@@ -58,18 +69,6 @@ def test_the_grip_is_kept_up_and_what_slips_is_told(inspire: Emulator, inspire_h
     assert told(inspire_hand).fault == ""
 
 
-def test_a_stop_of_a_hand_that_holds_keeps_the_grip(inspire: Emulator, inspire_hand: InspireHand) -> None:
-    inspire.tell(lambda hand: hand.hold(HANDLE))
-    inspire_hand.close()
-    inspire_hand.stop()
-    time.sleep(0.2)
-    assert told(inspire_hand).holding
-    assert min(forces(inspire_hand)) >= GRIP_FORCE
-    inspire.tell(lambda hand: hand.slip(20))
-    time.sleep(0.2)
-    eventually(lambda: min(forces(inspire_hand)) >= GRIP_FORCE)
-
-
 def jam(hand: Hand) -> None:
     hand.motors[3].jammed = True
 
@@ -107,22 +106,6 @@ def test_a_hot_hand_is_not_closed_but_says_how_hot_it_is(inspire: Emulator, insp
         inspire_hand.close()
 
 
-def test_its_state_can_be_asked_at_100_hz_while_it_closes(inspire: Emulator, inspire_hand: InspireHand) -> None:
-    inspire.tell(lambda hand: hand.hold(HANDLE))
-    with ThreadPoolExecutor() as pool:
-        closing = pool.submit(inspire_hand.close)
-        ages, q = [], []
-        while not closing.done():
-            state = inspire_hand.state(max_age=0.5)
-            ages.append(HostClock().now() - state.joints.stamp)
-            q.append(state.joints.q)
-            time.sleep(0.01)
-        closing.result()
-    assert len(ages) > 50
-    assert np.median(ages) < 0.03
-    assert q[-1][0] - q[0][0] > 0.5
-
-
 def test_a_silent_hand_has_no_state_until_it_answers_again(inspire: Emulator, inspire_hand: InspireHand) -> None:
     inspire.faults.muted = True
     time.sleep(0.5)
@@ -154,3 +137,70 @@ def test_a_hand_that_answers_and_takes_no_command_says_so_until_it_takes_one(
     happen(inspire, "acknowledge")
     inspire_hand.open()
     assert inspire_hand.state(max_age=2.0).fault == ""
+
+
+def line_to(emulator: InspireWire) -> closing[InspireLine]:
+    kind = ModbusLine if isinstance(emulator, ModbusEmulator) else SerialLine
+    return closing(kind(emulator.port, 1))
+
+
+def angles(line: InspireLine) -> tuple[int, ...]:
+    return line.numbers(ANGLE_ACT)
+
+
+def write(line: InspireLine, register: int, value: int) -> None:
+    line.write(register, struct.pack(f"{line.order}6h", *(value,) * 6))
+
+
+@pytest.mark.parametrize("fault", LineFault)
+def test_a_reading_survives_it_and_a_write_is_carried_out(inspire: InspireWire, fault: LineFault) -> None:
+    with line_to(inspire) as line:
+        asked = line.counts.requests
+        for _ in range(3):
+            inspire.faults.upcoming(fault)
+            assert angles(line) == (1000,) * 6
+            assert angles(line) == (1000,) * 6
+        assert line.counts.requests - asked <= 18
+        for force in (300, 400, 500):
+            inspire.faults.upcoming(fault)
+            write(line, FORCE_SET, force)
+            assert line.numbers(FORCE_SET) == (force,) * 6, "known to be carried out"
+
+
+def test_a_late_reply_is_never_taken_for_a_newer_one(inspire: InspireWire) -> None:
+    inspire.faults.late_by = 0.08
+    with line_to(inspire) as line:
+        inspire.faults.upcoming(LineFault.LATE)
+        write(line, ANGLE_SET, 0)
+        time.sleep(0.5)
+        inspire.faults.upcoming(LineFault.LATE, 2)
+        for _ in range(5):
+            assert angles(line) == (0,) * 6, "1000 would be the reply of before the motion"
+
+
+@pytest.mark.usefixtures("unhurried")
+def test_an_adapter_that_echoes_is_no_hindrance() -> None:
+    with InspireEmulator() as emulator, closing(SerialLine(emulator.port, 1)) as line:
+        emulator.faults.echo = True
+        write(line, FORCE_SET, 700)
+        assert angles(line) == (1000,) * 6
+        assert line.counts.unanswered == 0
+
+
+def test_a_hand_that_does_not_answer_is_asked_a_bounded_number_of_times(inspire: InspireWire) -> None:
+    with line_to(inspire) as line:
+        inspire.faults.muted = True
+        asked, began = line.counts.requests, time.monotonic()
+        with raises(NoAnswerError, "no_answer.hand_silent"):
+            angles(line)
+        with raises(NoAnswerError, "no_answer.hand_silent"):
+            write(line, ANGLE_SET, 0)
+        assert line.counts.requests - asked <= 3 * ATTEMPTS
+        assert time.monotonic() - began < 1.0
+
+
+def test_an_emulated_hand_that_was_left_alone_answers_the_first_request_at_once(inspire: InspireWire) -> None:
+    time.sleep(0.5)
+    behind: list[float] = []
+    inspire.tell(lambda hand: behind.append(hand._clock() - hand.now))
+    assert behind[0] < 0.4 * PACE, "it would have to catch up first"

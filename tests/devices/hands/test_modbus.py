@@ -16,7 +16,7 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from tests.errors import raises
-from toolee_robot.devices.hands.inspire import ANGLE_ACT, ANGLE_SET, ATTEMPTS, FORCE_SET, InspireHand, ModbusLine
+from toolee_robot.devices.hands.inspire import ANGLE_ACT, ANGLE_SET, FORCE_SET, InspireHand, ModbusLine
 from toolee_robot.errors import DeviceError, NoAnswerError
 from toolee_robot.robots import HandModel
 from toolee_robot.runtime.clock import HostClock
@@ -53,19 +53,6 @@ def test_a_hand_that_numbers_its_replies_in_no_known_way_is_refused(emulator: Mo
         ModbusLine(emulator.port, 1)
 
 
-def test_an_exception_is_an_error_and_one_of_a_busy_hand_is_asked_again(emulator: ModbusEmulator) -> None:
-    with closing(ModbusLine(emulator.port, 1)) as line:
-        emulator.refusals.extend([6, 11])
-        assert line.read(ANGLE_ACT, 12) == OPEN
-        emulator.refusals.append(5)
-        line.write(ANGLE_SET, OPEN)
-        with raises(DeviceError, "device.hand_refuses"):
-            line.write(ANGLE_ACT, OPEN)
-        emulator.refusals.extend([4] * ATTEMPTS)
-        with raises(NoAnswerError, "no_answer.hand_silent"):
-            line.read(ANGLE_ACT, 12)
-
-
 def test_the_hand_of_another_unit_does_not_answer(emulator: ModbusEmulator) -> None:
     with raises(NoAnswerError, "no_answer.hand_silent"):
         ModbusLine(emulator.port, 2)
@@ -79,13 +66,6 @@ def test_it_waits_for_a_hand_that_ends_a_connection_made_at_once(emulator: Modbu
     with closing(ModbusLine(emulator.port, 1)) as line:
         assert line.read(ANGLE_ACT, 12) == OPEN
     assert time.monotonic() - began > 0.3, "the emulated hand ended the first one"
-
-
-def test_nobody_listens() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-    with raises(NoAnswerError, "no_answer.hand_port"):
-        ModbusLine(f"tcp://127.0.0.1:{port}", 1)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from websockets.sync.client import connect
 from tests.errors import raises
 from tests.rigs.wired_hands import EFFORTS, eventually, told
 from toolee_robot.devices.hands.shadow import ShadowHand
-from toolee_robot.errors import ConfigError, DeviceError, NoAnswerError, ProtocolError, StaleDataError
+from toolee_robot.errors import ConfigError, DeviceError, StaleDataError
 from toolee_robot.robots import HandModel
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hands.kit import LineFault, happen
@@ -223,25 +223,6 @@ def test_readings_that_wait_in_the_network_are_not_taken_for_fresh(
 @pytest.mark.parametrize("url", ["/dev/ttyUSB0", "http://127.0.0.1:9090", "ws://"])
 def test_a_port_that_is_no_rosbridge(shadow_model: HandModel, url: str) -> None:
     with raises(ConfigError, "config.hand_port"), ShadowHand(shadow_model, url, EFFORTS, HostClock()):
-        pass
-
-
-def test_nobody_there_or_somebody_else(shadow: ShadowEmulator, shadow_model: HandModel) -> None:
-    with (
-        raises(NoAnswerError, "no_answer.hand_port"),
-        ShadowHand(shadow_model, "ws://127.0.0.1:9", EFFORTS, HostClock()),
-    ):
-        pass
-    shadow.faults.muted = True
-    with (
-        raises(NoAnswerError, "no_answer.hand_silent") as silent,
-        ShadowHand(shadow_model, shadow.port, EFFORTS, HostClock()),
-    ):
-        pass
-    assert "/diagnostics, /joint_states" in str(silent.value)
-    shadow.faults.muted = False
-    shadow.faults.rates = {LineFault.SHORT: 1.0}
-    with raises(ProtocolError, "protocol.rosbridge"), ShadowHand(shadow_model, shadow.port, EFFORTS, HostClock()):
         pass
 
 

@@ -26,14 +26,7 @@ _BUFFER = 1 << 18  # [bytes] on the way to somebody who does not read
 
 @dataclass(frozen=True)
 class Rule:
-    """What to do to the unit number `skip` (of those that match, from the rule's arming on) of a direction. A unit is a
-    packet on the RTDE port, elsewhere what came at once. kind: of packet, 0 for any. every: and to all matching ones
-    after it.
-
-    action: "replace" by data, "insert" data before, "append" data; "kind" or "size": header's field is number; "cut"
-    after number bytes, silence then; "silence"; "fin"; "rst"; "drip": one byte at a time from here on; "flood": data
-    without end from here on; "poison": output variable data is number, "shift": is so much larger.
-    """
+    """What to do to the unit number `skip` (of those that match, from the rule's arming on) of a direction."""
 
     action: str
     data: bytes = b""

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tests.sim_backend.kinematics import line
-from tests.stand_in import HOME
+from tests.stand_in import HOME, PATIENT, held, patient
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
+from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.faults.client import Trace
-from toolee_robot.station import ArmLimits
-from toolee_robot.types import Trajectory
+from toolee_robot.station import ArmLimits, sim_station
+from toolee_robot.types import ArmModel, Trajectory
 
 WAY = np.array([0.9, 0.5, -0.6, 0.3, -0.4, 0.8])
 MOVING = 2e-3  # [rad/s]
@@ -23,8 +26,7 @@ SLACK = 0.35  # [s] for a machine that is busy with other things
 
 
 def swing(q: Array, duration: float | None = None) -> Trajectory:
-    """To the further end of the way between HOME and HOME + WAY, wherever on it the last one has stopped: in
-    `duration` [s], or so fast that the base joint reaches 1.4 rad/s half-way."""
+    """To the further end of the way between HOME and HOME + WAY, wherever on it the last one has stopped."""
     end = max((HOME, HOME + WAY), key=lambda end: float(np.abs(end - q).max()))
     share = float(np.abs(end - q).max() / np.abs(WAY).max())
     return line([q, end], share * FAST if duration is None else duration)
@@ -47,8 +49,7 @@ def wait_for_mid_swing(arm: UnsupervisedUrArm, trajectory: Trajectory) -> None:
 
 @dataclass(frozen=True)
 class Stop:
-    """speed: of the fastest joint when it happened [rad/s]. time: from then to standstill [s]. overshoot: the most that
-    a joint moved after it [rad]. off_path: the most that the joints left the straight line of the swing [rad]."""
+    """Speed of the fastest joint at the fault [rad/s], time to standstill [s], motion and deviation after it [rad]."""
 
     speed: float
     time: float
@@ -80,3 +81,27 @@ def braked(stop: Stop, limits: ArmLimits, extra: float = 0.0) -> None:
     assert stop.time < shortest_stop(limits, stop.speed) + extra + SLACK
     # Where each joint stopped for itself they would be some 0.05 rad apart.
     assert stop.off_path < 0.01
+
+
+def main() -> None:
+    host, model = sys.argv[1], ArmModel(sys.argv[2])
+    with UnsupervisedUrArm(patient(host), replace(sim_station().arm, model=model)) as arm:
+        trajectory = swing(held(arm), LONG)
+
+        def say() -> None:
+            wait_for_mid_swing(arm, trajectory)
+            print("swinging", arm.servo_pid, flush=True)
+
+        threading.Thread(target=say, daemon=True).start()
+        try:
+            arm.execute(trajectory, None, PATIENT)
+            print("completed", flush=True)
+        except KeyboardInterrupt:
+            print("interrupted", float(abs(arm.state(1.0).joints.qd).max()), flush=True)
+            raise
+        except DeviceError as error:
+            print(type(error).__name__, flush=True)
+
+
+if __name__ == "__main__":
+    main()

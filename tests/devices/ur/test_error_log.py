@@ -162,6 +162,7 @@ def test_a_stop_in_a_motion_names_code_joint_and_remedy(arm: UnsupervisedUrArm, 
         arm.execute(swing(held(arm)), None, PATIENT)
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_stop_at_rest_names_its_code_and_the_next_one_its_own(
     arm: UnsupervisedUrArm, controller: ControllerProcess

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.devices.ur.swings import LONG, braked, stop_after, swing
 from tests.stand_in import patient, stand_in
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.devices.ur.servo.program_watch import ProgramWatch, WatchedProgram
@@ -91,7 +92,7 @@ def test_a_servo_process_that_dies_at_rest_unnoticed(controller: ControllerProce
 
 
 def test_task_and_servo_process_die_at_once(controller: ControllerProcess) -> None:
-    command = [sys.executable, "-m", "tests.devices.ur.swinging_task", HOST, "UR10"]
+    command = [sys.executable, "-m", "tests.devices.ur.swings", HOST, "UR10"]
     task = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert task.stdout is not None
@@ -153,3 +154,50 @@ def upload(controller: ControllerProcess, script: str) -> None:
     with socket.create_connection((controller.host, 30002)) as sock:
         sock.sendall(script.encode())
         time.sleep(0.3)
+
+
+HOST_TASK_DEATH = "127.0.0.24"
+LIMITS_TASK_DEATH = sim_station().arm
+HEARTBEAT = patient(HOST_TASK_DEATH).servo.heartbeat_timeout
+
+
+@pytest.fixture(scope="module")
+def controller_of_task_death() -> Iterator[ControllerProcess]:
+    with stand_in(ArmModel.UR10, HOST_TASK_DEATH) as process:
+        yield process
+
+
+SIGNALS = [
+    pytest.param(signal.SIGKILL, 0.0, "", id="SIGKILL"),
+    pytest.param(signal.SIGSTOP, HEARTBEAT, "", id="SIGSTOP", marks=pytest.mark.nightly),
+    pytest.param(signal.SIGINT, 0.0, "interrupted", id="SIGINT", marks=pytest.mark.nightly),
+]
+
+
+@pytest.mark.parametrize(("number", "detection", "last_words"), SIGNALS)
+def test_what_hits_the_task(
+    controller_of_task_death: ControllerProcess, number: int, detection: float, last_words: str
+) -> None:
+    host = controller_of_task_death.host
+    controller_of_task_death.fault("reset")
+    before = controller_of_task_death.state()["tick"]
+    trajectory = swing(np.array(controller_of_task_death.state()["q"]), LONG)
+    task = subprocess.Popen(
+        [sys.executable, "-m", "tests.devices.ur.swings", host, "UR10"], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert task.stdout is not None
+        assert task.stdout.readline().startswith("swinging")
+        event = time.monotonic()
+        task.send_signal(number)
+        if last_words:
+            assert task.stdout.readline().startswith(last_words)
+            assert task.wait(5.0) != 0
+        time.sleep(1.0 + detection)
+        braked(stop_after(controller_of_task_death.trace(before), trajectory, event), LIMITS_TASK_DEATH, detection)
+        if number == signal.SIGSTOP:
+            task.send_signal(signal.SIGCONT)
+            assert task.stdout.readline().strip() == "MotionFaultError"
+    finally:
+        task.kill()
+        task.wait()

@@ -118,8 +118,7 @@ class Step:
 
 
 def sequences() -> st.SearchStrategy[list[Step]]:
-    """A swing first, so that something moves; then anything, among it accidents: a stop and a loss at almost the same
-    time. In the end every stop is released and Play pressed."""
+    """A swing first, then anything; in the end every stop is released and Play pressed."""
     waits, soon = st.floats(0.0, 0.3), st.floats(0.0, 0.03)
     anything = st.builds(lambda name, wait: [Step(name, wait)], st.sampled_from(["swing", *STEPS]), waits)
     pair = st.tuples(st.sampled_from(STOPS), st.sampled_from(LOSSES)).flatmap(st.permutations)
@@ -137,17 +136,7 @@ def sequences() -> st.SearchStrategy[list[Step]]:
 
 
 class Session:
-    """One arm on one stand-in.
-
-    Args:
-        arm: The driver.
-        robot: The stand-in.
-        config: The driver's settings.
-
-    Attributes:
-        sent: Every swing of the last sequence that sent something, and what the driver says it sent.
-        unexpected: What the driver has raised besides its typed errors of devices.
-    """
+    """One arm on one stand-in."""
 
     def __init__(self, arm: UnsupervisedUrArm, robot: ControllerProcess, config: UrArmConfig) -> None:
         self.arm, self.robot = arm, robot
@@ -213,10 +202,7 @@ class Session:
         self.sent.append((trajectory, report))
 
     def uncommanded(self, trace: Trace) -> NDArray[np.intp]:
-        """Ticks in which a joint moves although the newest set-point is older than `grace`.
-
-        Ages are counted by the robot's ticks, as its watchdog does, which a busy machine lengthens.
-        """
+        """Ticks in which a joint moves although the newest set-point is older than `grace`."""
         ticks = np.arange(len(trace.ticks))
         came = np.diff(trace.commands, prepend=trace.commands[:1]) > 0
         newest = np.maximum.accumulate(np.where(came, ticks, -1))
@@ -267,8 +253,7 @@ def test_the_arm_moves_only_while_it_is_commanded(session: Session, steps: list[
 
 
 def smooth(trajectory: Trajectory, report: MotionReport, period: float) -> bool:
-    """Whether what was sent keeps to the accelerations of the path and of a stop on it: the stand-in's `servoj` would
-    not show a step, which it approaches within the model's acceleration."""
+    """Whether what was sent keeps to the accelerations of the path and of a stop on it."""
     q = report.q_commanded[: report.commands]
     if len(q) < 3:
         return True

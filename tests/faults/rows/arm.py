@@ -13,8 +13,7 @@ import numpy as np
 
 from tests.faults.record import FaultRow, Measurement, Phase
 from tests.rigs.driver_rig import Happening, Rig, StopKind
-from tests.rigs.joints_path import MOVING
-from tests.rigs.time_bounds import CLOSE, PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
+from tests.rigs.joints_path import CLOSE, MOVING, PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
 from toolee_robot.errors import (
     DeviceError,
     EmergencyStopError,
@@ -40,19 +39,7 @@ QUIET_TIME = 2.2  # [s] likewise for a silent link: a little more than `ServoCon
 
 @dataclass(frozen=True)
 class ArmFault:
-    """A fault of the arm and the required reaction.
-
-    Attributes:
-        inject: Injects the fault.
-        error: Error that the motion must raise; None for a motion that reports STOPPED.
-        notice: Largest time until the fault is detected [s].
-        by_robot: With which of its decelerations (`StopDecelerations`) the controller brakes; None where the driver
-            brakes along the path.
-        slider: Position of the speed slider after the fault, or the controller's own scaling of the speed, 0 to 1.
-        at_rest: Whether the fault must latch at rest; None where it is no fault at rest.
-        watch: Bounds of the motion.
-        rest: Time until a fault at rest must be detected [s].
-    """
+    """A fault of the arm and the required reaction."""
 
     number: int
     fault: str

@@ -15,8 +15,7 @@ from tests.faults.record import FaultRow, Measurement, Phase
 from tests.faults.rows.job import job_row
 from tests.faults.rows.job_fault import IN_STRIKE, JobFault, Scene
 from tests.faults.rows.start import OURS, calibration_row
-from tests.rigs.camera_devices import CameraEvent
-from tests.rigs.camera_rig import CAMERAS, OTHER_SERIAL, SERIAL, CameraKind, DriverCamera
+from tests.rigs.camera_rig import CAMERAS, OTHER_SERIAL, SERIAL, CameraEvent, CameraKind, DriverCamera
 from tests.rigs.job_rig import CONFIG, Bench
 from toolee_robot.errors import TooleeError
 from toolee_robot.station import SIMULATED, CalibrationConfig, CameraConfig
@@ -35,13 +34,7 @@ SEEN = 0.1
 
 @dataclass(frozen=True)
 class CameraFault:
-    """A fault of a camera, and the required reaction.
-
-    Attributes:
-        event: What happens; its value is the row's name.
-        code: Required code of the driver's error; empty where its frames are new ones.
-        settles: Time from the event until the job goes on [s].
-    """
+    """A fault of a camera, and the required reaction."""
 
     number: int
     event: CameraEvent

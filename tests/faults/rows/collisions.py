@@ -17,10 +17,9 @@ from tests.faults.record import FaultRow, Measurement, MissedMomentError, Phase
 from tests.faults.rows.arm import AT_REST, REST_TIME, push_off
 from tests.faults.rows.released_stops import release_and_play, travel
 from tests.rigs.driver_rig import FAST, SETTLE_TIME, Rig, rig
-from tests.rigs.joints_path import Stop, stop_after
+from tests.rigs.joints_path import PATIENT, Stop, stop_after
 from tests.rigs.setting import Setting
 from tests.rigs.strikes import plan_swing
-from tests.rigs.time_bounds import PATIENT
 from toolee_robot.errors import DeviceError, ProtectiveStopError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
@@ -40,18 +39,7 @@ DEVIATION, COLLISION, TORQUE, JUMP, LIMIT = "position_deviation", "collision", "
 
 @dataclass(frozen=True)
 class Collision:
-    """A cause of a protective stop.
-
-    Attributes:
-        code: The controller's code, such as C153, with its argument where that tells the kind.
-        fault: The cause.
-        inject: Brings it about.
-        kind: Last part of the code of the driver's error.
-        payload: Payload that is set in the controller.
-        limits: The safety configuration, given the profile's own and where the swing starts, (6,) [rad].
-        ideal: Whether an ideal controller detects it, too.
-        phases: When it is brought about.
-    """
+    """A cause of a protective stop."""
 
     code: str
     fault: str

@@ -1,4 +1,4 @@
-"""Faulty commands and persons in reach: reaction of the supervisor in front of the real driver."""
+"""Faulty commands that must never reach an arm: valid motions with one defect each."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from functools import partial
 import numpy as np
 
 from tests.faults.record import FaultRow, Measurement, Phase
-from tests.faults.rows import bad_commands as bad
 from tests.faults.rows.arm import AT_REST
 from tests.rigs.driver_rig import OFF_PATH, Happening, Rig
+from tests.rigs.joints_path import PATIENT
 from tests.rigs.people import People
-from tests.rigs.time_bounds import PATIENT
+from tests.rigs.strikes import Swing
 from toolee_robot.control.limits import Mode
 from toolee_robot.control.planning.strike import plan_strike
+from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.control.supervisor import Supervisor
 from toolee_robot.errors import (
     CollisionError,
@@ -32,6 +33,93 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.types import Trajectory
 
+STEP = 0.004  # [s], sample period
+BESIDE = 1e-3  # [rad], offset from the commanded position: about a millimetre at the tool
+
+
+def good(swing: Swing, q: Array, change: Array) -> Trajectory:
+    """Make a valid, slow motion, straight in joint space."""
+    limits = swing.config.arm
+    return joint_move(q, q + change, np.full(6, 0.4), np.full(6, 2.0), np.full(6, limits.jerk))
+
+
+def not_finite(swing: Swing, q: Array, value: float) -> Trajectory:
+    """Make a motion with NaN or infinity in its middle."""
+    motion = good(swing, q, np.full(6, 0.02))
+    broken = motion.q.copy()
+    broken[len(broken) // 2, 3] = value
+    return replace(motion, q=broken)
+
+
+def beyond_joint_limit(swing: Swing, q: Array) -> Trajectory:
+    """Make a motion of the last joint beyond its limit."""
+    change = np.zeros(6)
+    change[5] = 2 * np.pi + 0.2 - q[5]
+    return good(swing, q, change)
+
+
+def _integrated(q: Array, qdd: Array) -> Trajectory:
+    """Integrate accelerations of joint 1, (N,) [rad/s^2], one per sample."""
+    n = len(qdd)
+    speed = np.concatenate([[0.0], np.cumsum(qdd[:-1]) * STEP])
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1])) * STEP])
+    times: Array = np.linspace(0.0, (n - 1) * STEP, n)
+    first = np.eye(6)[0]
+    return Trajectory(times, q + np.outer(way, first), np.outer(speed, first), np.outer(qdd, first))
+
+
+def beside_the_arm(swing: Swing, q: Array) -> Trajectory:
+    """Make a valid motion that starts off the commanded position."""
+    return good(swing, q + BESIDE, np.full(6, 0.02))
+
+
+def velocity_step(q: Array) -> Trajectory:
+    """Make a motion with a velocity step of 0.5 rad/s."""
+    qdd = np.zeros(60)
+    motion = _integrated(q, qdd)
+    way, speed = motion.q.copy(), motion.qd.copy()
+    speed[10:, 0] = 0.5
+    way[10:, 0] += 0.5 * STEP * np.arange(50)
+    return replace(motion, q=way, qd=speed)
+
+
+def acceleration_step(swing: Swing, q: Array) -> Trajectory:
+    """Make a motion with twice the acceleration limit."""
+    most = swing.config.arm.acceleration
+    return _integrated(q, np.concatenate([np.zeros(5), np.full(5, 2 * most), np.full(5, -2 * most), np.zeros(5)]))
+
+
+def jerk_step(swing: Swing, q: Array) -> Trajectory:
+    """Make a motion that alternates between the acceleration limits without exceeding them."""
+    most = 0.8 * swing.config.arm.acceleration
+    return _integrated(q, np.concatenate([np.zeros(4), np.tile([most, most, -most, -most], 6), np.zeros(4)]))
+
+
+def out_of_workspace(swing: Swing, q: Array) -> Trajectory:
+    """Make a motion beyond the back of the workspace."""
+    target = np.array([np.pi, -0.4, 0.0, q[3], q[4], q[5]])
+    return good(swing, q, target - q)
+
+
+def into_the_table(swing: Swing, q: Array) -> Trajectory:
+    """Make a motion of the shoulder, backwards, that ends with the upper arm in the table."""
+    change = np.zeros(6)
+    change[1] = -2.2
+    return good(swing, q, change)
+
+
+def into_itself(swing: Swing, q: Array) -> Trajectory:
+    """Make a motion of wrist 1 that bends the hand into the forearm, within the workspace."""
+    change = np.zeros(6)
+    change[3] = 2.2
+    return good(swing, q, change)
+
+
+def too_fast_for_a_handover(swing: Swing) -> Trajectory:
+    """Return the strike, which is too fast for HANDOVER mode."""
+    return swing.plan.strike
+
+
 FAR = 10.0  # [m], distance of an unreachable nail
 WATCH = 0.01  # [s], polling period of the person detection
 COMES, BRAKES = "a person comes into reach", "brakes on the path, latches"
@@ -39,13 +127,7 @@ COMES, BRAKES = "a person comes into reach", "brakes on the path, latches"
 
 @dataclass(frozen=True)
 class CommandFault:
-    """A faulty command and the required reaction.
-
-    Attributes:
-        error: Error that the supervisor must raise.
-        send: Sends the command to the supervisor, from the commanded joint positions, (6,) [rad].
-        latches: Whether the supervisor must stop the arm and latch.
-    """
+    """A faulty command and the required reaction."""
 
     number: int
     fault: str
@@ -67,22 +149,18 @@ def _plan_far(_supervisor: Supervisor, rig: Rig, q: Array) -> object:
 
 
 COMMAND_FAULTS = (
-    CommandFault(1, "NaN in a command", LimitError, _execute(lambda r, q: bad.not_finite(r.swing, q, np.nan)), True),
-    CommandFault(
-        1, "infinity in a command", LimitError, _execute(lambda r, q: bad.not_finite(r.swing, q, np.inf)), True
-    ),
-    CommandFault(2, "beyond a joint's limit", LimitError, _execute(lambda r, q: bad.beyond_joint_limit(r.swing, q))),
-    CommandFault(3, "start beside the arm", LimitError, _execute(lambda r, q: bad.beside_the_arm(r.swing, q))),
-    CommandFault(3, "step in velocity", LimitError, _execute(lambda _, q: bad.velocity_step(q))),
-    CommandFault(3, "step in acceleration", LimitError, _execute(lambda r, q: bad.acceleration_step(r.swing, q))),
-    CommandFault(3, "step in jerk", LimitError, _execute(lambda r, q: bad.jerk_step(r.swing, q))),
-    CommandFault(4, "out of the workspace", LimitError, _execute(lambda r, q: bad.out_of_workspace(r.swing, q))),
-    CommandFault(5, "into the table", CollisionError, _execute(lambda r, q: bad.into_the_table(r.swing, q))),
-    CommandFault(5, "into itself", CollisionError, _execute(lambda r, q: bad.into_itself(r.swing, q))),
+    CommandFault(1, "NaN in a command", LimitError, _execute(lambda r, q: not_finite(r.swing, q, np.nan)), True),
+    CommandFault(1, "infinity in a command", LimitError, _execute(lambda r, q: not_finite(r.swing, q, np.inf)), True),
+    CommandFault(2, "beyond a joint's limit", LimitError, _execute(lambda r, q: beyond_joint_limit(r.swing, q))),
+    CommandFault(3, "start beside the arm", LimitError, _execute(lambda r, q: beside_the_arm(r.swing, q))),
+    CommandFault(3, "step in velocity", LimitError, _execute(lambda _, q: velocity_step(q))),
+    CommandFault(3, "step in acceleration", LimitError, _execute(lambda r, q: acceleration_step(r.swing, q))),
+    CommandFault(3, "step in jerk", LimitError, _execute(lambda r, q: jerk_step(r.swing, q))),
+    CommandFault(4, "out of the workspace", LimitError, _execute(lambda r, q: out_of_workspace(r.swing, q))),
+    CommandFault(5, "into the table", CollisionError, _execute(lambda r, q: into_the_table(r.swing, q))),
+    CommandFault(5, "into itself", CollisionError, _execute(lambda r, q: into_itself(r.swing, q))),
     CommandFault(6, "nail out of reach", UnreachableError, _plan_far),
-    CommandFault(
-        27, "too fast for a handover", LimitError, _execute(lambda r, _q: bad.too_fast_for_a_handover(r.swing))
-    ),
+    CommandFault(27, "too fast for a handover", LimitError, _execute(lambda r, _q: too_fast_for_a_handover(r.swing))),
 )
 
 
@@ -184,7 +262,7 @@ def _expected(fault: CommandFault, end: str) -> str:
 
 def _refuses(supervisor: Supervisor, rig: Rig) -> bool:
     try:
-        supervisor.execute(bad.good(rig.swing, rig.q_commanded, np.full(6, 0.01)), None, PATIENT)
+        supervisor.execute(good(rig.swing, rig.q_commanded, np.full(6, 0.01)), None, PATIENT)
     except LatchedError:
         return True
     return False

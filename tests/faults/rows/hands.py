@@ -60,19 +60,7 @@ def _is_told_apart(kind: WiredHand) -> bool:
 
 @dataclass(frozen=True)
 class HandFault:
-    """A fault of a hand or of its line, and the required reaction.
-
-    Attributes:
-        event: Lets it happen.
-        when: As of a `JobFault`.
-        outcome: Required outcome of the job.
-        message: Text that its reason must contain.
-        keeps: Whether the emulated hand must still hold what it held.
-        concerns: Whether a hand can have it.
-        unheard: Whether the hand takes no command, and answers everything else: the reason must be what its driver says
-            of that, and what the hand was told last must stay.
-        seen: Time until the job goes on after a fault at rest [s].
-    """
+    """A fault of a hand or of its line, and the required reaction."""
 
     number: int
     fault: str

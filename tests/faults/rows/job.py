@@ -18,9 +18,8 @@ from tests.faults.rows.job_fault import IN_STRIKE, JobFault, Scene
 from tests.faults.rows.job_faults import JOB_FAULTS
 from tests.rigs.driver_rig import OFF_PATH
 from tests.rigs.job_rig import CONFIG, Bench, ClosedHand, Log, at_rest, grip_kept
-from tests.rigs.joint_watch import JointWatch
-from tests.rigs.joints_path import Stop
-from tests.rigs.scripted_perception import ScriptedPerception
+from tests.rigs.joints_path import JointWatch, Stop
+from tests.rigs.people import ScriptedPerception
 from toolee_robot.control.motion.path_stop import stop_on_path
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import DeviceError, LatchedError
@@ -64,13 +63,7 @@ def job_row(
 
 
 class _Row:
-    """One job with one fault.
-
-    Attributes:
-        wrong: The violated requirements.
-        _strike: The recorded strike.
-        _hand: Position of the palm when the tool was lost, at the latest at the end of the strike, (3,) [m].
-    """
+    """One job with one fault."""
 
     _strike: Trajectory
 

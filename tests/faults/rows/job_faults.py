@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from tests.faults.record import Phase
-from tests.faults.rows.job_fault import IN_STRIKE, Braking, JobFault, Scene
-from tests.faults.rows.job_people import GRIP_DOUBTS, INPUTS, RESUMES
+from tests.faults.rows.job_fault import GRIP_DOUBTS, IN_STRIKE, INPUTS, RESUMES, Braking, JobFault, Scene
 from tests.rigs.job_rig import CONFIG
-from tests.rigs.scripted_perception import Change, moved, unsure
+from tests.rigs.people import Change, moved, unsure
 from toolee_robot.control.contact import Meeting
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.tasks.common.outcome import Outcome, Stage

@@ -35,15 +35,7 @@ ANSWER_TIME, POWER_TIME = 2.0, 5.0  # [s] of the dashboard server, and until the
 
 @dataclass(frozen=True)
 class ReleasedStop:
-    """A stop and its release.
-
-    Attributes:
-        stop: Stops the robot.
-        release: Releases the stop, as a person does at the robot.
-        error: Error that the motion must raise.
-        by_robot: With which of its decelerations the controller brakes.
-        notice: Time until it does [s], beside two cycles.
-    """
+    """A stop and its release."""
 
     number: int
     fault: str

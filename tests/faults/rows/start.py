@@ -28,15 +28,7 @@ REFUSES = "refuses to start, nothing moves"
 
 @dataclass(frozen=True)
 class StartFault:
-    """A fault that must prevent the start.
-
-    Attributes:
-        hook: Command of the stand-in's fault port.
-        arguments: Arguments of the command.
-        message: Text that the driver's error must contain.
-        remedy: Text of the remedy that the error must contain.
-        e_series: Whether the fault exists on the e-Series only.
-    """
+    """A fault that must prevent the start."""
 
     fault: str
     hook: str

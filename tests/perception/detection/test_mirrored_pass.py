@@ -14,7 +14,7 @@ from tests.perception.detection.test_detector import TINY
 from toolee_robot.perception.detection import detector as detector_module
 from toolee_robot.perception.detection.boxes import mirror_boxes
 from toolee_robot.perception.detection.detector import Detector, RawDetections
-from toolee_robot.perception.detection.inputs import STRIDE, RgbdBatch, encode_rgbd, mirror, part_about
+from toolee_robot.perception.detection.inputs import STRIDE, RgbdBatch, encode_rgbd, part_about
 
 HEIGHT, WIDTH = 64, 96
 BOXES = torch.tensor([[10.0, 4.0, 34.0, 20.0], [50.0, 24.0, 59.5, 31.0], [0.0, 40.0, 96.0, 64.0]])
@@ -22,8 +22,7 @@ NOTHING = torch.zeros((3, 4))
 
 
 class Untrained(Detector):
-    """Random weights. Takes the boxes (B, N, 4) it is given for proposals, empty ones for none, moves none of them and
-    reports every class; notes how many images each pass had."""
+    """Random weights."""
 
     def __init__(self, boxes: Tensor) -> None:
         torch.manual_seed(0)
@@ -59,16 +58,6 @@ def in_order(found: RawDetections) -> RawDetections:
 def assert_same(found: RawDetections, expected: RawDetections) -> None:
     for name in ("boxes", "scores", "labels", "masks", "mask_boxes"):
         torch.testing.assert_close(getattr(found, name), getattr(expected, name), atol=1e-4, rtol=0, msg=name)
-
-
-def test_a_mirrored_batch_is_the_mirrored_images_encoded() -> None:
-    rgb, depth, focal = images(3)
-    chosen = torch.tensor([2, 0])
-    mirrored = mirror(encode_rgbd(rgb, depth, focal), chosen)
-    expected = encode_rgbd(rgb[chosen].flip(3), depth[chosen].flip(2), focal[chosen])
-    torch.testing.assert_close(mirrored.pixels, expected.pixels, atol=1e-4, rtol=0)
-    assert (mirrored.depth == expected.depth).all()
-    assert (mirrored.focal == expected.focal).all()
 
 
 def test_the_mirrored_image_s_detections_are_the_mirrored_detections() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -369,13 +368,6 @@ def test_end_effectors_of_a_low_score_are_left_out_and_tools_stay() -> None:
     assert [i.label for i in segmenter.instances(scene(focal=100.0))] == [TOOL]
     weak = segmenter.instances(scene(focal=100.0), score_threshold=0.01)
     assert sorted(i.label for i in weak) == [1, TOOL]
-
-
-def test_the_size_of_the_image_alone_does_not_matter() -> None:
-    frame = scene(focal=1500.0)
-    K = replace(frame.intrinsics, fx=3000.0, fy=3000.0, cx=128.0, cy=96.0, width=256, height=192)
-    large = RgbdFrame(frame.rgb.repeat(2, 0).repeat(2, 1), frame.depth.repeat(2, 0).repeat(2, 1), K)
-    assert coarse_size(large, IMAGE) == coarse_size(frame, IMAGE)
 
 
 CAMERA = CameraIntrinsics(365.5, 380.0, 254.9, 205.4, 512, 424)

@@ -176,8 +176,7 @@ def seen_by(
 
 
 def test_views_tell_the_cameras_error_from_the_tools_pose() -> None:
-    """Six views whose orientations differ by 35 deg: a camera 12 mm and 1 deg off displaces a tool that is looked at
-    from one by over 12 mm."""
+    """Six views that differ by 35 degrees, from a camera that is 12 mm and 1 degree off."""
     rng = np.random.default_rng(6)
     one, six, squared, found = [], [], [], []
     for _ in range(40):

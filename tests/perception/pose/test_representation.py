@@ -51,8 +51,7 @@ def test_round_trip(seed: int) -> None:
 @given(seeds, st.sampled_from(list(Category)))
 @examples(40)
 def test_the_mirrored_pose_is_what_the_mirrored_view_shows(seed: int, category: Category) -> None:
-    """The plane that an EE mirrors in: y = 0, and z = 0 of wrenches. Where its points are mirrored in the camera's x,
-    they must lie on the EE in the mirrored pose, up to its own symmetry."""
+    """The plane that an EE mirrors in: y = 0, and z = 0 of wrenches."""
     rng = np.random.default_rng(seed)
     R, p = Rotation.random(rng=rng).as_matrix(), rng.normal(0, 0.05, 3)
     plane = [1.0, 1.0, -1.0] if category.symmetry.kind is SymmetryKind.C2 else [1.0, -1.0, 1.0]
@@ -280,9 +279,7 @@ def test_far_from_everything_measured_nothing_is_completed() -> None:
 
 
 def face_and_handle(distance: float) -> tuple[Array, Array]:
-    """A hammer's face of 13 mm radius with 10 mm of its side, and its handle: points (N, 3), (M, 3) [m] in front of the
-    camera, the face turned away from the optical axis by 30 degrees.
-    """
+    """A hammer's face of 13 mm radius, turned away by 30 degrees, and its handle: points (N, 3), (M, 3) [m]."""
     rng = np.random.default_rng(0)
     radius, angle = 0.013 * np.sqrt(rng.uniform(size=400)), rng.uniform(0, 2 * np.pi, 400)
     face = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(400)])

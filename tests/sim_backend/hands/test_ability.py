@@ -123,29 +123,6 @@ def test_a_finger_that_has_collided_is_barred_until_it_is_told_to_go_back(bench:
     assert bench.hand.angles[0] > 30.0
 
 
-def test_pads_feel_what_a_finger_presses_on(bench: Bench) -> None:
-    bench.hand.hold(20.0)
-    bench.keep(CLOSE_40, 1.0)
-    body = bench.ask()
-    pads = [int.from_bytes(body[25:70], "little") >> 12 * pad & 0xFFF for pad in range(30)]
-    volts = np.array([pads[:3], PADS[:3]]) * 3.3 / 4096.0
-    pressed, rest = 121591.0 / (33000.0 / volts + 10000.0)
-    assert sum(pressed - rest) == pytest.approx(bench.hand.motors[0].force, rel=0.05)
-    bench.hand.has_pads = False
-    assert bench.ask()[25:70] == bytes(45)
-
-
-def test_heat_shuts_a_motor_down_and_cold_lets_it_work_again(bench: Bench) -> None:
-    bench.hand.heat(75.0)
-    bench.keep(CLOSE_40, 0.5)
-    assert bench.limited() == 0b111111
-    assert bench.hand.angles[0] == 0.0
-    bench.hand.heat(50.0)
-    bench.keep(CLOSE_40, 1.0)
-    assert bench.hand.angles[0] > 30.0
-    assert bench.limited() == 0
-
-
 def test_going_back_may_be_taken_for_a_collision(bench: Bench) -> None:
     bench.hand.hold(20.0)
     bench.keep(CLOSE_40, 1.0)

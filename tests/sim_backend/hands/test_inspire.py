@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import struct
+import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, foreign
-from toolee_robot.sim_backend.hands.kit import LineFault, LineFaults
+from tests.errors import raises
+from toolee_robot.errors import UserError
+from toolee_robot.sim_backend.hands.ability import AbilityEmulator
+from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, ModbusEmulator, foreign
+from toolee_robot.sim_backend.hands.kit import HandTime, LineFault, LineFaults, WriteFault, happen
+from toolee_robot.sim_backend.hands.shadow import ShadowEmulator
 
 CLOSE_ALL = "EB 90 01 0F 12 CE 05 00 00 00 00 00 00 00 00 00 00 E8 03 E0"
 """All but the thumb's rotation to 0."""
@@ -102,35 +107,6 @@ def test_it_stops_at_the_force_and_overshoots_the_more_the_faster_it_is(
     assert bench.bytes(1612)[3] == 3
 
 
-def test_what_slips_is_followed_only_on_command_and_what_is_gone_is_not_felt(bench: Bench) -> None:
-    bench.hand.hold(600)
-    bench.send(CLOSE_ALL)
-    bench.now += 2.0
-    bench.hand.slip(200)
-    bench.now += 1.0
-    assert bench.words(1582)[3] == 0
-    bench.send(CLOSE_ALL)
-    bench.now += 1.0
-    assert bench.words(1582)[3] >= 500
-    bench.hand.hold(None)
-    assert bench.words(1582) == (0,) * 6
-
-
-def test_a_jammed_motor_stalls_until_it_is_cleared_and_a_stuck_one_may_say_that_it_has_arrived(bench: Bench) -> None:
-    bench.hand.motors[2].jammed = bench.hand.motors[3].jammed = bench.hand.motors[3].says_arrived = True
-    bench.send(CLOSE_ALL)
-    bench.now += 1.0
-    assert bench.bytes(1606) == (0, 0, 1, 0, 0, 0)
-    assert bench.bytes(1612)[2:4] == (6, 2)
-    assert bench.words(1546)[2:4] == (1000, 1000)
-    bench.hand.motors[2].jammed = False
-    bench.send("EB 90 01 04 12 EC 03 01 07")
-    bench.send(CLOSE_ALL)
-    bench.now += 1.0
-    assert bench.bytes(1606) == (0,) * 6
-    assert bench.words(1546)[2] == 0
-
-
 def test_a_hot_motor_stands_until_it_is_cool_whatever_is_cleared(bench: Bench) -> None:
     bench.hand.motors[0].temperature = 75.0
     bench.now += 0.1
@@ -162,3 +138,75 @@ def test_the_faults_of_the_line() -> None:
     assert came[LineFault.LOST] == []
     faults.muted = True
     assert faults.on_the_way(frame) == []
+
+
+FRAMES = {
+    InspireEmulator: ("EB 90 01 04 11 DA 05 0C 01", ["EB 90 01 0F 12 DA 05 " + "2C 01 " * 6 + "0F"]),
+    ModbusEmulator: (
+        "00 01 00 00 00 06 01 03 05 DA 00 06",
+        ["00 02 00 00 00 06 01 06 05 DA 01 2C", "00 01 00 00 00 13 01 10 05 DA 00 06 0C " + "01 2C " * 6],
+    ),
+}
+"""The thresholds of the force: read, and written as 300 in every way that the wire has."""
+
+
+@pytest.mark.parametrize("fault", WriteFault)
+@pytest.mark.parametrize("kind", FRAMES)
+def test_reads_are_answered_and_writes_are_not(kind: type[InspireEmulator], fault: WriteFault) -> None:
+    hand, (read, writes) = kind(), FRAMES[kind]
+    hand.faults.writes = fault
+    for write in writes:
+        assert hand.answer(bytes.fromhex(write)) == []
+    assert hand.tell(lambda hand: hand.told)[0][1] == (500 if fault is WriteFault.DEAF else 300)
+    assert len(hand.answer(bytes.fromhex(read))) == 1
+    if isinstance(hand, ModbusEmulator):
+        hand.refusals.append(6)
+        assert hand.answer(bytes.fromhex(writes[0])) == []
+    hand.faults.writes = None
+    for write in writes:
+        assert len(hand.answer(bytes.fromhex(write))) == 1
+
+
+def test_events() -> None:
+    with InspireEmulator() as inspire, ModbusEmulator() as modbus:
+        for emulator in (inspire, modbus):
+            for fault in WriteFault:
+                happen(emulator, fault)
+                assert emulator.faults.writes is fault
+            happen(emulator, "acknowledge")
+            assert emulator.faults.writes is None
+            happen(emulator, "error middle 4")
+            happen(emulator, "error middle 16")
+            assert emulator.tell(lambda hand: hand.read(1606, 6)) == bytes([0, 0, 20, 0, 0, 0])
+            for nonsense in ("deaf 3", "error 4", "error middle", "error middle 0", "error middle 2", "error palm 4"):
+                with raises(UserError, "user.hand_event"):
+                    happen(emulator, nonsense)
+    with AbilityEmulator() as ability, ShadowEmulator() as shadow:
+        for other in (ability, shadow):
+            with raises(UserError, "user.hand_event"):
+                happen(other, "deaf")
+
+
+def test_a_motor_with_too_much_current_stands_until_it_is_cleared() -> None:
+    now = 100.0
+    hand = Hand(lambda: now)
+    hand.write(1486, struct.pack("<6h", *(0,) * 6))
+    now += 0.2
+    hand.run()
+    hand.motors[2].error |= 4
+    now += 2.0
+    angles = struct.unpack("<6h", hand.read(1546, 12))
+    assert angles[2] > 800
+    assert angles[3] == 0
+    assert (hand.read(1606, 6)[2], hand.read(1612, 6)[2]) == (4, 5)
+    assert hand.write(1004, b"\x01")
+    assert hand.read(1606, 6) == bytes(6)
+
+
+def test_it_runs_at_its_pace_and_never_back() -> None:
+    hand, begin = HandTime(0.5), time.monotonic()
+    times = [hand()]
+    while time.monotonic() - begin < 0.05:
+        times.append(hand())
+    assert times == sorted(times)
+    assert 0.0 < times[-1] - times[0] <= 0.5 * (time.monotonic() - begin)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import time
 from typing import Any
 
 import pytest
-from websockets.sync.client import connect
 
 from tests.errors import raises
 from toolee_robot.errors import UserError
@@ -54,15 +52,6 @@ def test_a_trajectory_is_followed_on_a_straight_line(bench: Bench) -> None:
     assert bench.hand.motor("MFJ3").position == pytest.approx(0.0, abs=0.1)
 
 
-def test_joints_1_and_2_have_one_motor(bench: Bench) -> None:
-    bench.command(0.02, RFJ1=0.3, RFJ2=0.5)
-    bench.wait(2.0)
-    state = bench.hand.message("/joint_states", 1)
-    joints = dict(zip(state["name"], state["position"], strict=True))
-    assert joints["rh_RFJ1"] == pytest.approx(0.4, abs=0.01)
-    assert joints["rh_RFJ2"] == pytest.approx(0.4, abs=0.01)
-
-
 @pytest.mark.parametrize("wrong", ["part", "another joint", "past"])
 def test_a_controller_refuses_in_silence(bench: Bench, wrong: str) -> None:
     controller = bench.hand.controllers[FINGERS_TOPIC]
@@ -77,18 +66,6 @@ def test_a_controller_refuses_in_silence(bench: Bench, wrong: str) -> None:
     controller.command(message, bench.now)
     assert controller.refused == 1
     assert set(controller.desired(bench.now + 1.0)) == {0.0}
-
-
-def test_a_controller_that_does_not_run_tells_its_state_and_takes_no_command(bench: Bench) -> None:
-    bench.command(0.02, FFJ3=1.0)
-    told = bench.hand.told
-    assert max(told) == pytest.approx(1.0)
-    bench.hand.controllers[FINGERS_TOPIC].running = False
-    bench.command(0.02, FFJ3=0.5)
-    bench.wait(1.0)
-    assert bench.hand.told == told
-    state = bench.hand.message("/rh_trajectory_controller/state", 1)
-    assert max(state["desired"]["positions"]) == pytest.approx(1.0)
 
 
 def test_an_empty_trajectory_stops(bench: Bench) -> None:
@@ -155,29 +132,6 @@ def test_messages_have_the_fields_of_their_definitions(bench: Bench) -> None:
     assert set(hot) == {"level", "name", "message", "hardware_id", "values"}
     assert (hot["level"], hot["message"]) == (2, "Motor over temperature | ")
     assert {"key": "Temperature", "value": "70.000000"} in hot["values"]
-
-
-@pytest.mark.realtime(light=True)
-def test_another_client_finds_its_topics_and_moves_it() -> None:
-    with ShadowEmulator() as emulator, connect(emulator.port) as client:
-        for topic in ("/joint_states", "/diagnostics", "/rh_trajectory_controller/state"):
-            client.send(json.dumps({"op": "subscribe", "topic": topic}))
-        seen: dict[str, dict[str, Any]] = {}
-        end = time.monotonic() + 5.0
-        while len(seen) < 3 and time.monotonic() < end:
-            said = json.loads(client.recv(timeout=5.0))
-            seen[said["topic"]] = said["msg"]
-        joints = seen["/rh_trajectory_controller/state"]["joint_names"]
-        point = {"positions": [0.5] * len(joints), "time_from_start": {"secs": 0, "nsecs": 10**8}}
-        message = {"joint_names": joints, "points": [point]}
-        client.send(json.dumps({"op": "publish", "topic": "/rh_trajectory_controller/command", "msg": message}))
-        while emulator.angles[0] < 20.0:
-            assert time.monotonic() < end
-            time.sleep(0.01)
-        emulator.faults.echo = True
-        client.send('{"op": "set_level", "level": "none"}')
-        while json.loads(client.recv(timeout=5.0)).get("op") != "set_level":
-            assert time.monotonic() < end
 
 
 def test_two_cannot_have_one_port() -> None:

@@ -143,8 +143,7 @@ def test_the_head_stops_at_the_wood(bench: Bench) -> None:
 
 
 def test_a_pressing_hammer_does_not_move_a_nail_between_strikes(bench: Bench) -> None:
-    """100 N for half a second, in the long steps of a motion, with the mass of an arm; and strikes drive it as
-    before."""
+    """100 N for half a second, in a motion's long steps, with an arm's mass; strikes drive it as before."""
     shape = pb.createCollisionShape(
         pb.GEOM_CYLINDER, radius=FACE_RADIUS, height=HEAD_LENGTH, physicsClientId=bench.client
     )

@@ -65,8 +65,7 @@ def test_strikes_are_simulated_faster_than_real_time(held: SimStation) -> None:
 
 @pytest.mark.nightly
 def test_with_elastic_joints_strikes_are_as_fast_and_drive_the_nail_about_as_far() -> None:
-    """When in a control cycle the face meets the nail decides how soon the arm turns back: a single strike drives it up
-    to a tenth farther or less far for that alone, so that the mean of several at different speeds is judged, too."""
+    """When in a control cycle the face meets the nail decides how soon the arm turns back."""
     with holding(0.0) as rigid, holding(1.0) as elastic:
         far, short = ([_strike_anew(station, speed) for speed in SPEEDS] for station in (elastic, rigid))
         np.testing.assert_allclose(far, short, rtol=0.1)
@@ -133,6 +132,7 @@ def _strike(held: SimStation, speed: float) -> float:
     return drive
 
 
+@pytest.mark.nightly
 def test_after_the_strikes_the_nail_stays_where_it_is(held: SimStation) -> None:
     protrusion = held.world.nail.protrusion
     held.station.clock.sleep(0.5)

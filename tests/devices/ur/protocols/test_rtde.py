@@ -65,12 +65,6 @@ def test_what_the_controller_says_comes_through(fields: list[tuple[str, object]]
             reader.read(soon())
 
 
-def test_unknown_variables_are_named() -> None:
-    answers = [packet(b"O", b"\x01DOUBLE,NOT_FOUND,NOT_FOUND")]
-    with peer_sends(*answers) as sock:
-        assert RtdeReader(sock).subscribe(["timestamp", "payload", "tcp"], 125.0, soon()) == ["payload", "tcp"]
-
-
 @given(count=st.integers(0, 5), after=st.integers(0, 5), cut=st.integers(1, 8))
 def test_all_that_has_come_is_read_at_once_and_nobody_waits_for_more(count: int, after: int, cut: int) -> None:
     types = ["DOUBLE"]
@@ -195,13 +189,6 @@ def test_the_dashboards_answer_comes_through(answer: str) -> None:
         reader = DashboardReader(sock, soon())
         known = not answer.lower().startswith(("could not understand", "unknown command"))
         assert reader.ask("get robot model", soon()) == (answer if known else None)
-
-
-def test_a_question_that_is_not_known_is_none() -> None:
-    with peer_sends(_HELLO, b"could not understand: 'get robot model'\nRobotmode: RUNNING\n") as sock:
-        reader = DashboardReader(sock, soon())
-        assert reader.ask("get robot model", soon()) is None
-        assert reader.ask("robotmode", soon()) == "Robotmode: RUNNING"
 
 
 @examples(100)

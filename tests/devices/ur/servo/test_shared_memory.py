@@ -216,8 +216,7 @@ class _Clock(HostClock):
 def test_slots_keep_their_place_after_the_controllers_packets(
     phase: float, crystal: float, late: list[tuple[int, float]]
 ) -> None:
-    """They find it at rest, and keep it in motion, though another crystal counts the controller's cycles and one packet
-    in ten comes late."""
+    """They find it at rest and keep it in motion, though clocks differ and one packet in ten comes late."""
     period, clock = 0.002, _Clock()
     start = clock.now()
     sent: Any = start + period * (phase + (1.0 + crystal) * np.arange(4200))

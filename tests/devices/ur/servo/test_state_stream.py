@@ -39,8 +39,7 @@ def reading(
     current: float = 1.5,
     optional: slice = slice(None),
 ) -> bytes:
-    """optional: which of the outputs that not every version has are reported: TCP, payload, its centre, two ratios,
-    torques, currents."""
+    """`optional` says which of the outputs that not every version has are reported."""
     joints, wrench = (q0, *JOINTS[1:]), (force, 2.0, 3.0, 4.0, 5.0, 6.0)
     always = (timestamp, joints, (0.0,) * 6, JOINTS, wrench, slider, 1.0, 1, 7, 2, 0b1000_0000_0000_0101)
     newer: tuple[object, ...] = ((0.0, 0.0, 0.1, 0.0, 0.0, 0.0), 1.25, (0.1, 0.2, 0.3), ratio, 0.5)
@@ -141,11 +140,6 @@ def test_the_same_reading_twice_is_not_news() -> None:
         accepted[0].sendall(reading(1.0) + reading(2.0) + reading(2.0))
         assert [r.timestamp for r in stream.take()] == [2.0]
         assert stream.plausible
-
-
-def test_the_payload_is_read_where_the_controller_reports_it() -> None:
-    with controller(greeting(TYPES, reading(1.0))):
-        assert connect().newest.payload == (1.25, 0.1, 0.2, 0.3)
 
 
 def refusal(types: list[str]) -> bytes:

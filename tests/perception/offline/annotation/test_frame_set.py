@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from tests.perception.offline.annotation.rendered import RenderedEnd, rendered_ends
+from tests.perception.offline.annotation.scenes import RenderedEnd, rendered_ends
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.perception.offline.annotation.clicks import (

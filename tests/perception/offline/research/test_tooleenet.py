@@ -17,7 +17,9 @@ from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, TooleeError, UserError
-from toolee_robot.frames import transform
+from toolee_robot.frames import Array, angle_between, inverse, transform, transform_points
+from toolee_robot.perception.cloud import EeCloud
+from toolee_robot.perception.offline.research.classical import centroid_pose, registration
 from toolee_robot.perception.offline.research.tooleenet import COLUMNS, PaperEstimator
 from toolee_robot.perception.offline.research.tooleenet.estimator import (
     Rk45,
@@ -40,12 +42,10 @@ from toolee_robot.perception.offline.training.loop import Distributed
 from toolee_robot.perception.pose.canonical import farthest_points_first
 from toolee_robot.perception.pose.cloud_estimator import PoseResult, with_hand
 from toolee_robot.perception.pose.processes import Euler, VarianceExploding
+from toolee_robot.tools import NAIL_DRIVERS, Tool, make_tool
 from toolee_robot.types import HoldingHand, PoseHypotheses
 
-pytestmark = pytest.mark.sim
-
 CPU = Distributed(0, 1, torch.device("cpu"))
-
 MEAN, SPREAD = torch.tensor([0.5, -0.3, 0.1]), torch.tensor([0.2, 0.6, 1.0])
 SMALL = (
     Level(64, (0.02, 0.04), (8, 16), ((8, 16), (8, 16))),
@@ -54,6 +54,7 @@ SMALL = (
 )
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("sampler", [Rk45(), Euler(200)])
 def test_the_samplers_recover_a_gaussian_from_its_exact_score(sampler: Rk45 | Euler) -> None:
     process = VarianceExploding(start=1.0)
@@ -68,6 +69,7 @@ def test_the_samplers_recover_a_gaussian_from_its_exact_score(sampler: Rk45 | Eu
     torch.testing.assert_close(covariance, torch.diag(SPREAD**2), atol=0.05, rtol=0)
 
 
+@pytest.mark.sim
 def test_rk45_agrees_with_scipy_and_each_row_has_its_own_step() -> None:
     y = torch.randn(3, 2, dtype=torch.double, generator=torch.Generator().manual_seed(1))
     stiffness = torch.tensor([1.0, 5.0, 40.0], dtype=torch.double)
@@ -87,6 +89,7 @@ def test_rk45_agrees_with_scipy_and_each_row_has_its_own_step() -> None:
         solve(derivative, y, 0.0, 2.0, 1e-12, 1e-12, most_steps=5)
 
 
+@pytest.mark.sim
 def test_pointnet_does_not_care_about_the_order_of_the_points() -> None:
     torch.manual_seed(0)
     net = PointNet2(SMALL).eval()
@@ -124,6 +127,7 @@ def plainly(net: PointNet2, points: Tensor) -> Tensor:
     return feature[:, 0]
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("frozen", [False, True])
 def test_pointnet_and_its_gradients_are_those_of_the_plain_definition(frozen: bool) -> None:
     """With the balls' points found at once or before, and with normalisation by the batch or by kept statistics."""
@@ -145,6 +149,7 @@ def test_pointnet_and_its_gradients_are_those_of_the_plain_definition(frozen: bo
         torch.testing.assert_close(ours, plain, atol=1e-4, rtol=1e-3)
 
 
+@pytest.mark.sim
 def test_the_published_sizes() -> None:
     encoder = PointNet2()
     assert encoder.size == 1024
@@ -153,6 +158,7 @@ def test_the_published_sizes() -> None:
     assert sum(p.numel() for p in net.parameters()) == pytest.approx(2.5e6, rel=0.05)
 
 
+@pytest.mark.sim
 def test_pose_vectors_there_and_back() -> None:
     R = torch.as_tensor(Rotation.random(20, random_state=0).as_matrix(), dtype=torch.float32)
     p = torch.randn(20, 3)
@@ -163,6 +169,7 @@ def test_pose_vectors_there_and_back() -> None:
         torch.testing.assert_close(S_back, torch.zeros(20, 3) if S is None else S)
 
 
+@pytest.mark.sim
 def test_mean_pooling_keeps_the_axis_of_a_free_spin_and_fails_on_flips() -> None:
     R = Rotation.random(random_state=3)
     spins = Rotation.from_rotvec(np.linspace(0, 2 * np.pi, 40, endpoint=False)[:, None] * [0.0, 0.0, 1.0])
@@ -178,6 +185,7 @@ def test_mean_pooling_keeps_the_axis_of_a_free_spin_and_fails_on_flips() -> None
     assert plain > np.deg2rad(10)
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("labelled", [True, False])
 def test_a_spin_that_the_samples_agree_on_is_the_hands_where_the_symmetry_label_says_so(labelled: bool) -> None:
     """The scatter of the axis is the samples' either way, and of an axis of no group everything is."""
@@ -204,6 +212,7 @@ def test_a_spin_that_the_samples_agree_on_is_the_hands_where_the_symmetry_label_
     assert np.sqrt(R[:, 2] @ spread[3:, 3:] @ R[:, 2]) == pytest.approx(0.02, rel=0.2)
 
 
+@pytest.mark.sim
 def test_a_job_takes_no_estimator_of_whole_tools(tmp_path: Path) -> None:
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
     loaded = PaperEstimator.load_for_job(untrained_paper_weights(tmp_path / "ends"))
@@ -262,6 +271,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ColumnTraining, "log_seconds", 0.0)
 
 
+@pytest.mark.sim
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("column", ["object-prior", "ee-symmetry-prior", "symmetry-aware"])
 def test_every_column_learns_and_its_weights_load(column: str, tmp_path: Path) -> None:
@@ -279,6 +289,7 @@ def test_every_column_learns_and_its_weights_load(column: str, tmp_path: Path) -
     np.testing.assert_allclose(priors[:, :3, 3], np.tile([0.0, 0.0, 0.1], (4, 1)), atol=1e-6)
 
 
+@pytest.mark.sim
 @pytest.mark.usefixtures("small")
 def test_an_interrupted_training_gives_the_weights_of_one_without_a_break(tmp_path: Path) -> None:
     """Broken off within an epoch, and after the epoch from which on the norms keep their statistics."""
@@ -299,12 +310,14 @@ def test_an_interrupted_training_gives_the_weights_of_one_without_a_break(tmp_pa
     assert whole.schedule(0.0) == pytest.approx(0.98**8)
 
 
+@pytest.mark.sim
 @pytest.mark.usefixtures("small")
 def test_a_training_stops_on_a_loss_that_is_not_finite(tmp_path: Path) -> None:
     with raises(TooleeError, code="toolee.training_diverged"):
         trained(tmp_path, lr=1e30)
 
 
+@pytest.mark.sim
 def test_a_trainings_configuration_says_when_sampling_starts(tmp_path: Path) -> None:
     card = untrained_paper_weights(tmp_path) / "pose_paper.json"
     assert PaperEstimator.load(tmp_path).process.start == 0.55, "the paper's"
@@ -314,3 +327,51 @@ def test_a_trainings_configuration_says_when_sampling_starts(tmp_path: Path) -> 
     with raises(AssetError, code="asset.unreadable") as unreadable:
         PaperEstimator.load(tmp_path)
     assert "sampling_start 1.5" in str(unreadable.value)
+
+
+X_TRUE = transform(Rotation.from_rotvec([2.3, 0.4, 0.3]), [0.02, -0.03, 0.5])
+"""The face in the camera, turned towards it."""
+
+
+def seen(tool: Tool, X_camera_ee: Array) -> tuple[Array, Array]:
+    """Points of the tool's surface that face the camera: of the striking end, and of the rest, camera frame."""
+    points, faces = tool.mesh.sample(6000, return_index=True, seed=1)
+    X = X_camera_ee @ inverse(tool.ee(Category.HAMMER_HEAD).X_tool_ee)
+    at, normals = transform_points(X, points), tool.mesh.face_normals[faces] @ X[:3, :3].T
+    visible = at[np.einsum("ij,ij->i", at, normals) < 0.0]
+    head = np.linalg.norm(visible - X_camera_ee[:3, 3], axis=1) < 0.03
+    return visible[head], visible[~head]
+
+
+def surface(tool: Tool) -> Array:
+    X_ee_tool = inverse(tool.ee(Category.HAMMER_HEAD).X_tool_ee)
+    return transform_points(X_ee_tool, tool.mesh.sample(20_000, seed=2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_registered_shape_is_where_the_points_are(seed: int) -> None:
+    tool = make_tool(NAIL_DRIVERS[seed % len(NAIL_DRIVERS)], 900 + seed)
+    head, rest = seen(tool, X_TRUE)
+    off = transform(Rotation.from_rotvec([0.1, -0.1, 0.2]), [0.01, 0.02, 0.0])
+    X = registration(surface(tool))(EeCloud(head, rest, head[:0]), X_TRUE @ off)
+    assert np.linalg.norm(X[:3, 3] - X_TRUE[:3, 3]) < 0.004
+    assert angle_between(X[:3, 2], X_TRUE[:3, 2]) < np.deg2rad(4.0)
+
+
+def test_outliers_do_not_move_a_registered_shape_far() -> None:
+    tool = make_tool(NAIL_DRIVERS[0], 900)
+    head, rest = seen(tool, X_TRUE)
+    wrong = X_TRUE[:3, 3] + np.random.default_rng(0).normal(size=(len(rest) // 10, 3)) * [0.05, 0.05, 0.02]
+    X = registration(surface(tool))(EeCloud(head, np.concatenate([rest, wrong]), head[:0]), X_TRUE)
+    assert np.linalg.norm(X[:3, 3] - X_TRUE[:3, 3]) < 0.006
+
+
+def test_a_centroid_keeps_the_nominal_direction_and_finds_the_face_in_front() -> None:
+    rng = np.random.default_rng(0)
+    disk = rng.uniform(-0.012, 0.012, (500, 3)) * [1, 1, 0]
+    body = rng.uniform([-0.012, -0.012, -0.02], [0.012, 0.012, 0.0], (200, 3))
+    points = transform_points(X_TRUE, np.concatenate([disk, body]))
+    nominal = X_TRUE @ transform(p=[0.02, 0.01, 0.03])
+    X = centroid_pose(EeCloud(points, points[:0], points[:0]), nominal)
+    np.testing.assert_array_equal(X[:3, :3], nominal[:3, :3])
+    np.testing.assert_allclose((inverse(X_TRUE) @ X)[:3, 3], 0.0, atol=0.002)

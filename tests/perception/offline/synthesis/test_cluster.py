@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
 import pytest
 
+from tests.errors import raises
 from tests.perception.folders import assert_same
+from tests.runtime.test_runtime import alive
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec, SceneJob
 from toolee_robot.perception.offline.dataset.validate import validate
+from toolee_robot.perception.offline.processes import ProcessMap
 from toolee_robot.perception.offline.synthesis.generate import generate
 from toolee_robot.runtime.ray_cluster import joined, on_ray
-
-pytestmark = [pytest.mark.sim, pytest.mark.nightly]
 
 SPEC = DatasetSpec("hard", size=4, seed=12, test_share=0.5, scene_size=1)
 _LISTENS = "0A"
@@ -46,6 +51,8 @@ def _listening() -> set[str]:
     return {local for local, _, state in entries if state == _LISTENS and not _LOOPBACK.match(local)}
 
 
+@pytest.mark.sim
+@pytest.mark.nightly
 def test_ray_gives_the_bytes_of_one_process_and_listens_to_nobody_else(tmp_path: Path) -> None:
     seen: list[int] = []
     before, opened = _listening(), set()
@@ -62,6 +69,8 @@ def test_ray_gives_the_bytes_of_one_process_and_listens_to_nobody_else(tmp_path:
     assert validate(tmp_path / "there") == []
 
 
+@pytest.mark.sim
+@pytest.mark.nightly
 @pytest.mark.parametrize("scheme", ["", "ray://"])
 def test_a_cluster_that_does_not_answer_is_said_at_once(
     scheme: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -96,6 +105,8 @@ def _killed(job: SceneJob) -> SceneJob:
     return job
 
 
+@pytest.mark.sim
+@pytest.mark.nightly
 @pytest.mark.usefixtures("cluster")
 def test_errors_of_a_task_reach_the_user_as_what_they_are() -> None:
     with pytest.raises(AssetError, match=r"^scene 0 is broken$"):
@@ -106,6 +117,8 @@ def test_errors_of_a_task_reach_the_user_as_what_they_are() -> None:
         list(on_ray(_wrong, SPEC.jobs()[:1], 2))
 
 
+@pytest.mark.sim
+@pytest.mark.nightly
 @pytest.mark.usefixtures("cluster")
 def test_a_task_whose_process_dies_is_tried_again(tmp_path: Path) -> None:
     jobs = SPEC.jobs()[:2]
@@ -113,3 +126,59 @@ def test_a_task_whose_process_dies_is_tried_again(tmp_path: Path) -> None:
     assert sorted(done, key=jobs.index) == jobs
     with pytest.raises(TooleeError, match=r"^a Ray task failed: WorkerCrashedError: .*it resumes"):
         list(on_ray(_killed, jobs, 2))
+
+
+PARENT = """
+import os, time
+from toolee_robot.perception.offline.processes import WorkerPool
+
+if __name__ == "__main__":
+    with WorkerPool(1) as pool:
+        print(pool.submit(os.getpid).result(), flush=True)
+        time.sleep(600)
+"""
+
+
+@pytest.mark.nightly
+def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        worker = int(parent.stdout.readline())
+        assert alive(worker)
+        parent.kill()
+    deadline = time.monotonic() + 30
+    while alive(worker) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not alive(worker)
+
+
+def begin() -> list[int]:
+    return [os.getpid()]
+
+
+def ask(state: list[int], item: int) -> tuple[int, int]:
+    state.append(item)
+    if item == 100:
+        raise AssetError("item 100 is broken")
+    if item == 200:
+        os._exit(9)
+    return state[0], item
+
+
+@pytest.mark.nightly
+def test_a_process_map_keeps_the_order_and_the_errors_and_takes_from_endless_items() -> None:
+    with ProcessMap(begin, 1) as alone:
+        assert list(alone.map(ask, range(5))) == [(os.getpid(), k) for k in range(5)]
+    with ProcessMap(begin, 2) as processes:
+        with closing(processes.map(ask, itertools.count(-1000))) as endless:
+            found = list(itertools.islice(endless, 20))
+        assert [item for _, item in found] == list(range(-1000, -980))
+        assert os.getpid() not in {pid for pid, _ in found}
+        with pytest.raises(AssetError, match="item 100"):
+            list(processes.map(ask, range(90, 110)))
+        with raises(TooleeError, code="toolee.worker_died"):
+            list(processes.map(ask, [200]))
+    with raises(UserError, code="user.workers"):
+        ProcessMap(begin, 0)

@@ -124,6 +124,7 @@ def test_the_evaluation_reports_on_them(made: Path, tmp_path: Path, capsys: pyte
     assert set(groups["held-out"]["table"]) == {"hammer_head", "average"}
 
 
+@pytest.mark.nightly
 def test_another_folder_with_the_same_content_gives_the_same_bytes(tools: Path, made: Path, tmp_path: Path) -> None:
     (tmp_path / "elsewhere").symlink_to(tools)
     options = ["--size", "4", "--seed", "5", "--workers", "2", "--tools", str(tmp_path / "elsewhere")]

@@ -12,9 +12,11 @@ from scipy.spatial import ConvexHull, KDTree
 from toolee_robot.frames import inverse, is_rigid, transform_points
 from toolee_robot.perception.offline.dataset.records import WIDTH
 from toolee_robot.perception.offline.synthesis.bench import across, leaning, lying, standing
+from toolee_robot.perception.offline.synthesis.bodies import HandStyle
 from toolee_robot.perception.offline.synthesis.hard import hard_scene
 from toolee_robot.perception.offline.synthesis.placement import Pool, Stance, random_intrinsics
 from toolee_robot.render.lab import uneven_light
+from toolee_robot.render.material import any_glove_color, any_skin_tone
 from toolee_robot.tools import Family, Tool, ToolKind, kinds_of, make_tool
 
 POINT = np.array([0.3, -0.2, -0.45])
@@ -153,3 +155,26 @@ def test_uneven_light_is_finite_and_its_lamps_stand_out() -> None:
         assert max(max(light.color) for light in lights) > max(ambient.horizon) / 2
         for lobe in ambient.lobes:
             assert np.linalg.norm(lobe.direction) == pytest.approx(1.0)
+
+
+def test_skin_covers_the_monk_scale_and_stays_skin() -> None:
+    rng = np.random.default_rng(0)
+    tones = np.array([any_skin_tone(rng) for _ in range(2000)])
+    assert tones.min() >= 0.0
+    assert tones.max() <= 1.0
+    bright = tones.mean(axis=1)
+    assert np.quantile(bright, 0.05) < 0.2
+    assert np.quantile(bright, 0.95) > 0.83
+    red, green, blue = tones.T
+    assert np.mean((red >= green - 0.03) & (green >= blue - 0.06)) > 0.95, "neither blue nor green"
+
+
+def test_gloves_and_hands_have_many_colours() -> None:
+    rng = np.random.default_rng(1)
+    gloves = np.array([any_glove_color(rng) for _ in range(500)])
+    assert np.all(gloves.std(axis=0) > 0.2)
+    styles = [HandStyle.varied(rng) for _ in range(300)]
+    assert 0.3 < np.mean([style.mirrored for style in styles]) < 0.5
+    bare = np.mean([style.palm is style.sleeve for style in styles])
+    assert 0.1 < bare < 0.35, "hands with bare forearms"
+    assert len({style.palm.color for style in styles}) > 150

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import struct
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,9 +15,7 @@ from hypothesis import strategies as st
 from tests.examples import examples
 from tests.sim_backend.ur_controller.faults.ports import HOST, ask, calibration, reachable, upload
 from tests.sim_backend.ur_controller.server.wire import RtdeSocket
-from tests.sim_backend.ur_controller.ur_rtde.client import UrRtde, UrRtdeDiedError, UrRtdeHungError
 from tests.sim_backend.ur_controller.ur_rtde.contract import wait_for
-from tests.sim_backend.ur_controller.ur_rtde.motions import speed_with_kicks
 from toolee_robot.errors import UserError
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import packet
@@ -76,19 +72,6 @@ def test_says_what_is_wrong_with_a_request(
 ) -> None:
     with pytest.raises(UserError, match=message):
         controller.fault(name, **arguments)
-
-
-def test_drop_with_fin(controller: ControllerProcess, client: RtdeSocket) -> None:
-    controller.fault("drop", port="rtde")
-    with pytest.raises(EOFError):
-        client.read_for(5.0)
-    wait_for(lambda: controller.state()["clients"]["rtde"] == 0)
-
-
-def test_drop_with_rst(controller: ControllerProcess, client: RtdeSocket) -> None:
-    controller.fault("drop", port="rtde", reset=True)
-    with pytest.raises(ConnectionResetError):
-        client.read_for(5.0)
 
 
 def test_refuse_and_accept(controller: ControllerProcess, client: RtdeSocket) -> None:
@@ -166,15 +149,6 @@ def test_drop_in_mid_handshake(controller: ControllerProcess, packets: int) -> N
         assert client.timestamps(2)
 
 
-def test_registers_that_someone_else_owns(controller: ControllerProcess) -> None:
-    controller.fault("own", variables=["input_int_register_0"])
-    with RtdeSocket(HOST) as client:
-        client.ask("V", b"\x00\x02")
-        assert client.ask("I", b"input_int_register_0,") == b"\x00IN_USE"
-    with UrRtde(HOST) as ur_rtde, pytest.raises(RuntimeError, match="in use"):
-        ur_rtde.open("control")
-
-
 def test_missing_variable(controller: ControllerProcess) -> None:
     controller.fault("missing", variables=["actual_q"])
     with RtdeSocket(HOST) as client:
@@ -204,23 +178,6 @@ def test_rejected_script_and_slow_start(controller: ControllerProcess) -> None:
     wait_for(lambda: controller.state()["uploads"] > uploads)
     assert controller.state()["program_state"] == "STOPPED"
     wait_for(lambda: controller.state()["program_state"] == "PLAYING")
-
-
-def test_safety_hooks(controller: ControllerProcess) -> None:
-    controller.fault("protective_stop")
-    assert ask("safetystatus") == "Safetystatus: PROTECTIVE_STOP"
-    controller.fault("unlock")
-    assert ask("safetystatus") == "Safetystatus: NORMAL"
-    controller.fault("safeguard_stop")
-    assert ask("safetystatus") == "Safetystatus: SAFEGUARD_STOP"
-    controller.fault("safeguard_stop", active=False)
-    controller.fault("emergency_stop")
-    assert ask("safetystatus") == "Safetystatus: ROBOT_EMERGENCY_STOP"
-    controller.fault("emergency_stop", pressed=False)
-    assert ask("robotmode") == "Robotmode: POWER_OFF"
-    controller.fault("reset")
-    controller.fault("safety_fault")
-    assert ask("safetystatus") == "Safetystatus: FAULT"
 
 
 def test_wrong_identity(controller: ControllerProcess) -> None:
@@ -260,57 +217,6 @@ def test_joint_offset_is_measured_and_not_true(controller: ControllerProcess) ->
         measured = client.numbers()
     assert measured[0] == pytest.approx(q[0] + 0.05)
     assert controller.state()["q"] == q
-
-
-def test_force_and_where_it_shows(controller: ControllerProcess) -> None:
-    controller.fault("force", wrench=[0.0, 0.0, 30.0, 0.0, 0.0, 0.0], seconds=0.3)
-    wait_for(lambda: controller.state()["tcp_force"][2] == pytest.approx(30.0))
-    wait_for(lambda: controller.state()["tcp_force"][2] == 0.0)
-    controller.fault("force", wrench=[0.0, 0.0, 300.0, 0.0, 0.0, 0.0], seconds=0.3)
-    wait_for(lambda: controller.state()["safety_mode"] == "PROTECTIVE_STOP")
-    assert "force" in controller.state()["safety_reason"]
-
-
-def test_reboot(controller: ControllerProcess, client: RtdeSocket) -> None:
-    client.timestamps(2)
-    controller.fault("reboot", seconds=0.3)
-    with pytest.raises(ConnectionResetError):
-        client.read_for(5.0)
-    assert not reachable(30004)
-    wait_for(lambda: reachable(30004))
-    assert ask("robotmode") == "Robotmode: POWER_OFF"
-
-
-def test_trace_has_every_tick(controller: ControllerProcess) -> None:
-    first = controller.state()["tick"]
-    time.sleep(0.3)
-    trace = controller.trace(first)
-    assert (np.diff(trace.ticks) == 1).all()
-    assert trace.ticks[0] == first + 1
-    assert (np.diff(trace.stamps) > 0).all()
-    assert trace.q.shape == trace.qd.shape == trace.q_target.shape == (len(trace.ticks), 6)
-
-
-@pytest.mark.parametrize("reset", [False, True])
-def test_a_dropped_link_in_mid_motion_stops_the_arm_by_its_watchdog(controller: ControllerProcess, reset: bool) -> None:
-    with UrRtde(HOST) as ur_rtde:
-        ur_rtde.open("control")
-        ur_rtde.control("setWatchdog", 10.0)
-        ur_rtde.run(speed_with_kicks, 0.3)
-        before = controller.state()["tick"]
-        controller.fault("drop", port="rtde", reset=reset)
-        with contextlib.suppress(UrRtdeDiedError, UrRtdeHungError, RuntimeError):  # whatever ur_rtde makes of it
-            ur_rtde.call("control", "isConnected", timeout=1.0)
-        ur_rtde.kill()
-    wait_for(lambda: controller.state()["program_state"] == "STOPPED")
-    wait_for(lambda: np.abs(controller.state()["qd"]).max() == 0.0)
-    trace = controller.trace(before)
-    moving = np.flatnonzero(np.abs(trace.qd).max(axis=1) > 0.0)
-    # 0.1 s of watchdog, and 0.1 s to brake from 0.5 rad/s; ticks, since the wall's clock is not ours alone.
-    assert len(moving) <= round((0.1 + 0.5 / 5.0) / PERIOD) + 4
-    with UrRtde(HOST) as ur_rtde:
-        ur_rtde.open("control")
-        assert ur_rtde.control("isProgramRunning")
 
 
 @settings(examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])

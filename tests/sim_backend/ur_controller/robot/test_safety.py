@@ -13,7 +13,7 @@ from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import Recorder, robot
 from toolee_robot.sim_backend.ur_controller.process import Q_START
 from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
-from toolee_robot.sim_backend.ur_controller.robot.safety_system import RobotMode, SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.primary import MAX_SCRIPT, ScriptReader, ScriptSession, StateSession
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
@@ -64,15 +64,6 @@ def test_stops_brake_as_hard_as_the_model_says(
     at_rest = served.plant.q.copy()
     ticks(served, 0.5)
     np.testing.assert_array_equal(served.plant.q, at_rest)
-
-
-def test_a_push_makes_a_protective_stop_and_pauses_the_program() -> None:
-    served = swinging("UR10e")
-    served.plant.external_force = np.array([200.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    ticks(served, 0.2)
-    assert served.safety.mode is SafetyMode.PROTECTIVE_STOP
-    assert "force" in served.safety.reason
-    assert served.program.state is RuntimeState.PAUSED
 
 
 @pytest.mark.parametrize("model", ["UR10", "UR10e"])
@@ -144,16 +135,6 @@ def test_the_watchdog_does_not_count_while_the_program_is_paused() -> None:
     assert served.plant.q[0] > stopped
 
 
-def test_after_a_protective_stop_without_a_program_the_arm_moves_again() -> None:
-    served = robot("UR10")
-    served.safety.protective_stop("test")
-    ticks(served, 6.0)
-    served.safety.unlock()
-    served.program.upload(SWING)
-    ticks(served, 0.3)
-    assert served.plant.qd[0] == pytest.approx(1.5)
-
-
 def test_a_cb3_without_a_reset_input_resumes_when_the_safeguard_closes() -> None:
     served = swinging("UR10")
     served.safety.safeguard_resumes = True
@@ -172,36 +153,6 @@ def test_a_short_strike_is_not_a_push() -> None:
     served.plant.external_force = np.zeros(6)
     ticks(served, 0.2)
     assert served.safety.mode is SafetyMode.NORMAL
-
-
-def test_a_joint_far_from_its_set_point_makes_a_protective_stop() -> None:
-    served = robot()
-    served.joint_offset = np.array([0.0, 0.0, 0.25, 0.0, 0.0, 0.0])
-    served.step()
-    served.step()
-    assert served.safety.mode is SafetyMode.PROTECTIVE_STOP
-    assert "joint 2" in served.safety.reason
-
-
-def test_an_emergency_stop_powers_off_after_standstill_and_needs_a_person() -> None:
-    served = swinging("UR10")
-    served.safety.emergency_stop()
-    served.step()
-    assert served.safety.powered
-    ticks(served, 0.5)
-    assert served.safety.robot_mode is RobotMode.POWER_OFF
-    assert not served.safety.brake_release()
-    served.safety.release_emergency_stop()
-    assert served.safety.mode is SafetyMode.NORMAL
-    assert served.safety.robot_mode is RobotMode.POWER_OFF
-    served.program.upload(SWING)
-    ticks(served, 0.1)
-    assert served.program.name == ""
-    served.safety.brake_release()
-    ticks(served, 2.0)
-    served.program.upload(SWING)
-    ticks(served, 0.1)
-    assert served.program.name == "swing"
 
 
 def test_a_safeguard_stop_pauses_and_goes_on_only_when_played() -> None:
@@ -247,14 +198,6 @@ def test_a_program_that_does_not_parse_is_not_run() -> None:
     assert "script not started" in served.program.last_error
 
 
-def test_a_program_that_fails_ends() -> None:
-    served = robot()
-    served.program.upload("def wrong():\n  sync()\n  x = no_such_function()\nend\n")
-    ticks(served, 0.2)
-    assert served.program.state is RuntimeState.STOPPED
-    assert served.program.last_error
-
-
 @examples(60)
 @given(st.data())
 def test_programs_are_cut_out_of_any_stream(data: st.DataObject) -> None:
@@ -297,7 +240,3 @@ def test_an_endless_program_text_ends_the_connection() -> None:
     session.feed(b"def job():\n")
     session.feed(b"x" * MAX_SCRIPT)
     assert not sink.open
-
-
-def test_the_arm_starts_where_it_should() -> None:
-    np.testing.assert_array_equal(robot().plant.q, Q_START)

@@ -83,19 +83,6 @@ def test_program_control() -> None:
     assert client.ask("running") == "Program running: false"
 
 
-def test_power_cycle() -> None:
-    served = robot()
-    client = Client(served)
-    assert client.ask("power off") == "Powering off"
-    assert client.ask("robotmode") == "Robotmode: POWER_OFF"
-    assert client.ask("power on") == "Powering on"
-    ticks(served, 1.0)
-    assert client.ask("robotmode") == "Robotmode: IDLE"
-    assert client.ask("brake release") == "Brake releasing"
-    ticks(served, 1.0)
-    assert client.ask("robotmode") == "Robotmode: RUNNING"
-
-
 def test_brake_release_alone_powers_on_too() -> None:
     served = robot()
     served.safety.power_off()

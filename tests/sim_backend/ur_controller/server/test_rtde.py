@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,13 +12,6 @@ from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import RtdeServer
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import FORMATS, packet
 from toolee_robot.sim_backend.ur_controller.server.rtde_variables import INPUTS, OUTPUTS
-
-CONTROL_RECIPES = {  # of ur_rtde's control interface: integers, doubles, in their order on the wire
-    1: ("I0", "D0-7", "I1"),
-    2: ("I0", "D0-10"),
-    3: ("I0-7", "D0-17"),
-    19: ("I0", "D0", "I1"),
-}
 
 
 @pytest.mark.parametrize(("model", "version"), [("UR10", (3, 15)), ("UR10e", (5, 11))])
@@ -107,29 +99,6 @@ def test_variables_exist_by_version(model: str, name: str, has_it: bool) -> None
     answer = RtdeServer(model).connect().outputs(name)
     assert answer[0] == has_it
     assert (b"NOT_FOUND" in answer) is not has_it
-
-
-def test_outputs_tell_the_truth_about_the_arm() -> None:
-    server = RtdeServer("UR10e")
-    client = server.connect()
-    client.outputs("actual_q", "actual_TCP_force", "robot_mode", "safety_status_bits", "robot_status_bits")
-    client.ask("S")
-    server.robot.plant.external_force = np.array([3.0, -4.0, 5.0, 0.0, 0.0, 0.0])
-    ((_, data),) = client.tick()
-    *numbers, mode, safety, status = struct.unpack(">6d6diII", data[1:])
-    np.testing.assert_allclose(numbers[:6], server.robot.plant.q)
-    np.testing.assert_allclose(numbers[6:9], [3.0, -4.0, 5.0])
-    assert (mode, safety, status) == (7, 1, 1)
-
-
-def test_input_recipes_are_numbered_from_one_and_write_the_registers() -> None:
-    server = RtdeServer()
-    client = server.connect()
-    for number, recipe in enumerate(CONTROL_RECIPES.values(), start=1):
-        assert client.inputs(*_names(recipe))[0] == number
-    client.send("U", bytes([4]) + struct.pack(">idi", 33, 2.5, 1))
-    registers = server.robot.registers
-    assert (registers.int_in[0], registers.float_in[0], registers.int_in[1]) == (33, 2.5, 1)
 
 
 def test_a_stream_that_a_late_computer_finds_is_caught_up_one_by_one_and_no_further() -> None:
@@ -283,12 +252,3 @@ def test_any_bits_may_be_written_to_any_input(names: list[str], noise: bytes) ->
     client.ask("S")
     assert client.tick()
     assert 0.0 <= server.robot.machine.speed_fraction <= 1.0
-
-
-def _names(recipe: tuple[str, ...]) -> list[str]:
-    kinds = {"I": "input_int_register_", "D": "input_double_register_"}
-    names = []
-    for part in recipe:
-        first, _, last = part[1:].partition("-")
-        names += [f"{kinds[part[0]]}{i}" for i in range(int(first), int(last or first) + 1)]
-    return names

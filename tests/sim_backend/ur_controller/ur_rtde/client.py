@@ -4,7 +4,9 @@ block for minutes, and it may die of a dropped link. None of that may take the t
 from __future__ import annotations
 
 import multiprocessing
+import time
 from collections.abc import Callable
+from math import pi, sin
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, Self
@@ -122,3 +124,42 @@ def _work(pipe: Connection, host: str) -> None:
             pipe.send((True, value))
         except Exception as error:  # noqa: BLE001
             pipe.send((False, f"{type(error).__name__}: {error}"))
+
+
+def servo_sine(interfaces: dict[str, Any], duration: float, amplitude: float, period: float) -> bool:
+    """The base joint there and back, on an absolute schedule; whether every call was accepted."""
+    control, receive = interfaces["control"], interfaces["receive"]
+    start = receive.getActualQ()
+    begin, done = time.monotonic(), True
+    for i in range(1, round(duration / period) + 1):
+        q = [start[0] + amplitude * sin(pi * i * period / duration) ** 2, *start[1:]]
+        done &= control.servoJ(q, 0.0, 0.0, period, 0.05, 500)
+        time.sleep(max(0.0, begin + i * period - time.monotonic()))
+    time.sleep(0.2)
+    control.servoStop(10.0)
+    return bool(done)
+
+
+def servo_up(interfaces: dict[str, Any], duration: float, height: float, period: float) -> None:
+    """Straight up, on an absolute schedule."""
+    control, receive = interfaces["control"], interfaces["receive"]
+    pose = receive.getActualTCPPose()
+    begin = time.monotonic()
+    for i in range(1, round(duration / period) + 1):
+        goal = list(pose)
+        goal[2] += height * i * period / duration
+        control.servoL(goal, 0.0, 0.0, period, 0.05, 500)
+        time.sleep(max(0.0, begin + i * period - time.monotonic()))
+    time.sleep(0.3)
+    control.servoStop(10.0)
+
+
+def speed_with_kicks(interfaces: dict[str, Any], duration: float) -> bool:
+    """A joint at a constant speed, kicked for a while and then left alone."""
+    control = interfaces["control"]
+    begin = time.monotonic()
+    while time.monotonic() < begin + duration:
+        control.speedJ([0.0, 0.0, 0.0, 0.0, 0.0, 0.5], 5.0, 0.0)
+        control.kickWatchdog()
+        time.sleep(0.02)
+    return True

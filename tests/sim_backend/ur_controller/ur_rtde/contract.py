@@ -10,8 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from tests.sim_backend.ur_controller.ur_rtde.client import UrRtde
-from tests.sim_backend.ur_controller.ur_rtde.motions import servo_sine, servo_up, speed_with_kicks
+from tests.sim_backend.ur_controller.ur_rtde.client import UrRtde, servo_sine, servo_up, speed_with_kicks
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.faults.client import Trace
 from toolee_robot.sim_backend.ur_controller.process import Q_START, ControllerProcess

@@ -9,22 +9,14 @@ import pytest
 
 from tests.sim_backend.ur_controller.server.wire import robot as wire_robot
 from tests.sim_backend.ur_controller.ur_rtde.control_script import control_script
-from tests.sim_backend.ur_controller.ur_rtde.test_control_script import (
-    HOSTS,
-    MOVEJ,
-    SERVO_STOP,
-    SERVOJ,
-    SPEED_STOP,
-    SPEEDJ,
-    WATCHDOG,
-)
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.urscript.compiling import compiled
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
 
 pytestmark = pytest.mark.sim
-ZERO_FORCE = 8
+HOSTS = {"UR10": "127.0.0.91", "UR10e": "127.0.0.92"}
+MOVEJ, ZERO_FORCE, SPEEDJ, SERVOJ, SPEED_STOP, SERVO_STOP, WATCHDOG = 1, 8, 9, 11, 15, 16, 35
 
 
 class HarshRemote:
@@ -34,7 +26,7 @@ class HarshRemote:
         self.robot = wire_robot(model, "harsh")
         self.period = self.robot.model.period
         self.robot.machine.set_payload(1.5, [0.0, 0.0, 0.08])
-        script = control_script(MODELS[model], HOSTS[MODELS[model]])
+        script = control_script(MODELS[model], HOSTS[model])
         compiled(script, MODELS[model].e_series)  # else beside the steps, for as long as the machine takes
         self.robot.program.upload(script)
         for _ in range(4000):
