@@ -151,29 +151,31 @@ def test_the_default_station_is_calibrated_for_the_simulated_devices_and_no_othe
     assert load_station(_write(tmp_path, "calibration: null")).calibration is None
 
 
-MEASURED_FILE = Path(__file__).parent.parent / "docs" / "how-to" / "bring_up_a_ur.md"
+MEASURED_FILE = Path(__file__).parent.parent / "examples" / "lab.yaml"
 
 
-def _documented_station() -> dict[str, Any]:
-    text = MEASURED_FILE.read_text()
-    return yaml.safe_load(text[(start := text.index("# lab.yaml")) : text.index("```", start)])
+def _whole_station() -> dict[str, Any]:
+    """The example of a lab, with a hand, which is weighed as a whole, instead of its mount."""
+    data: dict[str, Any] = yaml.safe_load(MEASURED_FILE.read_text())
+    data["hand"] = {
+        "model": "shadow_right", "weighed": {"mass": 5.011, "center_of_mass": [-0.0049, -0.0022, 0.1532]}
+    }  # fmt: skip
+    return data
 
 
-def test_the_documents_station_file_gives_what_a_lab_must_measure(tmp_path: Path) -> None:
+def test_the_example_of_a_lab_gives_what_a_lab_must_measure(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
-    path.write_text(yaml.safe_dump(_documented_station()))
+    path.write_text(yaml.safe_dump(_whole_station()))
     assert unmeasured(path) == []
-    assert load_lab_station(path).calibration is None
+    assert load_lab_station(path).calibration is not None
 
 
 @pytest.mark.parametrize(("section", "name"), [(s, n) for s, names in MEASURED.items() for n in names])
 def test_a_robots_station_file_without_a_measured_field_is_refused_by_its_name(
     tmp_path: Path, section: str, name: str
 ) -> None:
-    data = _documented_station()
+    data = _whole_station()
     del data[section][name]
-    if section == "strike":
-        del data["supervisor"]  # with which the simulation's speed would be refused for another reason
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(data))
     with raises(ConfigError, "config.unmeasured") as caught:
@@ -236,10 +238,10 @@ def test_what_is_wrong_or_missing_in_a_file_is_said_with_its_line(tmp_path: Path
 
 def test_the_lines_of_what_a_lab_must_measure_and_of_other_units_are_said(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
-    text = yaml.safe_dump(_documented_station(), sort_keys=False)
+    text = yaml.safe_dump(_whole_station(), sort_keys=False)
     lines = text.splitlines()
     begins = {name: 1 + lines.index(f"{name}:") for name in ("camera", "work")}
-    data = _documented_station()
+    data = _whole_station()
     for name in ("nail_diameter", "nail_length"):
         del data["work"][name]
     path.write_text(yaml.safe_dump(data, sort_keys=False))
@@ -247,7 +249,7 @@ def test_the_lines_of_what_a_lab_must_measure_and_of_other_units_are_said(tmp_pa
         load_lab_station(path)
     assert f"work.nail_diameter, work.nail_length (`work` begins in line {begins['work']});" in str(caught.value)
     at = 1 + next(i for i, line in enumerate(lines) if line.startswith("  fx:"))
-    data = _documented_station()
+    data = _whole_station()
     data["camera"]["fx"] = None
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     with raises(ConfigError, "config.unmeasured") as caught:
@@ -294,7 +296,7 @@ def test_a_file_that_is_not_there_names_the_interview(tmp_path: Path) -> None:
 
 
 def test_a_calibration_by_another_program_is_written_into_the_file(tmp_path: Path) -> None:
-    data = _documented_station()
+    data = _whole_station()
     told = {"measured_on": "2026-11-20", "robot_serial": "20185500001", "camera_serial": "17", "residual": 0.0012}
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(data | {"calibration": told}))

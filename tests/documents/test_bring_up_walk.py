@@ -7,7 +7,6 @@ so, too.
 
 from __future__ import annotations
 
-import json
 import os
 import pty
 import re
@@ -19,21 +18,26 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.documents.blocks import ROOT, blocks
 from tests.slow_motion import assert_slow
 from toolee_robot.arm_data import ARM_DATA
+from toolee_robot.doctor.robot import expected_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.runtime.readable import readable
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
+from toolee_robot.station import load_lab_station
 from toolee_robot.types import ArmModel
 
 pytestmark = [pytest.mark.realtime, pytest.mark.nightly]
 
-PAGE = ROOT / "docs" / "how-to" / "bring_up_a_ur.md"
+PAGE = ROOT / "docs" / "how-to" / "first_nail.md"
+LAB = ROOT / "examples" / "lab.yaml"
 TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
 HOSTS = {ArmModel.UR10: "127.0.0.58", ArmModel.UR10E: "127.0.0.59"}
 LEFT_OUT = ("--inputs", "toolee run hammer", "toolee emulate ur", "python -m")
@@ -42,17 +46,24 @@ TIMEOUT = 300.0
 
 
 def page_commands() -> list[str]:
-    """The page's commands of sections 5 and 6, in its order."""
+    """The page's commands that need the robot alone, in its order."""
     lines = [line for path, text in blocks("bash") if path == PAGE for line in text.splitlines()]
-    walk = [line for line in lines if line.startswith(("toolee doctor", "toolee arm", "pytest tests/contract"))]
+    walk = [line for line in lines if line.startswith(("toolee doctor", "toolee arm", "pytest"))]
     return [line for line in walk if not any(words in line for words in LEFT_OUT)]
 
 
 def lab_file(model: ArmModel) -> str:
-    """The page's station file, for the arm that is tried, and patient with a busy machine."""
-    (text,) = (text for path, text in blocks("yaml") if path == PAGE and text.startswith("# lab.yaml"))
-    text = re.sub(r"^  model: UR10e\b", f"  model: {model.value}", text, flags=re.MULTILINE)
-    return text.replace("supervisor:\n", "supervisor:\n  data_cycles: 50\n  overruns: 50\n")
+    """The example of a lab with the page's slow values, for the arm that is tried, and patient with a busy machine."""
+    data: dict[str, Any] = yaml.safe_load(LAB.read_text())
+    (slow,) = (yaml.safe_load(text) for path, text in blocks("yaml") if path == PAGE and text.startswith("arm:"))
+    for section, values in slow.items():
+        data[section] = data.get(section, {}) | values
+    data["arm"]["model"] = model.value
+    data["supervisor"] |= {"data_cycles": 50, "overruns": 50}
+    for later in ("servo", "calibration", "person"):
+        del data[later]
+    del data["camera"]["device"]
+    return yaml.safe_dump(data)
 
 
 @dataclass
@@ -72,17 +83,19 @@ class Robot:
 
 
 @pytest.fixture(scope="module", params=list(HOSTS), ids=[model.value for model in HOSTS])
-def robot(request: pytest.FixtureRequest) -> Iterator[Robot]:
+def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
     model, host = request.param, HOSTS[request.param]
     command = [*TOOLEE, "emulate", "ur", "--model", model.value, "--host", host, "--profile", "harsh"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         while not (line := process.stdout.readline()).startswith("Ctrl-C ends it"):
             assert line, "the stand-in ended by itself"
-        (payload,) = re.findall(r"^echo '(\{.*\})' \| nc", PAGE.read_text(), re.MULTILINE)
-        told = json.loads(payload)
+        path = tmp_path_factory.mktemp("station") / "lab.yaml"
+        path.write_text(lab_file(model))
+        payload = expected_robot(load_lab_station(path)).payload
+        assert payload is not None
         with FaultClient(host) as faults:
-            faults.fault(told.pop("fault"), **told)
+            faults.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
             yield Robot(model, host, faults)
         process.terminate()
 
@@ -132,17 +145,18 @@ def test_every_step_of_the_page_works_and_is_slow(robot: Robot, tmp_path: Path) 
             if not any(words in command for command in commands)] == []  # fmt: skip
     robot.moved()
     for command in commands:
-        words = shlex.split(command.replace("192.168.1.10", robot.host).replace("UR10e", robot.model.value))
+        words = shlex.split(
+            command.replace("192.168.1.10", robot.host).replace("-model UR10", f"-model {robot.model.value}")
+        )
         if "--jogged-point" in words:
             words[-3:] = pendant_shows(robot)  # the page shows that of a UR10e
         if words[0] == "toolee":
             words = [*TOOLEE, *words[1:], "--robot-host", robot.host]
         else:
-            words = [sys.executable, "-m", *words, "-n0", "-k", "hardware", "--rootdir", str(ROOT), "-c",
-                     str(ROOT / "pyproject.toml"), str(ROOT / "tests" / "contract")]  # fmt: skip
-            words.remove("tests/contract")
+            words = [str(ROOT / word) if word.startswith("tests/") else word for word in words]
+            words = [sys.executable, "-m", *words, "--rootdir", str(ROOT), "-c", str(ROOT / "pyproject.toml")]
         code, text = at_terminal(words, tmp_path, robot)
         print(f"$ {command}\n{text}")
         assert code == 0, f"{command}: {text}"
         assert_slow(robot.moved(), ARM_DATA[robot.model].rate)
-    assert "lag:" in (tmp_path / "lab.yaml").read_text(), "`lag --write` has written what it measured"
+    assert "lag:" in (tmp_path / "lab.measured.yaml").read_text(), "`lag --write` has written what it measured"

@@ -1,4 +1,4 @@
-"""A new lab's first hour, as `docs/how-to/run_a_job.md` has it: from an empty folder to a driven nail, at a terminal.
+"""A new lab's first hour, as `docs/how-to/first_nail.md` has it: from an empty folder to a driven nail, at a terminal.
 
 The devices are those of a rehearsal: the mount needs none, the camera is librealsense's software device, the robot a
 controller stand-in. What is typed in is what `examples/lab.yaml` says of its cell.

@@ -207,7 +207,7 @@ class RehearseHammer(JobOptions):
     """
 
     station: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STATION")]
-    """Your station file, complete: docs/how-to/run_a_job.md."""
+    """Your station file, complete: docs/how-to/first_nail.md."""
     seed: Annotated[int, SEED] = 0
     """Seed of the hammer (none was used in training), the grasp, the noise and the station's errors."""
     real_time_factor: Annotated[
@@ -244,7 +244,7 @@ class RunHammer(JobOptions):
     """
 
     station: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STATION")]
-    """Your station file, complete: docs/how-to/run_a_job.md."""
+    """Your station file, complete: docs/how-to/first_nail.md."""
     variant: Annotated[OnRobot, VARIANT] = "full"
     """What the job does otherwise than the whole system, as the baselines of docs/how-to/run_trials.md."""
 

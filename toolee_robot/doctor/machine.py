@@ -62,7 +62,7 @@ def check_real_time(rate: float) -> Iterator[Finding]:
     if kernel:
         yield ok("kernel", "real-time (PREEMPT_RT)")
     else:
-        yield warn("kernel", "not a real-time one", "install one with PREEMPT_RT: see docs/how-to/bring_up_a_ur.md")
+        yield warn("kernel", "not a real-time one", "install one with PREEMPT_RT: see docs/how-to/first_nail.md")
     if _may_schedule():
         yield ok("priority", "SCHED_FIFO is allowed")
     else:

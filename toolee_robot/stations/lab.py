@@ -191,7 +191,7 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
                 wanted["hand.efforts"] = config.hand.efforts
     if missing := [name for name, value in wanted.items() if value is None]:
         raise ConfigError(
-            f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/run_a_job.md",
+            f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/first_nail.md",
             code="config.station_lacks",
         )
     if purpose is Purpose.JOB and config.strike.deepest is None and (hand := hand_model(config.hand)).yielding is None:

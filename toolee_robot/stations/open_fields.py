@@ -26,7 +26,7 @@ _SOURCES = {
     "person": "how door and switch are wired",
     "tool": "ruler and scales",
     "tool_envelope": "calliper",
-    "strike": "docs/how-to/bring_up_a_ur.md",
+    "strike": "docs/how-to/first_nail.md",
 }
 """Where the numbers of a section, or of a field, come from that a person types in."""
 STANDS_IN = "until then the default holds"
@@ -96,7 +96,7 @@ def told(fields: list[OpenFields]) -> str:
     lines = []
     for typed, head in (
         (True, "Type in:"),
-        (False, "Measure, each by its command, in this order (docs/how-to/run_a_job.md):"),
+        (False, "Measure, each by its command, in this order (docs/how-to/first_nail.md):"),
     ):
         group = [entry for entry in fields if entry.typed is typed]
         if not group:

@@ -40,7 +40,7 @@ OFFERED: Mapping[str, str] = {
     "work.block_xy": NONE,
     "work.block_turn": "0",
     "camera.distortion": NONE,
-    "strike.speed": "0.4",  # of the first strikes on a robot, docs/how-to/bring_up_a_ur.md
+    "strike.speed": "0.4",  # of the first strikes on a robot, docs/how-to/first_nail.md
 }
 """The answer that Enter gives, of fields of which most labs have the same."""
 UNASKED = ("scene.obstacles", "arm.acceleration", "supervisor.unattended_speed")
