@@ -107,7 +107,8 @@ def test_wood_that_was_felt_too_early_is_touched_again(bench: Bench, monkeypatch
     assert log.motions.count("touch the wood") == 3
 
 
-@pytest.mark.parametrize(("touch", "begun"), [pytest.param(1, 2, marks=pytest.mark.nightly), (3, 1)])
+@pytest.mark.nightly
+@pytest.mark.parametrize(("touch", "begun"), [(1, 2), (3, 1)])
 def test_a_tool_that_is_pressed_from_the_side_is_lifted_and_looked_at_again(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, touch: int, begun: int
 ) -> None:
@@ -204,7 +205,8 @@ class Bending(Log):
             nail.place(nail.protrusion, (float(np.arcsin(self._aside / nail.protrusion)), 0.0))
 
 
-@pytest.mark.parametrize(("aside", "bent"), [pytest.param(0.0, False, marks=pytest.mark.nightly), (0.004, True)])
+@pytest.mark.nightly
+@pytest.mark.parametrize(("aside", "bent"), [(0.0, False), (0.004, True)])
 def test_a_nail_that_strikes_have_bent_is_seen_and_struck_no_further_once_it_is_seen_again(
     bench: Bench, aside: float, bent: bool
 ) -> None:

@@ -136,7 +136,8 @@ def test_a_nail_that_no_strike_was_felt_to_meet_is_not_called_flush(
     assert nail.protrusion > config.task.flush_protrusion
 
 
-@pytest.mark.parametrize("noisy", [pytest.param(False, marks=pytest.mark.nightly), True])
+@pytest.mark.nightly
+@pytest.mark.parametrize("noisy", [False, True])
 def test_a_nail_that_a_noisy_force_tells_to_be_flush_is_struck_once_more(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, noisy: bool
 ) -> None:

@@ -299,7 +299,8 @@ def test_inputs_that_are_uncertain_for_a_moment_are_waited_for(bench: Bench, mon
 # -- work ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stays", [pytest.param(True, marks=pytest.mark.nightly), False])
+@pytest.mark.nightly
+@pytest.mark.parametrize("stays", [True, False])
 def test_a_strike_that_meets_something_too_early_is_looked_at_again_once(bench: Bench, stays: bool) -> None:
     """A plate lies over the nail: the arm brakes on it, goes up, looks again, and strikes once more."""
     config: StationConfig = replace(CONFIG, task=replace(CONFIG.task, max_strikes=2))

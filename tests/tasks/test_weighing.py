@@ -251,7 +251,8 @@ def test_a_stop_while_the_tool_is_weighed_does_not_leave_it_unweighed() -> None:
         assert abs(weight.mass - simulation.tool.mass) < 3.0 * weight.mass_sigma
 
 
-@pytest.mark.parametrize(("blinks", "weighed"), [(1, True), pytest.param(3, False, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize(("blinks", "weighed"), [(1, True), (3, False)])
 def test_a_doubt_about_the_grip_is_answered_by_weighing_again(
     blinks: int, weighed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
