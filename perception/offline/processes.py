@@ -29,6 +29,16 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
+MOST_WORKERS = 1024
+"""More processes than any machine here has cores."""
+
+
+def check_workers(workers: int) -> None:
+    """Raises UserError for a number of processes that cannot be started."""
+    if not 1 <= workers <= MOST_WORKERS:
+        raise UserError(f"--workers {workers}: give 1 to {MOST_WORKERS}", code="user.workers")
+
+
 class WorkerPool(ProcessPoolExecutor):
     """A pool of spawned processes.
 
@@ -138,8 +148,7 @@ class ProcessMap(Generic[State]):
     """
 
     def __init__(self, begin: Callable[[], State], workers: int) -> None:
-        if workers < 1:
-            raise UserError(f"--workers {workers}: give 1 or more", code="user.workers")
+        check_workers(workers)
         self._begin, self._workers = begin, workers
         self._own: list[State] = []
         self._pool: WorkerPool | None = None

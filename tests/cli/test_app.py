@@ -159,6 +159,21 @@ def test_options_that_are_refused_are_an_error_for_json_too(capsys: pytest.Captu
     assert "--joint" in captured.err
 
 
+@pytest.mark.parametrize(
+    "words",
+    ["camera record --seconds nan", "camera record --every nan", "train pose --lr inf", "rehearse hammer x.yaml "
+     "--real-time-factor nan", "calibrate camera --bars-mm nan 1"],
+)  # fmt: skip
+def test_a_number_that_is_none_is_refused_before_anything_is_done(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    needed = {"camera record": ["--out", "x", "--config", "x.yaml"], "train pose": ["--out", "x"]}
+    assert run([*words.split(), *needed.get(" ".join(words.split()[:2]), []), "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["error"]["code"] == "user.option"
+    assert not list(tmp_path.iterdir())
+
+
 def test_every_command_is_one_line_of_its_groups_help_on_one_screen(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -112,6 +112,7 @@ def test_an_ability_hand_is_not_on_tcp(monkeypatch: pytest.MonkeyPatch) -> None:
     "options",
     [
         ["--tcp", "6000"],
+        ["--tcp", "0.0.0.0:6000"],
         ["--tcp", "127.0.0.1:0", "--link", "hand"],
         ["--hand-id", "0"],
         ["--handle", "1200"],

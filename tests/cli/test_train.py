@@ -117,6 +117,17 @@ def test_a_bad_configuration_is_named(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    "line", ["lr: abc", "batch: 1.5", "batch: true", "seed: 99999999999", "max_steps: 0", "log_every: -1", "lr: .inf",
+             "device: 3", "train_seeds: 0"]
+)  # fmt: skip
+def test_an_option_that_cannot_be_is_named(line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.yaml").write_text(line)
+    assert run(["train", "pose", "--out", str(tmp_path / "out"), "--config", str(tmp_path / "bad.yaml")]) == 2
+    assert line.split(":")[0] in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("text", ["{", "[1]", "\0", "NaN"])
 def test_a_damaged_configuration_of_a_begun_training_is_named(text: str, tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text(text)

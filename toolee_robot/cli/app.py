@@ -15,6 +15,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
+from math import isfinite
 from types import ModuleType
 from typing import Protocol
 
@@ -155,6 +156,10 @@ def _parse_options(command: type[Command], path: tuple[str, ...], words: Sequenc
     tyro._strings.remove_single_line_breaks = _joined
     config = (tyro.conf.FlagCreatePairsOff,)
     parsed: Command = tyro.cli(command, prog=" ".join(("toolee", *path)), args=words, config=config)
+    for name, value in vars(parsed).items():
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, float) and not isfinite(number):
+                raise UserError(f"--{name.replace('_', '-')} {number}: give a number", code="user.option")
     return parsed
 
 

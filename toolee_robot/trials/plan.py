@@ -164,6 +164,8 @@ class TrialPlan:
                 "paper_weights: the variant `paper`, and no other, needs the folder of a training of the paper's "
                 "estimator. Without it `toolee sim hammer --variant paper` says how to train it"
             )
+        if not self.led and self.seeds[-1] >= 2**31:
+            yield f"first_seed, trials: seeds end at {2**31 - 1}"
         if never := sorted(set(self.left_out) - set(range(self.first_seed, self.seeds[-1]))):
             yield f"left_out: {', '.join(map(str, never))} would not come in this plan"
         for what, names in (("tools", names_of(self.tools)), ("nails", names_of(self.nails)), ("woods", self.woods)):

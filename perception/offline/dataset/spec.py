@@ -36,6 +36,9 @@ FORMAT = 1
 DESCRIPTION = "dataset.json"
 """File with the specification, in the folder of the data set."""
 
+LARGEST = 10_000_000
+"""Most examples of a data set: a thousand times the largest that was made."""
+
 
 @dataclass(frozen=True)
 class SceneJob:
@@ -102,6 +105,8 @@ class DatasetSpec:
             raise UserError(f"--kinds {self.kinds}: give {FIRST_KINDS} to {len(TOOL_SPECS)}", code="user.kinds")
         if self.size < 1 or self.scene_size < 1:
             raise UserError(f"--size {self.size}, scenes of {self.scene_size}: both must be 1 or more")
+        if self.size > LARGEST:
+            raise UserError(f"--size {self.size}: give {LARGEST:,} or fewer")
         if not 0 <= self.seed < 2**31:
             raise UserError(f"--seed {self.seed}: give a whole number from 0 to {2**31 - 1}")
         if not 0.0 <= self.test_share <= 1.0:

@@ -22,7 +22,7 @@ from toolee_robot.perception.offline.dataset.instances import tool_path, write_m
 from toolee_robot.perception.offline.dataset.records import SUMS, json_by_line, read_json
 from toolee_robot.perception.offline.dataset.scenes import write_scene
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
-from toolee_robot.perception.offline.processes import on_processes
+from toolee_robot.perception.offline.processes import check_workers, on_processes
 from toolee_robot.perception.offline.synthesis.bodies import forget_tools
 from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.render.device import checked
@@ -59,8 +59,7 @@ def generate(
         UserError: An option is invalid, `out` holds something else, or the device is not available.
         TooleeError: A worker process died.
     """
-    if workers < 1:
-        raise UserError(f"--workers {workers}: give 1 or more")
+    check_workers(workers)
     if cluster not in CLUSTERS:
         raise UserError(f"--cluster {cluster}: choose one of {', '.join(CLUSTERS)}")
     if cluster == "ray" and spec.device != "cpu":

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from types import NoneType
+from typing import Any, ClassVar, get_args, get_type_hints
 
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import read_json, write_atomic
@@ -15,6 +17,9 @@ from toolee_robot.runtime.yaml_files import read_yaml
 
 CONFIG, CHECKPOINT = "config.json", "checkpoint.pt"
 """Files in the folder of a training: its configuration and its state."""
+MOST = 2**31 - 1
+"""Largest whole number of an option."""
+_AT_LEAST_ONE = {"batch", "max_steps", "log_every", "epochs", "train_seeds", "test_seeds", "validation", "draws"}
 _DURATION = {"minutes", "max_steps", "session_minutes", "epochs", "patience"}
 _MAY_CHANGE = _DURATION | {"device", "checkpoint_minutes", "log_every", "compile"}
 
@@ -60,6 +65,9 @@ class TrainingOptions:
     compile: bool = True
 
     def __post_init__(self) -> None:
+        for name, kind in get_type_hints(type(self)).items():
+            if name in self.__dict__ and (why := _wrong(name, kind, getattr(self, name))):
+                raise UserError(f"{name}: {why}", code="user.training_options")
         if self.minutes is not None and self.minutes <= 0:
             raise UserError("minutes must be positive", code="user.minutes")
         if not (self.batch > 0 and self.lr > 0 and 0 < self.ema < 1):
@@ -78,6 +86,20 @@ class TrainingOptions:
         by_steps = steps / self.max_steps if self.max_steps else 0.0
         limit = self.minutes if self.minutes is not None else None if self.max_steps else self.USUAL_MINUTES
         return by_steps if limit is None else max(by_steps, minutes / limit)
+
+
+def _wrong(name: str, kind: Any, value: Any) -> str:
+    """What is wrong with the value of an option; empty if nothing is. A file may hold anything."""
+    kinds = set(get_args(kind) or (kind,)) - {NoneType}
+    if not kinds <= {int, float, bool, str} or (value is None and kind not in kinds):
+        return ""
+    wanted = " or ".join(sorted(kind.__name__ for kind in kinds))
+    if type(value) not in (kinds | {int} if float in kinds else kinds):
+        return f"{value!r} is no {wanted}"
+    if isinstance(value, str | bool):
+        return ""
+    least, most = (1 if name in _AT_LEAST_ONE else 0), (MOST if type(value) is int else sys.float_info.max)
+    return "" if least <= value <= most else f"{value} is not between {least} and {most}"
 
 
 def options_of(given: dict[str, Any], file: Path | None, names: set[str]) -> dict[str, Any]:

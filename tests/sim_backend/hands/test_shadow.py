@@ -112,7 +112,8 @@ def test_operations_of_the_protocol() -> None:
         assert not take(op="publish", topic=command, msg={"points": []})
         assert "not yet advertised" in take(op="publish", topic="/nothing", msg={})
         assert "Unknown operation" in take(op="dance")
-        assert emulator.take("no JSON", subscribed) is None
+        for text in ("no JSON", "[" * 30_000, "9" * 5_000):
+            assert emulator.take(text, subscribed) is None
         answer = emulator.take('{"op": "publish", "id": "7", "topic": "/nothing"}', subscribed)
         assert answer is not None
         assert (answer["op"], answer["level"], answer["id"]) == ("status", "error", "7")
