@@ -160,6 +160,8 @@ def _parse_options(command: type[Command], path: tuple[str, ...], words: Sequenc
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, float) and not isfinite(number):
                 raise UserError(f"--{name.replace('_', '-')} {number}: give a number", code="user.option")
+        if name == "port" and isinstance(value, int) and not 0 < value < 2**16:
+            raise UserError(f"--port {value}: give 1 to {2**16 - 1}", code="user.option")
     return parsed
 
 
