@@ -106,10 +106,12 @@ def test_a_page_that_is_allowed_more_may_not_get_worse() -> None:
 
 def test_the_list_of_allowed_pages_only_shrinks() -> None:
     allowed = {path: Counts(30, 2, 9.0) for path in ("docs/gone.md", "docs/good.md", "docs/better.md", "docs/worse.md")}
+    allowed["docs"] = Counts(90, 0, 0.0)
     listed = "".join(f"{most.line(path)}\n" for path, most in allowed.items())
     pages = {"docs/good.md": "One two.", "docs/better.md": LONG, "docs/worse.md": f"{LONG} " * 5}
     assert shrink(f"[allowed]\n{listed}", pages, LIMITS, allowed).splitlines() == [
         "[allowed]",
         Counts(7, 1, 7.0).line("docs/better.md"),
         Counts(30, 2, 7.0).line("docs/worse.md"),
+        Counts(44, 0, 0.0).line("docs"),
     ]
