@@ -144,10 +144,9 @@ class Long(ABC):
         with _started(folder, self.words) as process:
             if kill is not None:
                 process.join(after)
-                for pid in _running(folder) if everybody else [process.pid]:
-                    if process.is_alive():
-                        with suppress(ProcessLookupError):
-                            os.kill(pid or 0, kill)
+                assert process.pid is not None
+                if process.is_alive():  # it leads a session of its own
+                    (os.killpg if everybody else os.kill)(process.pid, kill)
             process.join(PATIENCE_S)
             assert not process.is_alive(), f"{kill!r} after {after:.2f} s did not end it"
             _until(lambda: not _running(folder), f"{kill!r} after {after:.2f} s left processes")
