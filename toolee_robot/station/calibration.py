@@ -42,17 +42,17 @@ class CalibrationConfig:
     measured_on: str
     """Date of the calibration, ISO 8601 (2026-11-20)."""
     robot_serial: str
-    """Serial number of the calibrated robot; must be that of the station's robot."""
+    """Serial number of the calibrated robot, the same as the station's."""
     camera_serial: str
-    """Serial number of the calibrated camera; must be that of the station's camera."""
+    """Serial number of the calibrated camera, the same as the station's."""
     residual: Annotated[float, Metres(0.0, 0.1)]
-    """Root mean square error of the calibration board's points on held-out poses, across the line of sight."""
+    """Root mean square error of the board's points across the line of sight, on poses that the fit did not use."""
     max_residual: Annotated[float, Metres(0.0001, 0.02)] = 0.004
     """Largest residual with which the calibration may be used."""
     valid_days: Annotated[float, Unit("days", 0.1, 3650.0)] | None = 30.0
-    """Days after which the calibration must be repeated; None if nothing can have moved, as in the simulation."""
+    """Days until the calibration must be repeated; null: no limit, as in the simulation."""
     record: str | None = None
-    """The calibration's record, a file; its place is relative to the station file's."""
+    """File with the calibration's record, relative to the station file."""
 
     def __post_init__(self) -> None:
         try:

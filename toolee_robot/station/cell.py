@@ -38,8 +38,7 @@ class Obstacle:
     size: tuple[Extent, Extent, Extent]
     """Edge lengths along the box's own axes."""
     rotation: tuple[JointAngle, JointAngle, JointAngle] = (0.0, 0.0, 0.0)
-    """Rotation vector of the box's axes in `base`, as the teach pendant shows rotations; zero: along the axes of
-    `base`."""
+    """Rotation vector of the box in `base`, as the teach pendant shows rotations; zero: parallel to `base`."""
 
     @property
     def X_base_box(self) -> Array:
@@ -55,16 +54,16 @@ class CameraDevice:
 
     __pydantic_config__ = STRICT
     driver: str
-    """Name of the driver, one of those that `toolee devices list` prints."""
+    """Name of the driver, from `toolee devices list`."""
     serial: str
-    """Serial number of the camera; a calibration holds for this camera alone."""
+    """Serial number of the camera. A calibration holds for this camera only."""
     least_range: Annotated[float, Metres(0.01, 5.0)]
-    """Least depth that the camera measures in this mode, from its data sheet; the views of a job must be beyond it.
+    """Least depth that the camera measures in this mode, from its data sheet. Views of a job are farther away.
     """
     fps: Annotated[int, Unit("1/s", 1, 300)] = 30
     """Frames per second of colour and depth."""
     exposure: Annotated[float, Seconds(0.00002, 1.0)] | None = None
-    """Exposure of the colour image; null lets the camera choose it, differently in each view."""
+    """Exposure of the colour image; null: automatic, which varies between views."""
     folder: str | None = None
     """Folder of the recording, for the driver `recorded`."""
     camera_class: str | None = None
@@ -96,23 +95,26 @@ class CameraConfig:
     position: Point | None = None
     """Optical centre in `base`; left out with `X_base_camera`."""
     target: Point | None = None
-    """A point on the optical axis, in `base`, not straight below `position`; left out with `X_base_camera`."""
+    """A point on the optical axis, in `base`, not directly above or below `position`; left out with
+    `X_base_camera`.
+    """
     measured_pose: Rows | None = field(default=None, metadata={IN_FILE: "X_base_camera"})
     """Pose of the optical frame in `base` by another calibration program, instead of `position` and `target`: four
     rows of four numbers, or `{position: [x, y, z], quaternion: [x, y, z, w]}`."""
     distortion: tuple[Annotated[float, Number(-100.0, 100.0)], ...] | None = None
-    """Distortion of the lens by OpenCV's model: k1, k2, p1, p2 and, where it has one, k3; all 0 where the driver's
-    images are undistorted, null where the camera tells its own, or nobody knows it."""
+    """Distortion of the lens by OpenCV's model: k1, k2, p1, p2 and optionally k3. All 0: the driver's images are
+    undistorted; null: the camera reports its own, or it is unknown.
+    """
     intrinsics_record: str | None = field(default=None, metadata={IN_FILE: "intrinsics"})
-    """Record of `toolee calibrate intrinsics`, which gives the seven fields above and holds instead of what the camera
-    tells of itself; its place is relative to the station file's."""
+    """File of `toolee calibrate intrinsics`, relative to the station file. It replaces the seven fields above and
+    what the camera reports.
+    """
     lens_serial: str | None = field(default=None, metadata={IN_FILE: ""})
     """Serial number of the camera in that record; null without one."""
     device: CameraDevice | None = None
     """The camera itself, for its driver; null for the simulated one."""
     pose: Rows | None = field(default=None, metadata={IN_FILE: ""})
-    """X_base_camera of the calibration's record, 4 x 4, which then holds instead of what was measured; null without a
-    record, which a station file names in `calibration`."""
+    """X_base_camera of the calibration's record, 4 x 4, which replaces the measured pose; null without a record."""
 
     def __post_init__(self) -> None:
         if self.measured_pose is None and self.pose is None:
@@ -210,12 +212,13 @@ class SceneConfig:
     table_center: tuple[Place, Place]
     """Middle of the table in `base`, x and y."""
     table_height: Annotated[float, Metres(-3.0, 3.0)]
-    """Height of the table's top over the base plane: 0 where the arm stands on it, negative where the arm stands
-    higher, on a pedestal."""
+    """Height of the table's top above the base plane: 0 if the arm stands on the table, negative if it stands on a
+    pedestal.
+    """
     camera_size: tuple[Extent, Extent, Extent]
     """Size of the box around the camera's centre."""
     person_center: Point
-    """Centre of the box where the person who hands over stands, in `base`; the arm never enters the box."""
+    """Centre, in `base`, of the box where the person stands in a handover. The arm never enters it."""
     person_size: tuple[Extent, Extent, Extent]
     """Size of the person's box."""
     home: JointAngles
@@ -223,13 +226,13 @@ class SceneConfig:
     handover_position: Point
     """Position of the palm's origin at the handover, in `base`."""
     handover_facing: Direction
-    """Direction that the palm faces at the handover, towards the person, in `base`; any length."""
+    """Direction of the palm at the handover, towards the person, in `base`; any length."""
     workspace_lower: Point
     """Lower corner of the box that flange, hand and tool may not leave, in `base`."""
     workspace_upper: Point
     """Upper corner of the box that flange, hand and tool may not leave, in `base`."""
     obstacles: tuple[Obstacle, ...] = ()
-    """Further boxes that arm, hand and tool keep clear of: name, center, size and rotation of each."""
+    """Further boxes that arm, hand and tool avoid: name, center, size and rotation of each."""
 
     def __post_init__(self) -> None:
         names = [*BODY_NAMES, *(obstacle.name for obstacle in self.obstacles)]

@@ -34,32 +34,32 @@ class StrikeConfig:
 
     __pydantic_config__ = STRICT
     speed: Annotated[float, MetresPerSecond(0.05, 3.0, "hammers of a UR10 reach 2")]
-    """Wanted speed of the face at the contact. Stopping takes the hand some 90 mm from 1.2 m/s and 140 mm from
-    1.5 m/s; beside the block, the hand has less than the latter with a short hammer."""
+    """Wanted speed of the face at the contact. The hand needs about 90 mm to stop from 1.2 m/s and 140 mm from 1.5
+    m/s.
+    """
     run_up: Annotated[float, Metres(0.01, 0.6, "half of a UR10's reach")] = 0.20
     """Length of the straight run-up to the nail."""
     deepest: Annotated[float, Metres(0.001, 0.15)] | None = None
-    """Largest distance of the commanded face beyond the contact; a servo that lags goes there, too, only later.
-    Null only for a hand whose wrist gives way by some 90 mm at 1.2 m/s: the strike is then a straight line that brakes
-    from the contact on. With a rigid hand or mount 0.01 for the first strikes on a robot, then 0.02: the strike is a
-    swing that turns back there, and the faster the deeper that is. A hand whose wrist gives way may have 0.1, for
-    swings that are as fast as a straight line and, where `supervisor.unattended_speed` permits it, faster."""
+    """Largest distance of the commanded face beyond the contact, where a swing turns back. A deeper one permits a
+    faster swing. Rigid hand or mount: 0.01 for the first strikes, then 0.02. Compliant wrist: up to 0.1. Null: a
+    straight strike that brakes after the contact, only for a wrist that yields by about 90 mm at 1.2 m/s.
+    """
     touch_speed: Annotated[float, MetresPerSecond(0.002, 0.1)] = 0.03
-    """Speed of the guarded touch that measures where the face meets the nail."""
+    """Speed of the touch that measures where the face meets the nail."""
     touch_force: Annotated[float, Newtons(0.5, 100.0, "a UR10 stops itself at some 150 N")] = 8.0
-    """Force that ends the guarded touch; must be below what a compliant wrist transmits at the end of a long
-    hammer."""
+    """Force that ends the touch. It must be less than a compliant wrist transmits at the end of a long hammer."""
     contact_force: Annotated[float, Newtons(1.0, 300.0)] = 15.0
     """Force that counts as the contact of a strike."""
     max_load: Annotated[float, Number(0.05, 1.0, "at 1 the robot stops itself")] = 0.6
-    """Largest joint position deviation ratio and collision detection ratio of the controller in a strike, where it has
-    them; at 1 the robot stops itself. After a strike with more, the job ends."""
+    """Largest deviation and collision ratio that the controller may report in a strike; at 1 the robot stops
+    itself. After a strike with more, the job ends.
+    """
     max_torque_share: Annotated[float, Number(0.05, 1.0, "at 1 a joint has no more")] = 1.0
-    """Largest computed torque of a joint in a strike as a share of its largest one, without friction and rotors. After
-    a strike with more, the job ends. No straight strike is planned with more than 0.9, and no stop asks for more than
-    0.9 by its braking."""
+    """Largest computed joint torque in a strike, as a share of the joint's limit. After a strike with more, the job
+    ends. Strikes and stops are planned within 0.9.
+    """
     clearance: Annotated[float, Metres(0.001, 0.1)] = 0.008
-    """Least distance between any two bodies during a strike, other than face and nail."""
+    """Least distance between any two bodies during a strike, except face and nail."""
 
 
 @dataclass(frozen=True)
@@ -70,28 +70,29 @@ class TaskConfig:
     max_strikes: Annotated[int, Number(1, 1000)] = 40
     """Number of strikes after which the job gives up."""
     flush_protrusion: Annotated[float, Metres(0.0001, 0.01)] = 0.001
-    """Largest protrusion over the wood that counts as flush."""
+    """Largest height of the nail's head above the wood that counts as flush."""
     min_progress: Annotated[float, Metres(0.00001, 0.01)] = 0.0002
-    """Least depth that a strike must drive the nail; a strike below it has not moved the nail."""
+    """Depth below which a strike counts as not having moved the nail."""
     slip_per_strike: Annotated[float, Metres(0.00001, 0.05)] = 0.0015
     """Standard deviation of the tool's drift in the hand per strike."""
     slip_angle_per_strike: Annotated[float, Radians(0.0001, 0.2)] = np.pi / 450
     """Standard deviation of the tool's rotational drift in the hand per strike."""
     abort_slip: Annotated[float, Metres(0.001, 0.1)] = 0.015
-    """Slip between two looks at the tool above which it must be gripped again."""
+    """Slip between two looks at the tool that ends the job."""
     abort_slip_angle: Annotated[float, Radians(0.01, 1.0)] = np.pi / 12
-    """Rotational slip between two looks at the tool above which it must be gripped again."""
+    """Rotational slip between two looks at the tool that ends the job."""
     views: Annotated[int, Number(1, 50)] = 6
     """Number of views of the first look at the tool."""
     views_again: Annotated[int, Number(1, 50)] = 2
     """Number of views of each later look."""
     strikes_between_looks: Annotated[int, Number(1, 100)] = 4
-    """Number of strikes after which the tool is looked at again; up to half as many more if it is held steadily and
-    they finish the nail."""
+    """Number of strikes between two looks at the tool; up to half as many more if these finish the nail and the
+    tool is steady.
+    """
     watch_nail: bool = True
-    """Whether the camera's frames of these looks also tell that the nail leans or is bent, which ends the job."""
+    """Whether the camera also watches the nail. A leaning or bent nail ends the job."""
     handover_timeout: Annotated[float, Seconds(0.5, 3600.0)] = 30.0
-    """Time that a person has to hand over the tool, and to answer each question."""
+    """Time for a person to hand over the tool, and to answer each question."""
 
 
 @dataclass(frozen=True)
@@ -108,20 +109,23 @@ class SupervisorConfig:
     tracking_error: Annotated[float, Radians(0.001, 0.5)] = 0.05
     """Largest deviation of a measured joint from its command; see `MotionWatch`."""
     data_cycles: Annotated[float, Unit("cycles", 1.0, 50.0)] = 3.0
-    """Largest age of the newest reading during a motion: 24 ms on a CB3, 6 ms on an e-Series, where a
-    computer without a real-time kernel may need 10; see `MotionWatch`."""
+    """Largest age of the newest reading during a motion, in control cycles: 3 are 24 ms on a CB3 and 6 ms on an
+    e-Series. An e-Series without a real-time kernel may need 10.
+    """
     overruns: Annotated[int, Number(1, 100)] = 3
-    """Largest number of successive late command cycles; see `MotionWatch`. A strike with a sharp `servo` bears no more
-    on either generation; at `servoj`'s default gain and lookahead an e-Series bears 10."""
+    """Largest number of successive late command cycles. A strike with a sharp `servo` bears no more. At `servoj`'s
+    default gain and lookahead an e-Series bears 10.
+    """
     max_data_age: Annotated[float, Seconds(0.005, 1.0)] = 0.1
     """Largest age of the arm's newest reading before a motion starts."""
     early_contact: Annotated[float, Metres(0.001, 0.1)] = 0.024
-    """Largest distance before the expected contact at which a strike may meet the nail."""
+    """How far before the expected contact a strike may meet the nail."""
     late_contact: Annotated[float, Metres(0.001, 0.1)] = 0.030
-    """Largest distance beyond the expected contact at which a strike may meet the nail; at 1.2 m/s and 125 Hz the
-    force is detected some 15 mm behind the contact."""
+    """How far beyond the expected contact a strike may meet the nail. At 1.2 m/s and 125 Hz the force is detected
+    about 15 mm behind the contact.
+    """
     max_hand_temperature: Annotated[float, Unit("deg C", 20.0, 100.0, "motors' limits are 60 to 80")] = 65.0
-    """Temperature of the hand above which no further strike starts."""
+    """Temperature of the hand above which no strike starts."""
     ask_before_swing: bool = True
     """Whether a person must confirm the first swing of a job."""
 
@@ -138,9 +142,9 @@ class ToolData:
 
     __pydantic_config__ = STRICT
     name: str
-    """What people call it."""
+    """Name of the tool, for messages."""
     grip_radius: Annotated[float, Metres(0.002, 0.1)] | None
-    """Radius of the handle where the hand holds it; of an oval one the mean. Null: unknown."""
+    """Radius of the handle where the hand holds it; the mean radius if it is oval. Null: unknown."""
     face: NearPoint | None
     """Middle of the striking face in `tool`. Null, together with `face_normal`: unknown."""
     face_normal: Direction | None

@@ -54,14 +54,15 @@ class ArmLimits:
     model: ArmModel
     """Model of the arm."""
     up: Direction
-    """How the base is mounted: the direction straight up, against gravity, in `base`; any length. (0, 0, 1) on a table,
-    (0, 0, -1) under a ceiling. The script of a program that the teach pendant saves has it as `set_gravity`, in the
-    pendant's Base."""
+    """Mounting of the base: the upward direction in `base`, of any length. (0, 0, 1) on a table, (0, 0, -1) under a
+    ceiling. A program saved by the pendant gives it as `set_gravity`, in the pendant's Base.
+    """
     host: str | None = None
     """Address of the arm's controller; null for the simulated arm. `toolee run hammer` connects to it."""
     calibration: DhCalibration | None = None
-    """Factory calibration of this arm, from its controller's calibration.conf; None for the model's nominal kinematics,
-    which are a millimetre or two off."""
+    """Factory calibration of this arm, from its controller's calibration.conf; null: the model's nominal
+    kinematics, which are 1 to 2 mm off.
+    """
     velocity: JointSpeeds = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
     """Largest velocity of each joint, base to wrist 3."""
     acceleration: Annotated[float, RadiansPerSecond2(0.5, 100.0, "the large joints' torques give some 30")] = 15.0
@@ -99,30 +100,35 @@ class HandConfig:
 
     __pydantic_config__ = STRICT
     model: str
-    """Name of the hand, one of those that `toolee devices list` prints; `mount` for a tool mount without a hand."""
+    """Name of the hand, from `toolee devices list`; `mount` for a tool mount without a hand."""
     yield_torque: Annotated[float, NewtonMetres(0.05, 60.0, "the wrist joints of a UR10 have 56 Nm")] | None = None
-    """Torque at which the wrist or the mount gives way in a strike; null for the hand's own. A mount needs it."""
+    """Torque at which the wrist or the mount yields in a strike; null: the hand model's. A mount needs it."""
     weighed: HandWeight | None = None
-    """Mass and centre of mass of all that hangs on the flange without a tool; null for those of the hand's model. A
-    mount's are in `mount`."""
+    """Mass and centre of mass of everything on the flange without a tool; null: the hand model's. For a mount they
+    are in `mount`.
+    """
     mount: ToolMount | None = None
-    """The tool mount, for the model `mount` only; every one of its fields must be measured."""
+    """The tool mount, for the model `mount` only. Measure every field."""
     mounting: HandMounting | None = None
-    """How the hand sits on the flange, for a hand that every lab screws on in its own way (`inspire_rh56`); every one
-    of its fields must be measured. Null for the others."""
+    """How the hand is mounted on the flange, for a hand without a standard adapter (`inspire_rh56`). Measure every
+    field. Null for the others.
+    """
     port: str | None = None
-    """Where the hand's driver finds it: a serial port, such as `/dev/serial/by-id/...`, `tcp://HOST:PORT` of an Inspire
-    hand with Ethernet, or `ws://HOST:9090` of the rosbridge of `shadow_right`; null for a simulated hand, and for one
-    without a port."""
+    """Port of the hand: a serial port such as `/dev/serial/by-id/...`, `tcp://HOST:PORT` for an Inspire hand with
+    Ethernet, `ws://HOST:9090` for rosbridge with `shadow_right`; null for a simulated hand or a mount.
+    """
     efforts: HandEfforts | None = None
-    """What the hand's efforts mean, for the driver of `shadow_right`, whose maker does not say so; every one of its
-    fields must be measured. Null for the others, and for the simulated hand."""
+    """Scale of the hand's motor efforts, for `shadow_right` only. Measure every field. Null for the others and for
+    the simulated hand.
+    """
     strap_force: Annotated[float, Newtons(1.0, 1000.0)] | None = None
-    """Force with which a strap presses the handle into the hand, for a hand whose fingers do not hold a hammer that
-    strikes; null without a strap. The simulated grip counts it with the fingers' forces."""
+    """Force of a strap that presses the handle into the hand, if the fingers alone do not hold the hammer; null
+    without a strap. The simulated grip adds it to the fingers' forces.
+    """
     hand_id: Annotated[int, Number(1, 254, "Modbus")] | None = None
-    """Number of the hand on its line, of Modbus its unit identifier; null for the one with which its maker delivers it:
-    1 for `inspire_rh56`, 80 for `ability_hand`."""
+    """Number of the hand on its line, or its Modbus unit identifier; null: as delivered (1 for `inspire_rh56`, 80
+    for `ability_hand`).
+    """
 
     def __post_init__(self) -> None:
         if self.model != MOUNT:
@@ -158,18 +164,17 @@ class ServoConfig:
     lookahead: Annotated[float, Seconds(0.03, 0.2, "Script manual, servoj")] = 0.1
     """Lookahead time of servoj, which smooths the path."""
     lag: Annotated[float, Seconds(0.002, 0.5, "UR arms follow within 0.03 to 0.25 s")] | None = None
-    """Delay of a measured position behind its command with this gain and lookahead, network included; None: it was
-    not measured yet, and the driver assumes an upper bound (`servo_lag`)."""
+    """Delay of the measured position behind its command with this gain and lookahead, network included; null: not
+    measured, so the driver assumes an upper bound (`servo_lag`).
+    """
     watchdog: Annotated[float, Unit("Hz", 2.0, 100.0, "without commands the arm goes on for 1/watchdog s")] = 10.0
     """Rate of the robot's watchdog: the robot stops the program when no command comes for 1/watchdog s."""
     connect_timeout: Annotated[float, Seconds(0.1, 60.0)] = 3.0
-    """Timeout of the connection, from the start of the servo process's attempt."""
+    """Timeout of the connection to the robot."""
     handshake_timeout: Annotated[float, Seconds(0.05, 30.0)] = 1.0
-    """Timeout of every call that the control script acknowledges: payload, TCP, zero of the force, freedrive, end of
-    the program."""
+    """Timeout of each call that the control script acknowledges, such as payload, TCP and zero of the force."""
     link_timeout: Annotated[float, Seconds(0.05, 2.4, "after 2.5 s ur_rtde itself reconnects")] = 1.5
-    """Time without new data at rest after which the link counts as lost; below 2.5 s, after which ur_rtde itself
-    reconnects."""
+    """Time without new data at rest after which the link counts as lost; less than 2.5 s, when ur_rtde reconnects."""
     hang_timeout: Annotated[float, Seconds(0.02, 2.0)] = 0.2
     """Time without progress of the servo loop after which the servo process counts as hung."""
     heartbeat_timeout: Annotated[float, Seconds(0.02, 1.0, "the arm goes on for as long")] = 0.1
@@ -231,12 +236,13 @@ class PersonConfig:
     door_closed_input: InputNumber
     """Input that is high while the door is closed, and nobody can be inside."""
     door_open_input: InputNumber | None
-    """Input of the door's second contact, high while the door is open; null where the door has a single contact."""
+    """Input of the door's second contact, high while the door is open; null if it has one contact."""
     hold_to_run_input: InputNumber
-    """Input that is high while the application's own hold-to-run switch is pressed; not the 3-position enabling switch
-    of an e-Series robot, which acts in manual mode only."""
+    """Input that is high while the station's own hold-to-run switch is pressed. The 3-position switch of an
+    e-Series does not serve: it acts in manual mode only.
+    """
     hold_to_run_released_input: InputNumber | None
-    """Input of the switch's second contact, high while the switch is released; null where it has a single contact."""
+    """Input of the switch's second contact, high while the switch is released; null if it has one contact."""
 
     def __post_init__(self) -> None:
         used = [

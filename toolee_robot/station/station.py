@@ -43,23 +43,25 @@ class StationConfig:
     work: WorkConfig
     """The block, its stand and the nails."""
     tool_envelope: ToolEnvelope
-    """What encloses the tool in collision checks."""
+    """Cylinders that enclose the tool in collision checks."""
     strike: StrikeConfig
-    """Parameters of a strike and of the guarded touch."""
+    """Parameters of a strike and of a touch."""
     calibration: CalibrationConfig | None = None
-    """Record of the camera's calibration; None for an uncalibrated station, which every job refuses."""
+    """Record of the camera's calibration; null: not calibrated, and every job refuses the station."""
     servo: ServoConfig = field(default_factory=ServoConfig)
     """Parameters of the arm's servo, its measured lag, and the driver's timeouts."""
     tool: ToolData | None = None
-    """The hammer that a person hands over; null for the simulated station, which hands over one of its own. Of that one
-    it leaves untold what is null here."""
+    """The hammer that a person hands over; null for the simulated station, which chooses its own. A null field is
+    unknown to the job.
+    """
     task: TaskConfig = field(default_factory=TaskConfig)
     """Decision thresholds of the hammering job."""
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
     """Bounds that the supervisor enforces on every motion."""
     person: PersonConfig | None = None
-    """Digital inputs of the guarded door and the hold-to-run switch; null for a station without: a real arm has no
-    person device then, and nothing fast moves. The simulated person needs none."""
+    """Digital inputs of the guarded door and the hold-to-run switch; null: none, and a real arm then makes no fast
+    motion. The simulated person needs none.
+    """
 
     def __post_init__(self) -> None:
         if self.strike.speed > self.supervisor.unattended_speed:
@@ -248,7 +250,7 @@ class WorkSetup:
     nail_head_diameter: NailHead | None = None
     """Diameter of the nail's head."""
     nail_protrusion: Protrusion | None = None
-    """Height of the top of the nail's head over the wood before the first strike."""
+    """Height of the nail's head above the wood before the first strike."""
     pilot_hole_diameter: Hole | None = None
     """Diameter of the predrilled hole, 0 for none."""
     wood_specific_gravity: Gravity | None = None
@@ -263,7 +265,7 @@ class JobSetup:
     tool: ToolData | None = None
     """The tool that is handed over; null for the station file's."""
     tool_envelope: ToolEnvelope | None = None
-    """What encloses that tool in collision checks, where it differs from the station file's; null for that."""
+    """Cylinders that enclose that tool in collision checks; null: the station file's."""
     work: WorkSetup = field(default_factory=WorkSetup)
     """Nail and wood."""
 

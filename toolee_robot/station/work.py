@@ -41,7 +41,7 @@ class NailConfig:
 
     __pydantic_config__ = STRICT
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
-    """What it is called in the summary, on the terminal and by `--nail`: letters, digits, - and _."""
+    """Name of the nail in the summary, on the terminal and for `--nail`: letters, digits, - and _."""
     xy: tuple[Place, Place]
     """Position of the nail's axis in `base`, x and y."""
     diameter: Shank | None = None
@@ -51,11 +51,11 @@ class NailConfig:
     head_diameter: NailHead | None = None
     """Diameter of its head; null for `work.nail_head_diameter`."""
     protrusion: Protrusion | None = None
-    """Height of the top of its head over the wood before the first strike; null for `work.nail_protrusion`."""
+    """Height of its head above the wood before the first strike; null: `work.nail_protrusion`."""
     pilot_hole_diameter: Hole | None = None
     """Diameter of its predrilled hole, 0 for none; null for `work.pilot_hole_diameter`."""
     lean: tuple[Slope, Slope] | None = None
-    """How it leans, as `work.nail_lean`; null for that."""
+    """Its lean; null: `work.nail_lean`."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,11 @@ class WorkConfig:
 
     __pydantic_config__ = STRICT
     nail_xy: tuple[Place, Place]
-    """Position of the nail's axis in `base`, x and y; left out where `nails` lists several."""
+    """Position of the nail's axis in `base`, x and y; left out if `nails` lists several."""
     stand_height: Annotated[float, Metres(-3.0, 3.0)]
-    """Height of the stand's top, on which the block stands, over the base plane; that of the table's top where the
-    block stands on the table itself."""
+    """Height above the base plane of the surface under the block: the stand's top, or the table's top without a
+    stand.
+    """
     stand_size: tuple[Extent, Extent]
     """Size of the stand, x and y."""
     block_size: tuple[Extent, Extent, Extent]
@@ -87,23 +88,25 @@ class WorkConfig:
     nail_head_diameter: NailHead
     """Diameter of the nail's head."""
     nail_protrusion: Protrusion
-    """Height of the top of the nail's head over the wood before the first strike."""
+    """Height of the nail's head above the wood before the first strike."""
     wood_specific_gravity: Gravity
     """Specific gravity of the wood: white pine 0.35, Scots pine 0.42, oak 0.68."""
     pilot_hole_diameter: Hole
     """Diameter of the predrilled hole; 0 for none."""
     nails: tuple[NailConfig, ...] = ()
-    """Several nails, in the order in which they are driven; empty for the one of `nail_xy`."""
+    """Several nails, in the order in which they are driven; empty: the one of `nail_xy`."""
     block_xy: tuple[Place, Place] | None = None
     """Middle of block and stand in `base`, x and y; null for the middle between the outermost nails."""
     block_turn: Annotated[float, Radians(-1.5708, 1.5708, "a quarter turn")] = 0.0
-    """Turn of block and stand about the vertical; 0 where their edges are parallel to x and y."""
+    """Rotation of block and stand about the vertical; 0: edges parallel to x and y."""
     wood_rise: tuple[Slope, Slope] = (0.0, 0.0)
-    """How the wood's top rises along x and y of `base`, metres per metre: (0, 0) where a spirit level says so, 0.0175
-    for 1 degree. `stand_height` is then the height below the middle of the block."""
+    """Slope of the wood's top along x and y of `base`, metres per metre: (0, 0) is level, 0.0175 is 1 degree.
+    `stand_height` is then the height below the middle of the block.
+    """
     nail_lean: tuple[Slope, Slope] = (0.0, 0.0)
-    """How the nail leans: how far its head stands off, along x and y of `base`, from where it would be if the nail were
-    square to the wood, metres per metre of its height; a set square on the wood shows it."""
+    """Lean of the nail against the wood's normal, along x and y of `base`, metres per metre of its height. Measure
+    it with a set square on the wood.
+    """
 
     def __post_init__(self) -> None:
         if self.nails:
