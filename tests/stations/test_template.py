@@ -121,7 +121,7 @@ def test_a_camera_is_asked_what_its_driver_needs_and_does_not_tell(
         ("scene.home", "0 -90 90 -90 -90 0", "user.answer", "degrees"),
         ("tool.mass", "500", "user.answer", "grams"),
         ("work.nail_diameter", "2.2", "user.answer", "millimetres"),
-        ("camera.position", "0.95 -0.62", "user.answer", "3 numbers are needed, 2 were given"),
+        ("camera.position", "0.95 -0.62", "user.answer", "give 3 numbers, not 2"),
         ("work.nail_diameter", "-0.002", "user.answer", "0.0005 to 0.02 m"),
         ("work.nail_diameter", "two", "user.answer", "a number is needed"),
         ("frame", "base", "user.answer", "pendant_base"),

@@ -69,8 +69,8 @@ def open_camera(
     if stream is None:
         if check_intrinsics and config.lens_serial == SIMULATED:
             raise ConfigError(
-                f"camera.intrinsics: {config.intrinsics_record} was rehearsed: measure this camera by `toolee "
-                "calibrate intrinsics --station`",
+                f"camera.intrinsics: {config.intrinsics_record} comes from a rehearsal. Measure this camera by "
+                "`toolee calibrate intrinsics --station`",
                 code="config.intrinsics_rehearsed",
             )
         driver = _driver(device.driver)
@@ -110,8 +110,8 @@ def toolkit_camera(name: str, serial: str, size: tuple[int, int], fps: int) -> C
         base = importlib.import_module("airo_camera_toolkit.interfaces").RGBDCamera
     except (ImportError, OSError) as error:  # OSError: what its Open3D asks of the system is missing
         raise UserError(
-            f"the driver airo needs airo-camera-toolkit ({words_of(error)}): docs/start/install.md says how to install "
-            "it, since its OpenCV would take the place of this project's",
+            f"the driver airo needs airo-camera-toolkit ({words_of(error)}). Install it as docs/start/install.md "
+            "says, because its OpenCV would replace this project's",
             code="user.missing_package",
         ) from error
     kind = _class_of(name, base)
@@ -122,7 +122,7 @@ def toolkit_camera(name: str, serial: str, size: tuple[int, int], fps: int) -> C
     given |= {argument: value for argument, value in CLASS_SETTINGS.items() if argument in taken}
     if "depth_mode" in taken:  # a ZED: without it there is no depth, and its SDK takes the serial number as an integer
         if not serial.isdecimal():
-            message = f"camera.device.serial: a ZED's serial number is digits alone, not {serial!r}"
+            message = f"camera.device.serial: {serial!r} is not a ZED's serial number, which has digits only"
             raise ConfigError(message, code="config.camera_serial")
         given |= {"depth_mode": kind.InitParams.NEURAL_DEPTH_MODE, "serial_number": int(serial)}
     return lambda: kind(**given)
@@ -134,7 +134,7 @@ def _driver(name: str) -> CameraDriver:
     others = installed("camera")
     if name not in others:
         known = ", ".join(sorted({*_DRIVERS, *others}))
-        message = f"camera.device.driver {name!r} is not there: those that are: {known}; docs/how-to/add_a_camera.md"
+        message = f"camera.device.driver {name!r} is unknown. Known drivers: {known}; docs/how-to/add_a_camera.md"
         raise ConfigError(message, code="config.camera_driver")
     driver: CameraDriver = load(others[name])
     return driver
@@ -188,7 +188,7 @@ def _airo(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraSt
     _refuse_exposure(device)
     if device.camera_class is None:
         raise ConfigError(
-            "camera.device.camera_class is missing: the class of airo-camera-toolkit that opens the camera, such as "
+            "camera.device.camera_class is missing. Give the class of airo-camera-toolkit for the camera, such as "
             "airo_camera_toolkit.cameras.zed.zed.Zed",
             code="config.camera_class",
         )

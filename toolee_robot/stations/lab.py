@@ -143,7 +143,7 @@ class LabStation:
             camera = stack.enter_context(open_camera(config.camera, clock, stream=self._stream))
             if self._purpose is Purpose.CALIBRATION and not camera.lens.lens.known:
                 raise NotReadyError(
-                    f"the camera {device.serial}: {camera.lens.words}, with which its place can be millimetres off: "
+                    f"the camera {device.serial}: {camera.lens.words}, so its position can be millimetres off: "
                     f"{UNKNOWN_LENS}",
                     code="not_ready.camera_lens_unknown",
                 )
@@ -196,8 +196,8 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         )
     if purpose is Purpose.JOB and config.strike.deepest is None and (hand := hand_model(config.hand)).yielding is None:
         raise ConfigError(
-            f"strike.deepest is not given, and the {hand.label} has no wrist that yields while the arm goes on behind "
-            "the contact: give 0.01 m, and every strike turns back there",
+            f"strike.deepest is missing, and the {hand.label} has no compliant wrist, while a straight strike moves "
+            "on behind the contact. Give 0.01 m, where every strike then turns back",
             code="config.rigid_strike",
         )
     check_upright(config.arm, str(purpose))
@@ -205,15 +205,14 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
     assert device is not None, "checked above"
     if purpose is Purpose.JOB and device.least_range > DISTANCE[1]:
         raise ConfigError(
-            f"camera.device.least_range {device.least_range:g} m: the camera is too near to every view of {purpose}, "
-            f"which is {DISTANCE[0]:.2f} to {DISTANCE[1]:.2f} m before it wherever it stands: take a smaller depth "
-            "image, which sees nearer things (camera.width and camera.height with its intrinsics and least_range), or "
-            "another camera",
+            f"camera.device.least_range {device.least_range:g} m: the camera is too near to every view of "
+            f"{purpose}, {DISTANCE[0]:.2f} to {DISTANCE[1]:.2f} m from it. Use a smaller depth image, which sees "
+            "nearer things (camera.width, camera.height, intrinsics and least_range), or another camera",
             code="config.camera_range",
         )
     if device.driver == RECORDED:
         raise ConfigError(
-            f"camera.device.driver {RECORDED!r}: a recording does not see {purpose}; name the camera itself",
+            f"camera.device.driver {RECORDED!r}: a recording cannot see {purpose}. Name the camera itself",
             code="config.recorded_camera",
         )
     if purpose is Purpose.JOB and calibration is not None:
@@ -221,5 +220,5 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         problems = calibration.problems(calibration.robot_serial, device.serial, date.today())
         if problems:
             raise ConfigError(
-                f"the camera's calibration does not hold: {'; '.join(problems)}", code="config.calibration"
+                f"the camera's calibration is not valid: {'; '.join(problems)}", code="config.calibration"
             )

@@ -45,14 +45,14 @@ OFFERED: Mapping[str, str] = {
 """The answer that Enter gives, of fields of which most labs have the same."""
 UNASKED = ("scene.obstacles", "arm.acceleration", "supervisor.unattended_speed")
 """What a lab may have to say and no question asks for: lists of records, and limits that grow step by step."""
-HEAD = f"""# Station file of a lab, docs/reference/station_file.md. Metres, radians, kilograms, seconds.
-# Fill in what is empty; `toolee station check` says what is missing and how it is measured.
-version: {VERSION}
-"""
+HEAD = (
+    "# Station file of a lab, docs/reference/station_file.md. Metres, radians, kilograms, seconds.\n# Fill in the "
+    f"empty fields. `toolee station check` lists what is missing and how to measure it.\nversion: {VERSION}\n"
+)
 _FRAME = StationField(
     ("frame",), BaseFrame,
-    "Frame of the positions: pendant_base as the teach pendant shows them (feature Base), base_link as ROS does; half "
-    "a turn about z apart.", MISSING,
+    "Frame of the positions: pendant_base as the teach pendant shows them (feature Base), or base_link as ROS. "
+    "They differ by half a turn about z.", MISSING,
 )  # fmt: skip
 _FIELDS = {field.name: field for field in record_fields(StationConfig)}
 
@@ -199,15 +199,15 @@ def parse(field: StationField, answer: str) -> Any:
     if nullable(field) and answer.lower() == NONE:
         return None
     if (possible := choices(field)) and answer not in possible:
-        raise UserError(f"{answer!r} is none of {', '.join(possible)}", code="user.answer")
+        raise UserError(f"{answer!r} is not supported. Choose one of {', '.join(possible)}", code="user.answer")
     value: Any = answer
     if field.numbers:
         value = answer.replace(",", " ").split()
         if field.numbers not in (ANY_NUMBER, len(value)):
-            commas = "; a comma parts numbers, decimals have a point" if "," in answer else ""
-            raise UserError(f"{field.numbers} numbers are needed, {len(value)} were given{commas}", code="user.answer")
+            commas = "; separate numbers by commas, and use decimal points" if "," in answer else ""
+            raise UserError(f"give {field.numbers} numbers, not {len(value)}{commas}", code="user.answer")
     if not answer:
-        raise UserError("an answer is needed", code="user.answer")
+        raise UserError("give an answer", code="user.answer")
     try:
         typed = TypeAdapter(field.hint).validate_python(value)
     except ValidationError as error:

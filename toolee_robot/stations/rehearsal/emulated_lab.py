@@ -117,8 +117,8 @@ class EmulatedLab:
         hand = cell.measured.hand.model
         if hand != MOUNT and find_emulator(hand) is None:
             raise ConfigError(
-                f"the hand {hand!r} has no emulator, so that it cannot be rehearsed: those with one are "
-                f"{', '.join(HAND_FILES)}, and a {MOUNT} needs none",
+                f"the hand {hand!r} cannot be rehearsed, because it has no emulator. These have one: "
+                f"{', '.join(HAND_FILES)}. A {MOUNT} needs none",
                 code="config.no_emulator",
             )
         self._cell, self._tell, self._purpose, self._doing = cell, tell, purpose, doing
@@ -183,7 +183,7 @@ class EmulatedLab:
             yield
         except DeviceError as error:
             if why := self.why_late(error):
-                error.args = (f"{why}. Late was: {error}",)
+                error.args = (f"{why}. What was late: {error}",)
             raise
 
     def why_late(self, error: DeviceError) -> str:
@@ -258,7 +258,7 @@ def claimed_address() -> Iterator[str]:
             if all(_silent(host, port) for port in _PORTS):
                 yield host
                 return
-    raise UserError("every loopback address has a controller: end those stand-ins", code="user.no_address")
+    raise UserError("every loopback address has a controller. End those emulated controllers", code="user.no_address")
 
 
 def _silent(host: str, port: int) -> bool:
