@@ -118,7 +118,7 @@ def test_two_hundred_hammers_are_counted_as_the_page_says() -> None:
     for condition, arm in zip(("pose from the camera", "true pose", "no correction"), arms, strict=True):
         assert _readme_row(f"UR10, {condition}", [record.success for record in arm]) in README
     failed = {record.trial.seed for record in full if not record.success}
-    (told,) = re.findall(r"^(13\d{3}) is a .*$", PAGE, re.MULTILINE)
+    (told,) = re.findall(r"^Seed (13\d{3}) is a .*$", PAGE, re.MULTILINE)
     assert {int(told)} == failed
     called = {
         "nail_missed": "{} missed",
