@@ -78,7 +78,7 @@ def test_an_old_calibration_and_one_of_another_camera_are_refused_before_anythin
 ) -> None:
     assert config.calibration is not None
     changes: tuple[tuple[dict[str, Any], str], ...] = (
-        ({"measured_on": "2026-01-02", "valid_days": 30.0}, "days old, 30 are allowed: calibrate again"),
+        ({"measured_on": "2026-01-02", "valid_days": 30.0}, "days old, and 30 are allowed: calibrate again"),
         ({"camera_serial": "17"}, "832112070123"),
         ({"residual": 0.02}, "its residual is 20.0 mm"),
     )

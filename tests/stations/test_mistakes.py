@@ -255,8 +255,8 @@ def test_a_folder_of_frames_whose_depth_is_in_millimetres_is_told(in_millimetres
 @pytest.mark.parametrize(
     ("section", "fields", "words"),
     [
-        ("calibration", {"measured_on": "2026-01-20", "valid_days": 30}, "days old, 30 are allowed: calibrate again"),
-        ("calibration", {"camera_serial": "17"}, f"it is of camera '17', the station has camera '{SERIAL}'"),
+        ("calibration", {"measured_on": "2026-01-20", "valid_days": 30}, "and 30 are allowed: calibrate again"),
+        ("calibration", {"camera_serial": "17"}, f"it is of camera '17', but the station has camera '{SERIAL}'"),
         (
             "camera",
             {"device": {"driver": "realsense", "serial": SERIAL, "least_range": 0.53}},

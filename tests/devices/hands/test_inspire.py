@@ -133,7 +133,7 @@ def test_a_hand_that_answers_and_takes_no_command_says_so_until_it_takes_one(
     assert inspire_hand.state(max_age=2.0).holding
     with raises(NoAnswerError, "no_answer.hand_write") as caught:
         inspire_hand.open()
-    assert "answers questions" in str(caught.value)
+    assert "answers, but does not take what is written" in str(caught.value)
     happen(inspire, "acknowledge")
     inspire_hand.open()
     assert inspire_hand.state(max_age=2.0).fault == ""

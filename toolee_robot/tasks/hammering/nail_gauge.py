@@ -153,7 +153,7 @@ class NailGauge:
         if abs(measured) < NO_HEAD:
             raise JobEnded(
                 Outcome.NAIL_MISSED,
-                "the face met nothing over the wood where the nail's head should be. The nail is missing, or the "
+                "the face met nothing above the wood where the nail's head should be. The nail is missing, or the "
                 f"face came down beside it; {CHECK}",
             )
         off = f"{abs(known - measured) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
