@@ -22,7 +22,7 @@ from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception import weight_files
 from toolee_robot.perception.offline.research import HOW_TO_TRAIN
-from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, PaperNet
+from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, POINTS, PaperNet
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align
@@ -48,7 +48,7 @@ def encode(R: Tensor, p: Tensor, ambiguous: Tensor | None) -> Tensor:
 
     Args:
         R: Rotations, (..., 3, 3).
-        p: Translations, (..., 3) [m].
+        p: Translations from the mean of the network's points, (..., 3) [m]: the paper centres the pose, not the input.
         ambiguous: Ambiguity vectors S, (..., 3); None: without.
 
     Returns:
@@ -187,7 +187,6 @@ def solve(
 
 
 NAME = "pose_paper"
-POINTS = 1024
 OBJECT_RADIUS = 0.22
 """Radius [m] of the sphere around a whole tool's middle."""
 PROCESS = VarianceExploding()
@@ -323,6 +322,7 @@ class PaperEstimator(CloudEstimator):
         u = self.sampler(self.process, lambda u, t: self._net.score(feature, u, t), noise)
         R, p, S = (x.double().cpu().numpy() for x in decode(u))
         points = seen.double().cpu().numpy()
+        p += points.mean(1, keepdims=True)
         return [self._result(c, R[b], p[b], S[b].mean(0), points[b]) for b, c in enumerate(categories)]
 
     def _result(self, category: Category, R: Array, p: Array, ambiguous: Array, points: Array) -> PoseResult:
@@ -411,6 +411,8 @@ def load(folder: Path) -> tuple[PaperNet, Column, float]:
         net.load_state_dict(tensors)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise AssetError(
-            f"the weights of the paper's estimator in {folder} are unreadable: {error}", code="asset.unreadable"
+            f"the weights of the paper's estimator in {folder} are damaged, or of an earlier version: train them "
+            f"again ({error})",
+            code="asset.unreadable",
         ) from error
     return net.requires_grad_(False).eval(), column, start

@@ -3,7 +3,9 @@
 The sizes are those of the light classification network that GenPose and ToolEENet use, about 1.0 M parameters, but
 200 channels instead of 196: tensor cores take multiples of eight. Farthest-point sampling is done once, when the cloud
 is made: clouds come with their points in that order (`canonical.farthest_points_first`), and the first n of them are
-the n farthest-point samples on every level. The balls' points can be found once, too (`PointNet2.neighbours`).
+the n farthest-point samples on every level. The balls' points can be found once, too (`PointNet2.neighbours`). As in
+the published code a ball's points are the first ones within its radius, not the nearest: on the first level in random
+order, then in that of the farthest-point samples, so that few points span the ball.
 """
 
 from __future__ import annotations
@@ -44,6 +46,8 @@ LEVELS = (
     Level(0, (), (), ((256, 256, 512), (256, 384, 512))),
 )
 ORDERED = LEVELS[0].centres
+POINTS = 1024
+"""Points of a cloud."""
 
 
 class PointNet2(nn.Module):
@@ -54,11 +58,15 @@ class PointNet2(nn.Module):
 
     Attributes:
         size: Width of the feature.
+        order: The order, a random one, in which the first level's balls take points, (`POINTS`,).
     """
+
+    order: Tensor
 
     def __init__(self, levels: tuple[Level, ...] = LEVELS) -> None:
         super().__init__()
         self.levels = levels
+        self.register_buffer("order", torch.randperm(POINTS, generator=torch.Generator().manual_seed(0)))
         channels = 0
         stages = []
         for level in levels:
@@ -99,14 +107,12 @@ class PointNet2(nn.Module):
             Indices (B, C, n) int16, one tensor for each radius of each level.
         """
         found = []
+        order = self.order[self.order < points.shape[1]]
         for level in self.levels[:-1]:
             centres = points[:, : level.centres]
-            index, squared = ball_query(centres, points, max(level.neighbours))
             for radius, count in zip(level.radii, level.neighbours, strict=True):
-                # A neighbour outside of the ball is replaced by the nearest point, the centre itself.
-                inside = squared[..., :count] < radius**2
-                found.append(torch.where(inside, index[..., :count], index[..., :1]).short())
-            points = centres
+                found.append(order[ball_query(centres, points[:, order], radius, count)].short())
+            points, order = centres, torch.arange(level.centres, device=points.device)
         return found
 
 
@@ -172,25 +178,26 @@ def _with_fixed_norm(linear: nn.Linear, norm: nn.BatchNorm1d) -> tuple[Tensor, T
     return linear.weight * scale[:, None], norm.bias - norm.running_mean * scale
 
 
-def ball_query(centres: Tensor, points: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """The nearest points of each centre, nearest first.
-
-    Summed per coordinate: torch.cdist starts a block of threads for each single distance.
+def ball_query(centres: Tensor, points: Tensor, radius: float, count: int) -> Tensor:
+    """The first points within each ball; the first one is repeated if there are fewer.
 
     Args:
-        centres: (B, C, 3) [m].
+        centres: (B, C, 3) [m], each one of the points.
         points: (B, N, 3) [m].
-        count: Number of points per centre.
+        radius: Radius of the balls [m].
+        count: Number of points per ball.
 
     Returns:
-        Indices (B, C, count), squared distances (B, C, count) [m^2].
+        Indices (B, C, count).
     """
-    with torch.no_grad():
-        squared = torch.zeros((), device=points.device)
-        for k in range(3):
-            squared = squared + (centres[:, :, None, k] - points[:, None, :, k]).square()
-        near, index = squared.topk(min(count, points.shape[1]), dim=-1, largest=False, sorted=True)
-    return index, near
+    # Summed per coordinate: torch.cdist starts a block of threads for each single distance.
+    squared = torch.zeros((), device=points.device)
+    for k in range(3):
+        squared = squared + (centres[:, :, None, k] - points[:, None, :, k]).square()
+    size = points.shape[1]
+    place = torch.arange(size, dtype=torch.int32, device=points.device)
+    first = torch.where(squared < radius**2, place, size).topk(min(count, size), largest=False, sorted=True)[0]
+    return torch.where(first < size, first, first[..., :1]).long()
 
 
 def _modules(stage: nn.Module) -> list[Any]:
@@ -207,7 +214,7 @@ _TIME = 128
 
 
 class PaperNet(nn.Module):
-    """Score network over pose vectors.
+    """Score network over pose vectors; its last layers begin at zero.
 
     Args:
         dim: Length of the pose vector, 9 or 12.
@@ -234,6 +241,9 @@ class PaperNet(nn.Module):
         self.heads = nn.ModuleList(
             [nn.Sequential(nn.Linear(size, 256), nn.ReLU(), nn.Linear(256, 3)) for _ in range(dim // 3)]
         )
+        for head in self.heads:
+            for parameter in list(head.children())[-1].parameters():
+                nn.init.zeros_(parameter)
 
     def encode(self, points: Tensor) -> Tensor:
         """Feature (B, 1024) of clouds (B, N, 3) [m, camera frame], farthest-point samples first."""

@@ -22,6 +22,7 @@ from toolee_robot.perception.cloud import EeCloud
 from toolee_robot.perception.offline.research.classical import centroid_pose, registration
 from toolee_robot.perception.offline.research.tooleenet import COLUMNS, PaperEstimator
 from toolee_robot.perception.offline.research.tooleenet.estimator import (
+    NAME,
     Rk45,
     class_ambiguity,
     decode,
@@ -30,18 +31,27 @@ from toolee_robot.perception.offline.research.tooleenet.estimator import (
     scatter,
     solve,
 )
-from toolee_robot.perception.offline.research.tooleenet.network import Level, PaperNet, PointNet2, SharedMlp
+from toolee_robot.perception.offline.research.tooleenet.network import (
+    Level,
+    PaperNet,
+    PointNet2,
+    SharedMlp,
+    ball_query,
+)
 from toolee_robot.perception.offline.research.tooleenet.training import (
     ColumnTraining,
     PaperOptions,
+    PreparedClouds,
     category_priors,
     freeze_batchnorm,
+    paper_source,
 )
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds
 from toolee_robot.perception.offline.training.loop import Distributed
 from toolee_robot.perception.pose.canonical import farthest_points_first
 from toolee_robot.perception.pose.cloud_estimator import PoseResult, with_hand
 from toolee_robot.perception.pose.processes import Euler, VarianceExploding
+from toolee_robot.perception.weight_files import load_weights, save_weights
 from toolee_robot.tools import NAIL_DRIVERS, Tool, make_tool
 from toolee_robot.types import HoldingHand, PoseHypotheses
 
@@ -90,16 +100,31 @@ def test_rk45_agrees_with_scipy_and_each_row_has_its_own_step() -> None:
 
 
 @pytest.mark.sim
-def test_pointnet_does_not_care_about_the_order_of_the_points() -> None:
+def test_pointnet_sees_where_a_cloud_is_and_the_whole_of_each_ball() -> None:
     torch.manual_seed(0)
     net = PointNet2(SMALL).eval()
-    points = 0.03 * torch.randn(2, 200, 3)
-    feature = net(farthest_points_first(points, 64))
-    shuffled = net(farthest_points_first(points[:, torch.randperm(200)], 64))
-    torch.testing.assert_close(feature, shuffled, atol=1e-5, rtol=1e-4)
-    assert feature.shape == (2, net.size)
-    moved = net(farthest_points_first(points + 0.01, 64))
-    assert not torch.allclose(feature, moved)  # the paper's encoder sees where the cloud is
+    points = farthest_points_first(0.03 * torch.randn(2, 400, 3), 64)
+    assert net(points).shape == (2, net.size)
+    assert not torch.allclose(net(points), net(points + 0.01))  # as the paper's encoder
+    centre = points.norm(dim=-1).argmin(1)
+    centres = points[torch.arange(2), centre][:, None]
+    near = ball_query(centres, points, 0.04, 16)[:, 0]
+    for of, chosen in zip((points - centres).norm(dim=-1), near, strict=True):
+        inside = of[of < 0.04]
+        assert len(inside) > 32
+        assert len(chosen.unique()) == 16
+        assert of[chosen].max() < 0.04
+        assert of[chosen].mean() > inside.sort()[0][:32].mean(), "of the whole ball, not the nearest"
+
+
+def plain_balls(centres: Tensor, points: Tensor, order: Tensor, radius: float, count: int) -> Tensor:
+    """As the published kernel: go through the points, take those within the radius, repeat the first."""
+    found = torch.zeros(*centres.shape[:2], count, dtype=torch.long)
+    for b, c in np.ndindex(*centres.shape[:2]):
+        away = (points[b] - centres[b, c]).square().sum(-1)
+        inside = [int(i) for i in order if away[i] < radius**2][:count]
+        found[b, c] = torch.tensor(inside + inside[:1] * (count - len(inside)))
+    return found
 
 
 def plainly(net: PointNet2, points: Tensor) -> Tensor:
@@ -107,14 +132,13 @@ def plainly(net: PointNet2, points: Tensor) -> Tensor:
     feature: Tensor | None = None
     for level, stage in zip(net.levels, net.stages, strict=True):
         centres = points[:, : level.centres] if level.centres else torch.zeros(len(points), 1, 3)
-        distance = torch.cdist(centres, points, compute_mode="donot_use_mm_for_euclid_dist")
-        order = distance.argsort(-1)
+        order = torch.arange(points.shape[1]) if feature is not None else net.order[net.order < points.shape[1]]
         scales = []
         for mlp, radius, count in zip(
             stage.children(), level.radii or (torch.inf,) * 2, level.neighbours or (points.shape[1],) * 2, strict=True
         ):
             assert isinstance(mlp, SharedMlp)
-            near = torch.where(distance.gather(-1, order[..., :count]) < radius, order[..., :count], order[..., :1])
+            near = plain_balls(centres, points, order, radius, count)
             batch = torch.arange(len(points))[:, None, None]
             x = points[batch, near] - centres[:, :, None]
             if feature is not None:
@@ -167,6 +191,25 @@ def test_pose_vectors_there_and_back() -> None:
         torch.testing.assert_close(back, R, atol=1e-5, rtol=0)
         torch.testing.assert_close(p_back, p)
         torch.testing.assert_close(S_back, torch.zeros(20, 3) if S is None else S)
+
+
+@pytest.mark.sim
+def test_a_translation_is_learnt_and_given_from_the_mean_of_the_cloud() -> None:
+    """The published code centres the pose, not the input: millimetres are to be learnt, not half a metre."""
+    stored, column = stored_clouds(24), COLUMNS["symmetry-aware"]
+    net = PaperNet(column.dim)
+    clouds = PreparedClouds.of(net, column, stored, paper_source(stored, column, "cpu", 0), torch.arange(24))
+    assert clouds.points.norm(dim=-1).min() > 0.4
+    p = stored.X_camera_ee[:, :3, 3]
+    torch.testing.assert_close(clouds.target[:, -3:], torch.as_tensor(p) - clouds.points.mean(1))
+    assert clouds.target[:, -3:].abs().max() < 0.02
+    batch = paper_source(stored, column, "cpu", 0).rows(torch.arange(24))
+    exact = clouds.target[:, None].repeat(1, 20, 1)
+    estimator = PaperEstimator(net, column, sampler=lambda _process, _field, _noise: exact)
+    categories = [list(Category)[int(k)] for k in batch.category]
+    draws = torch.Generator().manual_seed(0)
+    results = estimator.infer(batch.cloud, categories, batch.direction, batch.visible.numpy(), draws, 20)
+    np.testing.assert_allclose([r.X_camera_ee for r in results], stored.X_camera_ee, atol=1e-5)
 
 
 @pytest.mark.sim
@@ -327,6 +370,18 @@ def test_a_trainings_configuration_says_when_sampling_starts(tmp_path: Path) -> 
     with raises(AssetError, code="asset.unreadable") as unreadable:
         PaperEstimator.load(tmp_path)
     assert "sampling_start 1.5" in str(unreadable.value)
+
+
+@pytest.mark.sim
+def test_weights_that_learnt_another_translation_are_refused(tmp_path: Path) -> None:
+    """Those of before 30 November 2026 know no order of points, and their translation is the camera's."""
+    untrained_paper_weights(tmp_path)
+    tensors, card = load_weights(tmp_path, NAME)
+    del tensors["encoder.order"]
+    save_weights(tmp_path, NAME, tensors, card)
+    with raises(AssetError, code="asset.unreadable") as earlier:
+        PaperEstimator.load(tmp_path)
+    assert "train them again" in str(earlier.value)
 
 
 X_TRUE = transform(Rotation.from_rotvec([2.3, 0.4, 0.3]), [0.02, -0.03, 0.5])
