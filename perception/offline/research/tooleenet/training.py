@@ -28,7 +28,6 @@ from toolee_robot.perception.offline.research.tooleenet.estimator import (
     COLUMNS,
     NAME,
     OBJECT_RADIUS,
-    POINTS,
     PROCESS,
     Column,
     PaperEstimator,
@@ -38,7 +37,7 @@ from toolee_robot.perception.offline.research.tooleenet.estimator import (
     mean_pose,
     save,
 )
-from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, PaperNet
+from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, POINTS, PaperNet
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.offline.training import pose_validation as validation
