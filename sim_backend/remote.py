@@ -16,18 +16,13 @@ from typing import Any, Protocol, Self
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
-from toolee_robot.hal import Arm, Clock, HandState, Station
-from toolee_robot.robots import load_robot
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.truth import StrikeTruth, Verdict
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
-from toolee_robot.sim_backend.visuals import SceneState, SceneVisuals
 from toolee_robot.sim_backend.world_plant import WorldJob
-from toolee_robot.station import SIMULATED, StationConfig, check_upright
-from toolee_robot.tools import Tool
+from toolee_robot.station import StationConfig, check_upright
 from toolee_robot.types import InHandEstimate
 
 ANSWER_MARGIN = 5.0
@@ -217,93 +212,6 @@ class Caller(Protocol):
         """
 
 
-class RemoteHand:
-    """A `hal.Hand`: the simulated hand in the world's process.
-
-    Args:
-        world: Sends the requests.
-        joint_names: Names of the hand's joints.
-    """
-
-    def __init__(self, world: Caller, joint_names: tuple[str, ...]) -> None:
-        self._world = world
-        self._joint_names = joint_names
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        return self._joint_names
-
-    def state(self, max_age: float = 0.1) -> HandState:
-        """See `hal.Hand`."""
-        state: HandState = self._world.call("hand.state", max_age)
-        return state
-
-    def open(self, timeout: float = 5.0) -> None:
-        """See `hal.Hand`."""
-        self._world.call("hand.open", timeout, lasting=timeout)
-
-    def close(self, timeout: float = 5.0) -> None:
-        """See `hal.Hand`."""
-        self._world.call("hand.close", timeout, lasting=timeout)
-
-    def stop(self) -> None:
-        """See `hal.Hand`."""
-        self._world.call("hand.stop")
-
-
-class RemotePerson:
-    """A `hal.Person`: the simulated person in the world's process.
-
-    Args:
-        world: Sends the requests.
-    """
-
-    def __init__(self, world: Caller) -> None:
-        self._world = world
-
-    def request_handover(self, prompt: str, timeout: float) -> bool:
-        """See `hal.Person`."""
-        return bool(self._world.call("person.request_handover", prompt, timeout, lasting=timeout))
-
-    def release(self, prompt: str, timeout: float) -> bool:
-        """See `hal.Person`."""
-        return bool(self._world.call("person.release", prompt, timeout, lasting=timeout))
-
-    def take_tool(self, prompt: str, timeout: float) -> bool:
-        """See `hal.Person`."""
-        return bool(self._world.call("person.take_tool", prompt, timeout, lasting=timeout))
-
-    def confirm_swing(self, prompt: str, timeout: float) -> bool:
-        """See `hal.Person`."""
-        return bool(self._world.call("person.confirm_swing", prompt, timeout, lasting=timeout))
-
-    def confirm_inspection(self, prompt: str, timeout: float) -> bool:
-        """See `hal.Person`."""
-        return bool(self._world.call("person.confirm_inspection", prompt, timeout, lasting=timeout))
-
-    def hold_switch(self, prompt: str, timeout: float) -> bool:
-        """See `hal.Person`."""
-        return bool(self._world.call("person.hold_switch", prompt, timeout, lasting=timeout))
-
-    def zone_occupied(self) -> bool:
-        """See `hal.Person`."""
-        return bool(self._world.call("person.zone_occupied"))
-
-    def readings_certain(self) -> bool:
-        """See `hal.Person`."""
-        return True
-
-    def hold_to_run_held(self) -> bool:
-        """See `hal.Person`."""
-        return bool(self._world.call("person.hold_to_run_held"))
-
-
 class RemoteJudge:
     """A `Truth`: the judge in the world's process. Its stamps are on the world's clock.
 
@@ -326,27 +234,3 @@ class RemoteJudge:
     def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> Verdict:
         verdict: Verdict = self._world.call("judge.verdict", list(estimates))
         return verdict
-
-
-def remote_station(world: Caller, config: StationConfig, seed: int, tool: Tool, arm: Arm, clock: Clock) -> Station:
-    """Build a station on a remote world; the camera renders in this process, so that it does not delay the ticks.
-
-    Args:
-        world: Sends the requests.
-        config: The station.
-        seed: Seed of the run.
-        tool: The tool that is handed over.
-        arm: The arm.
-        clock: The clock of the world and the arm.
-
-    Returns:
-        The station.
-    """
-
-    def state() -> SceneState:
-        now: SceneState = world.call("scene")
-        return now
-
-    hand = RemoteHand(world, load_robot(config.arm.model, config.arm.calibration, config.hand).hand_joints)
-    camera = SimCamera(SceneVisuals(config, tool, seed, state), clock, config.camera.uncalibrated, seed)
-    return Station(arm, hand, camera, RemotePerson(world), clock, SIMULATED, SIMULATED)

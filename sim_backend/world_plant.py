@@ -9,7 +9,7 @@ import sys
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -18,7 +18,7 @@ from greenlet import getcurrent, greenlet
 
 from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.hal import Clock, HandState
+from toolee_robot.hal import Clock
 from toolee_robot.robots import load_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.runtime.clock import HostClock
@@ -75,18 +75,6 @@ class Commands:
         command = self._running[device] = greenlet(run, self._hub)
         command.switch()
 
-    def cancel(self, device: str, reason: str) -> None:
-        """Cancel a device's command: its wait raises DeviceError with this reason.
-
-        Args:
-            device: Name of the device.
-            reason: Message of the error.
-        """
-        command = self._running.get(device)
-        if command is not None:
-            self._due.pop(command, None)
-            command.throw(DeviceError(reason, code="device.cancelled"))
-
     def _wait(self, duration: float) -> None:
         command = getcurrent()
         if command not in self._running.values():
@@ -129,7 +117,7 @@ class WorldService:
         self.ended: Callable[[], None] = lambda: None
         self._connection, self._clock = connection, clock
         self._commands = Commands(world)
-        self._hand = hand = simulated_hand(world, options)
+        hand = simulated_hand(world, options)
         fingers = CoupledFingers(world, options.friction)
         person = SimPerson(world, offset, options.hands_over)
         judge = Judge(world, clock)
@@ -142,17 +130,10 @@ class WorldService:
             "person.request_handover": ("person", person.request_handover),
             "person.release": ("person", person.release),
             "person.take_tool": ("person", person.take_tool),
-            "person.confirm_swing": ("person", person.confirm_swing),
-            "person.confirm_inspection": ("person", person.confirm_inspection),
-            "person.hold_switch": ("person", person.hold_switch),
         }
         self._immediate: dict[str, Handler] = {
-            "hand.state": self._hand_state,
-            "hand.stop": self._stop_hand,
             "fingers.follow": fingers.follow,
             "fingers.let_go": fingers.let_go,
-            "person.zone_occupied": person.zone_occupied,
-            "person.hold_to_run_held": person.hold_to_run_held,
             "scene": lambda: scene_state(world, person),
             "judge.strikes": lambda: judge.strikes,
             "judge.X_hand_ee": judge.X_hand_ee,
@@ -208,15 +189,6 @@ class WorldService:
     def _send(self, number: int, done: bool, value: Any) -> None:
         with suppress(OSError):  # closed: the next read notices
             self._connection.send((number, done, value))
-
-    def _hand_state(self, max_age: float) -> HandState:
-        state = self._hand.state(max_age)
-        age = self.world.time - state.joints.stamp
-        return replace(state, joints=replace(state.joints, stamp=self._clock.now() - age))
-
-    def _stop_hand(self) -> None:
-        self._commands.cancel("hand", "the hand was stopped; it keeps its position and its grip")
-        self._hand.stop()
 
 
 class WorldPlant:

@@ -262,16 +262,6 @@ def test_a_tilted_base_is_looked_at_without_what_needs_an_upright_one(
 
 @pytest.mark.nightly
 @pytest.mark.sim
-def test_a_rehearsal_sees_every_device_behind_the_stand_in(capsys: pytest.CaptureFixture[str]) -> None:
-    code, record, said = _doctor(capsys, "--robot-host", "127.0.0.49", "--world", "pybullet")
-    assert code == 0, said
-    assert "Ready for the job" in said
-    levels = {f["name"]: f["level"] for f in record["findings"]}
-    assert (levels["robot model"], levels["payload"], levels["arm"], levels["hand"]) == ("ok",) * 4
-    assert levels["calibration"] == "ok", "of these devices, all of which were asked"
-
-
-@pytest.mark.sim
 def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
     code, record, said = _doctor(capsys, "--robot-host", "127.0.0.49")
     assert code == 1
@@ -337,8 +327,6 @@ def test_door_and_switch_are_seen_changing_and_nothing_moves(
     [
         (["--inputs"], "--inputs needs the controller's address"),
         (["--inputs", "--robot-host", "127.0.0.49"], "the station file has no `person`"),
-        (["--inputs", "--robot-host", "127.0.0.49", "--world", "pybullet"], "leave --inputs or --world out"),
-        (["--world", "pybullet"], "--world needs the controller's address"),
         (["--jogged-point", "1", "2", "3"], "--jogged-point needs the controller's address"),
         (["--config", "none.yaml"], "none.yaml"),
         (["--arm", "ur-rtde"], "--arm"),

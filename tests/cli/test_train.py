@@ -47,12 +47,12 @@ def test_segmentation_resumes_and_keeps_its_configuration(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, options = tmp_path / "out", tmp_path / "options.yaml"
-    options.write_text("batch: 1\nlog_every: 1\nlr: 0.01\n")
+    options.write_text("batch: 1\nlog_every: 1\nlr: 0.0005\nmax_steps: 9\n")
     command = ["train", "segmentation", "--data", str(data), "--out", str(out), "--config", str(options), "--json"]
-    command += ["--device", "cpu", "--lr", "0.0005"]
+    command += ["--device", "cpu"]
     assert run([*command, "--max-steps", "1"]) == 0
     config = json.loads((out / "config.json").read_text())
-    assert (config["batch"], config["lr"], config["seed"]) == (1, 0.0005, 0), "the command line wins over the file"
+    assert (config["batch"], config["lr"], config["max_steps"]) == (1, 0.0005, 1), "the command line wins over the file"
     described = json.loads((out / "segmentation.json").read_text())
     assert described["training"]["lr"] == 0.0005
     assert list((out / "tensorboard").glob("events*"))
@@ -78,13 +78,13 @@ def test_refinement_resumes_beside_the_detector_and_keeps_its_configuration(
     for path in WEIGHTS_DIR.glob("segmentation*"):
         shutil.copy(path, out)
     (out / "config.json").write_text("the detector's")
-    options.write_text("batch: 2\nlog_every: 1\nlr: 0.01\n")
+    options.write_text("batch: 2\nlog_every: 1\nlr: 0.0005\nmax_steps: 9\n")
     command = ["train", "refinement", "--data", str(data), "--out", str(out), "--config", str(options), "--json"]
-    command += ["--device", "cpu", "--lr", "0.0005"]
+    command += ["--device", "cpu"]
     assert run([*command, "--detector", str(out), "--max-steps", "1"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1]) == {"out": str(out), "resumed": False}
     config = json.loads((out / "refinement_config.json").read_text())
-    assert (config["batch"], config["lr"], config["seed"]) == (2, 0.0005, 0), "the command line wins over the file"
+    assert (config["batch"], config["lr"], config["max_steps"]) == (2, 0.0005, 1), "the command line wins over the file"
     assert config["detector"] == str(out)
     assert (out / "config.json").read_text() == "the detector's"
     assert list((out / "tensorboard").glob("events*"))

@@ -19,8 +19,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.frames import Array
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.detection.passes import Crop
 from toolee_robot.perception.offline.dataset.scenes import write_scene
@@ -108,7 +110,7 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Scores:
         targets=len(targets),
         found=len(matched) / len(targets),
         mask_iou=float(np.mean([c.overlap for c, _ in counted if c.instance is not None])),
-        AP50=metrics.average_precision(
+        AP50=_average_precision(
             np.array([c.score for c, _ in counted]),
             np.array([c.instance is not None for c, _ in counted]),
             len(targets),
@@ -168,3 +170,21 @@ def test_the_weights_are_those_that_were_measured() -> None:
 
 def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _average_precision(score: Array, correct: NDArray[np.bool_], targets: int) -> float:
+    """Area under the interpolated precision-recall curve of ranked detections; equal scores keep their order."""
+    if targets == 0:
+        return float("nan")
+    hits = correct[np.argsort(-score, kind="stable")]
+    precision = np.cumsum(hits) / np.arange(1, len(hits) + 1)
+    envelope = np.maximum.accumulate(precision[::-1])[::-1]
+    return float((envelope * hits).sum() / targets)
+
+
+def test_average_precision_by_hand() -> None:
+    # Ranked: right, wrong, right; three to find. Precision at the hits: 1 and 2/3, each a third of the recall.
+    score, right = np.array([0.5, 0.9, 0.7]), np.array([True, True, False])
+    assert _average_precision(score, right, 3) == pytest.approx((1 + 2 / 3) / 3)
+    assert _average_precision(np.zeros(0), np.zeros(0, bool), 2) == 0.0
+    assert np.isnan(_average_precision(score, right, 0))

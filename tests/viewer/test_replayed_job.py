@@ -1,4 +1,4 @@
-"""A whole job's recording: in Rerun, in the browser, through today's networks, and after a kill."""
+"""A whole job's recording: in Rerun, in the browser, and after a kill."""
 
 from __future__ import annotations
 
@@ -32,20 +32,6 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert json.loads(done.stdout)["success"]
     (folder,) = out.iterdir()
     return folder
-
-
-def test_todays_networks_find_on_the_recorded_frames_what_the_job_found(
-    job: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The same code gives the same poses: frames and hand were recorded without loss."""
-    assert run(["replay", str(job), "--rerun-perception", "--json"]) == 0
-    looks = json.loads(capsys.readouterr().out)
-    assert len(looks) >= 2
-    for look in looks:
-        assert look["today_usable"]
-        assert look["recorded_usable"]
-        assert look["moved_mm"] < 1e-3
-        assert look["turned_deg"] < 1e-2
 
 
 def test_every_message_is_read_by_the_libraries_of_mcap_and_foxglove(job: Path) -> None:

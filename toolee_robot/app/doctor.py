@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from datetime import date
 from pathlib import Path
@@ -26,17 +26,13 @@ from toolee_robot.doctor.robot import examine_robot
 from toolee_robot.errors import ConfigError, DeviceError, UserError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array
-from toolee_robot.hal import Station
 from toolee_robot.runtime.clock import HostClock, is_loopback
-from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.remote import RemoteWorld, remote_station
-from toolee_robot.sim_backend.station import SimStation, draw_handover
+from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.station import UPRIGHT_WITHIN, StationConfig
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.stations.lab import ur_driver
 
 Section = tuple[str, list[Finding]]
-_SEED = 0
 
 
 @dataclass
@@ -46,7 +42,6 @@ class DoctorReport:
     Attributes:
         config: Configuration of the station.
         host: Address of a UR controller; None for the simulated arm.
-        with_world: Whether a controller stand-in is started on that host, with the simulated station behind it.
         out: Folder for recordings.
         jogged_point: The TCP that the teach pendant shows now, feature Base, (3,) [m]; None if nobody has read it.
         doing: Context manager that shows what is in progress.
@@ -58,7 +53,6 @@ class DoctorReport:
 
     config: StationConfig
     host: str | None
-    with_world: bool
     out: Path
     jogged_point: Array | None
     doing: Callable[[str], AbstractContextManager[object]]
@@ -79,12 +73,12 @@ class DoctorReport:
                 findings += check_reach(config)
             if config.camera.device is not None:
                 findings.append(check_range(config))
-            if self.host is not None and not self.with_world:
+            if self.host is not None:
                 findings.insert(0, check_measured(self.path, is_loopback(self.host)))
         yield "Station file", findings
         yield from self._simulated() if self.host is None else self._controller(self.host)
-        slow = self.host is not None and not self.with_world
-        yield "Calibration", [check_calibration(config, self._robot_serial, self._camera_serial, date.today(), slow)]
+        serials = self._robot_serial, self._camera_serial
+        yield "Calibration", [check_calibration(config, *serials, date.today(), self.host is not None)]
         with self.doing("loading the networks, trying the clock"):
             findings = [check_weights(), check_disk(self.out), *check_processor()]
             if self._rate is not None:
@@ -92,34 +86,29 @@ class DoctorReport:
         yield "This computer", findings
 
     def _simulated(self) -> Iterator[Section]:
-        with self.doing("building the simulated station"), SimStation.build(self.config, _SEED) as simulation:
+        with self.doing("building the simulated station"), SimStation.build(self.config, seed=0) as simulation:
             station = simulation.station
-            findings = list(self._devices(station))
+            self._robot_serial, self._camera_serial = station.robot_serial, station.camera_serial
+            findings = [
+                check_arm(station.arm, station.hand, self.config),
+                check_hand(station.hand, self.config),
+                *check_camera(station.camera, station.clock, self.config),
+                check_person(station.person),
+            ]
         yield "Devices", findings
 
     def _controller(self, host: str) -> Iterator[Section]:
-        with ExitStack() as stack:
-            world = None
-            if self.with_world:
-                with self.doing("building the simulated station behind a controller stand-in"):
-                    world = stack.enter_context(RemoteWorld(self.config, _SEED, SimOptions(), host, HostClock()))
-            with self.doing(f"asking the robot at {host}"):
-                robot = examine_robot(host, self.config, self.jogged_point)
-            if self.ask is not None and robot.compares_points and (point := self.ask()) is not None:
-                with self.doing("comparing it with the robot"):  # which the person has jogged meanwhile
-                    robot = examine_robot(host, self.config, point)
-            self._rate, self._robot_serial = robot.rate, robot.serial
-            own = robot.calibration
-            self.facts |= {"robot_serial": robot.serial, "arm_calibration": None if own is None else asdict(own)}
-            yield "Robot", robot.findings
-            if world is None:
-                findings = list(self._without_world())
-            else:
-                with self.doing("connecting the arm's driver"):
-                    findings = list(self._devices_behind(host, world))
-            yield "Devices", findings
-            if world is None:
-                yield "Door and hold-to-run switch", list(self._person(host))
+        with self.doing(f"asking the robot at {host}"):
+            robot = examine_robot(host, self.config, self.jogged_point)
+        if self.ask is not None and robot.compares_points and (point := self.ask()) is not None:
+            with self.doing("comparing it with the robot"):  # which the person has jogged meanwhile
+                robot = examine_robot(host, self.config, point)
+        self._rate, self._robot_serial = robot.rate, robot.serial
+        own = robot.calibration
+        self.facts |= {"robot_serial": robot.serial, "arm_calibration": None if own is None else asdict(own)}
+        yield "Robot", robot.findings
+        yield "Devices", list(self._own_devices())
+        yield "Door and hold-to-run switch", list(self._person(host))
 
     def _person(self, host: str) -> Iterator[Finding]:
         """Check the person's inputs, with the station's own driver where somebody is there to change them."""
@@ -139,23 +128,7 @@ class DoctorReport:
             except DeviceError as error:
                 yield Finding.of_error(name, error, "first fix the faults of the robot")
 
-    def _devices_behind(self, host: str, world: RemoteWorld) -> Iterator[Finding]:
-        """Check the arm through its driver and the other devices of the simulated world."""
-        tool, _ = draw_handover(_SEED, SimOptions())
-        try:
-            with ur_driver(self.config, host) as arm:
-                yield from self._devices(remote_station(world, self.config, _SEED, tool, arm, HostClock()))
-        except DeviceError as error:
-            yield Finding.of_error("arm", error, "first fix the faults of the robot")
-
-    def _devices(self, station: Station) -> Iterator[Finding]:
-        self._robot_serial, self._camera_serial = station.robot_serial, station.camera_serial
-        yield check_arm(station.arm, station.hand, self.config)
-        yield check_hand(station.hand, self.config)
-        yield from check_camera(station.camera, station.clock, self.config)
-        yield check_person(station.person)
-
-    def _without_world(self) -> Iterator[Finding]:
+    def _own_devices(self) -> Iterator[Finding]:
         """Check the station's own hand and camera; nothing moves."""
         unchecked = {
             "config.hand_driver": ("has no driver here: nothing was checked", "check it yourself"),

@@ -44,8 +44,6 @@ class Doctor(JsonOption):
     ] = None
     """Address of the UR controller: a robot's, or that of `toolee emulate ur`. Without any the simulated station is
     checked."""
-    world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
-    """A rehearsal: start an emulated controller at that loopback address, with the simulated station behind it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """A station: any subset of the fields in docs/reference/station_file.md."""
     jogged_point: Annotated[
@@ -53,7 +51,7 @@ class Doctor(JsonOption):
     ] = None
     """X Y Z of the TCP in millimetres, as the pendant's Move screen shows them with the feature Base. They are
     compared with the robot's report and with this software's kinematics. If left out, the command asks at the
-    terminal, except with --json or --world.
+    terminal, except with --json.
     """
     inputs: Flag = False
     """Check door and hold-to-run switch (`person` in the station file): the command asks you to operate each once.
@@ -67,19 +65,14 @@ class Doctor(JsonOption):
 
         config = sim_station() if self.config is None else load_station(self.config)
         host = self.robot_host or config.arm.host
-        options = (("--world", self.world), ("--jogged-point", self.jogged_point), ("--inputs", self.inputs))
+        options = (("--jogged-point", self.jogged_point), ("--inputs", self.inputs))
         for option, given in options:
             if host is None and given:
                 raise UserError(
                     f"{option} needs the controller's address: give --robot-host, or arm.host in the station file. "
                     "The pendant's About page shows it"
                 )
-        if self.inputs and self.world:
-            raise UserError(
-                "leave --inputs or --world out: the simulated person has no inputs",
-                code="user.option",
-            )
-        if host is not None and self.world is None:
+        if host is not None:
             config = self._of_robot()
         if self.inputs:
             from toolee_robot.devices.person import check_wired
@@ -91,11 +84,10 @@ class Doctor(JsonOption):
 
         point = None if self.jogged_point is None else 1e-3 * np.array(self.jogged_point)
         tell = (lambda prompt: console.print(f"  [bold]{escape(prompt)}[/bold]")) if self.inputs else None
-        world = self.world is not None
         # A question that goes into a pipe would be waited for unseen.
         seen = sys.stdin.isatty() and console.is_terminal and not self.json
-        ask = (lambda: ask_point(console)) if seen and not world and point is None else None
-        report = DoctorReport(config, host, world, self.out, point, console.status, tell, self.config, ask)
+        ask = (lambda: ask_point(console)) if seen and point is None else None
+        report = DoctorReport(config, host, self.out, point, console.status, tell, self.config, ask)
         found: list[tuple[str, Finding]] = []
         for section, findings in report.sections():
             found += [(section, finding) for finding in findings]
@@ -121,8 +113,8 @@ class Doctor(JsonOption):
         told = f", {_count(warnings, 'warning')}" if warnings else ""
         if fails:
             return f"[bold red]Not ready: {_count(fails, 'fault')} to fix{told}.[/bold red]"
-        real = host is not None and self.world is None
-        return f"[bold green]Ready for {'slow, attended motions' if real else 'the job'}[/bold green]{told}."
+        ready = "the job" if host is None else "slow, attended motions"
+        return f"[bold green]Ready for {ready}[/bold green]{told}."
 
 
 def ask_point(console: Console) -> Array | None:

@@ -63,8 +63,7 @@ class _Evaluation(JsonOption):
             write_atomic(self.out / "report.html", html.encode())
             self.console.print(f"report: {escape(str(self.out / 'report.html'))}", soft_wrap=True)
         for table in tables:
-            if not table.on_page_only:
-                self.console.print(text_table(table.title, table.columns, table.rows, table.left))
+            self.console.print(text_table(table.title, table.columns, table.rows, table.left))
         self.tell(record)
         return 0
 

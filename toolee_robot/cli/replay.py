@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,23 +12,20 @@ from rich.markup import escape
 from rich.progress import track
 from rich.table import Table
 
-from toolee_robot.cli.output import Flag, JsonOption, serve, text_table
+from toolee_robot.cli.output import JsonOption, serve
 
 if TYPE_CHECKING:
     from toolee_robot.recording.history import RunHistory
     from toolee_robot.station import StationConfig
-    from toolee_robot.viewer.look_again import LookAgain
 
 
 @dataclass(frozen=True)
-class Replay(JsonOption):
+class Replay:
     """Show a run in the browser: what the robot did, saw, estimated and decided.
 
     Example: toolee replay runs/20261124-101500-seed100
 
     Example: toolee replay runs/20261124-101500-seed100 --gif run.gif
-
-    Example: toolee replay runs/20261124-101500-seed100 --rerun-perception --json
 
     Needs the extra viewer.
     """
@@ -37,10 +34,6 @@ class Replay(JsonOption):
     """The run's folder, or its recording.mcap. A killed run is readable up to its last written second."""
     port: Annotated[int, tyro.conf.arg(metavar="N")] = 8080
     """Port of the page, or the next free one."""
-    rerun_perception: Flag = False
-    """Let today's networks look at the recorded frames, and show what changed."""
-    json: Flag = field(default=False, kw_only=True)
-    """Print what today's networks find as one line of JSON, and open no page."""
     gif: Annotated[Path | None, tyro.conf.arg(metavar="GIF", help_behavior_hint="")] = None
     """Write the run as a GIF of ten seconds, and open no page."""
     finish: Annotated[Path | None, tyro.conf.arg(metavar="MCAP", help_behavior_hint="")] = None
@@ -49,7 +42,7 @@ class Replay(JsonOption):
     def run(self) -> int:
         from toolee_robot.recording.reading import finish_copy, read_history, recording_of
 
-        console = self.console
+        console = Console(highlight=False)
         path = recording_of(self.recording)
         if self.finish is not None:
             count = finish_copy(path, self.finish)
@@ -62,23 +55,16 @@ class Replay(JsonOption):
         if self.gif is not None:
             _write_gif(self.gif, history, config, console)
             return 0
-        looks = _look_again(history, config, console) if self.rerun_perception or self.json else []
-        self.tell([look.figures() for look in looks])
-        if not self.json:
-            self._show(history, config, looks, console)
+        self._show(history, config, console)
         return 0
 
-    def _show(self, history: RunHistory, config: StationConfig, looks: list[LookAgain], console: Console) -> None:
+    def _show(self, history: RunHistory, config: StationConfig, console: Console) -> None:
         from toolee_robot.viewer.rerun_page import RerunPage
         from toolee_robot.viewer.run_view import RunView, blueprint
 
         with console.status("building the page"):
             page = RerunPage("replay", blueprint(), self.port)
-            view = RunView(page.stream, history, config)
-            view.update()
-            for look in looks:
-                if look.today is not None:
-                    view.log_today(look.stamp, look.today.X_hand_ee, look.today.covariance)
+            RunView(page.stream, history, config).update()
         console.print(escape(history.metadata.get("title", "")))
         serve(page, console)
 
@@ -117,17 +103,6 @@ class Runs(JsonOption):
 
 
 COMMANDS = {"replay": Replay, "runs": Runs}
-
-
-def _look_again(history: RunHistory, config: StationConfig, console: Console) -> list[LookAgain]:
-    from toolee_robot.viewer.look_again import look_again
-
-    with console.status("looking at the recorded frames again"):
-        looks = look_again(history, config)
-    title = "Pose of the hammer's face in the hand: recorded, and by today's networks"
-    columns = ("look", "frames", "recorded", "today", "moved [mm]", "turned [deg]", "sigma [mm]")
-    console.print(text_table(title, columns, [(str(i), *look.row()) for i, look in enumerate(looks, 1)], left=0))
-    return looks
 
 
 def _write_gif(path: Path, history: RunHistory, config: StationConfig, console: Console) -> None:

@@ -29,19 +29,13 @@ class _Training(JsonOption):
     out: OutDir
     """Checkpoint, weights with their configuration, log, TensorBoard curves (extra `train`)."""
     config: File = None
-    """YAML or JSON of options, any subset; the command line's win."""
+    """YAML or JSON of further options, such as batch, lr and checkpoint_minutes; the command line's win."""
     minutes: Number = None
     """Wall-clock of the optimisation."""
     max_steps: Count = None
     """Budget in steps; with --minutes too, whichever ends first."""
-    batch: Count = None
-    """Examples a step, of each GPU."""
-    lr: Number = None
-    """Learning rate (default: 0.001)."""
     seed: Count = None
     """Of weights, order and augmentation (default: 0)."""
-    checkpoint_minutes: Number = None
-    """Between checkpoints (default: 2)."""
     device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
     init: Folder = None
@@ -77,8 +71,6 @@ class Segmentation(_Training, _Data):
 
     minutes: Number = None
     """Wall-clock of the optimisation (default: 12)."""
-    batch: Count = None
-    """Images a GPU (default: 32)."""
     wide: Number = None
     """Share of images with apparent sizes from 0.35 to 4 times the rendered ones; above 0, all images also get bright,
     plain and worn tools, stickers and print on them, coloured and mixed light, and the effects of cameras and depth
@@ -112,10 +104,6 @@ class Refinement(_Training, _Data):
 
     minutes: Number = None
     """Wall-clock, from the first scene on (default: 15)."""
-    batch: Count = None
-    """Detections a GPU (default: 512)."""
-    lr: Number = None
-    """Learning rate (default: 0.002)."""
     detector: Folder = None
     """The detector's weights (default: those that ship)."""
 
@@ -204,22 +192,12 @@ class Pose(_Training):
 
     minutes: Number = None
     """Wall-clock of the optimisation (default: 9)."""
-    batch: Count = None
-    """Clouds a step, of each GPU (default: 512)."""
     rendered: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = ()
     """Clouds of rendered images to mix in, made by `toolee train clouds`."""
-    rendered_share: Number = None
-    """Of the clouds, where rendered ones are given (default: 0.5)."""
     init_share: Number = None
     """Of the weights of --init in those that are exported (default: 0)."""
     train_seeds: Count = None
     """Tools of each kind to learn from (default: 480)."""
-    test_seeds: Count = None
-    """Held-out tools of each kind (default: 30)."""
-    validation: Count = None
-    """Held-out clouds (default: 4096)."""
-    calibrate_only: Flag = False
-    """Validate and calibrate the weights that lie in --out, without training."""
 
     def run(self) -> int:
         from toolee_robot.perception.offline.training.options import CHECKPOINT, options_of, remember
@@ -228,9 +206,8 @@ class Pose(_Training):
         config = TrainConfig(**options_of(self._given(), self.config, {f.name for f in fields(TrainConfig)}))
         resumed = (self.out / CHECKPOINT).is_file()
         about = {f.name: getattr(config, f.name) for f in fields(TrainConfig)}
-        if not self.calibrate_only:
-            remember(self.out, resumed, {**about, "rendered": [str(path) for path in self.rendered]})
-        report = train(self.out, config, self.calibrate_only, self.init, self.rendered)
+        remember(self.out, resumed, {**about, "rendered": [str(path) for path in self.rendered]})
+        report = train(self.out, config, self.init, self.rendered)
         return self._end(resumed, report=report)
 
 

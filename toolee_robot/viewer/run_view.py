@@ -30,7 +30,7 @@ SIGMAS = 10.0
 """Size of the ellipsoids in standard deviations: at three they are too small to see."""
 FACE_AXES, CANDIDATE_AXES = 0.05, 0.012
 """Lengths of drawn axes [m]."""
-CLOUD, SEEN, FUSED, TODAY = (30, 160, 220), (240, 160, 30), (60, 200, 90), (190, 60, 200)
+CLOUD, SEEN, FUSED = (30, 160, 220), (240, 160, 30), (60, 200, 90)
 """Colours of the cloud and of the ellipsoids."""
 FORCE, NAIL = (192, 57, 43), (36, 113, 163)
 """Colours of the curves."""
@@ -176,17 +176,6 @@ class RunView:
         messages = [text for t, text in h.logs if t <= stamp][-2:]
         parts += [f"- {line}" for line in [*strikes[-3:], *messages]]
         self._log(stamp, "now", self._rr.TextDocument("\n\n".join(parts), media_type="text/markdown"))
-
-    def log_today(self, stamp: float, X_hand_ee: Array, covariance: Array) -> None:
-        """Log what today's networks find in a look, fixed to the hand, until the next look.
-
-        Args:
-            stamp: Time of the look [s].
-            X_hand_ee: Its pose in the hand, (4, 4).
-            covariance: Its covariance in the hand's axes, (6, 6).
-        """
-        self._log(stamp, f"{HAND}/today", axes(X_hand_ee[None], 0.8 * FACE_AXES))
-        self._log_ellipsoid(stamp, f"{HAND}/today/covariance", X_hand_ee, covariance, TODAY)
 
     def _new(self, series: Series[Any]) -> list[tuple[float, Any]]:
         """What was added to a series since the last call."""

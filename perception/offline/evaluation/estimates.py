@@ -15,7 +15,7 @@ from toolee_robot.errors import AssetError, PerceptionError
 from toolee_robot.frames import Array
 from toolee_robot.perception.offline.dataset.records import SHOWN_HAND
 from toolee_robot.perception.offline.evaluation import metrics
-from toolee_robot.perception.offline.evaluation.examples import Case, Examples, Instance, ee_shape
+from toolee_robot.perception.offline.evaluation.examples import Case, Examples, Instance
 from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 from toolee_robot.perception.offline.research.tooleenet.estimator import NAME as PAPER
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult, with_hand
@@ -36,8 +36,6 @@ class Estimates:
         position: Position error, (N,) [m].
         paper_angle: Rotation error by the paper's rule, (N,) [rad].
         axis: Angle between the z axes, modulo the group, (N,) [rad].
-        mssd_share: MSSD as a share of the EE's diameter, (N,).
-        mspd: MSPD, (N,) [px of an image 640 wide].
         spin: Whole rotation error of a continuously symmetric EE without the hand's pose, NaN elsewhere, (N,) [rad].
         spin_fixed: The same with the hand's pose, (N,) [rad].
         confidence: In [0, 1], (N,).
@@ -51,8 +49,6 @@ class Estimates:
     position: Array
     paper_angle: Array
     axis: Array
-    mssd_share: Array
-    mspd: Array
     spin: Array
     spin_fixed: Array
     confidence: Array
@@ -254,7 +250,7 @@ def asked_for(instance: Instance, of_tool: bool) -> bool:
 
 
 _NO_POINTS = np.empty((0, 3))
-_TYPES = (int, bool, *[float] * 9, bool, float)
+_TYPES = (int, bool, *[float] * 7, bool, float)
 _INF = float("inf")
 
 
@@ -263,11 +259,9 @@ def _row(instance: Instance, result: PoseResult | None, usable: bool, ms: float)
     index = CATEGORIES.index(category)
     if result is None:
         nan = float("nan")
-        errors = (_INF, _INF, _INF, _INF, _INF, _INF, nan, nan)
+        errors = (_INF, _INF, _INF, _INF, nan, nan)
         return (index, instance.held_out, *errors, 0.0, False, ms)
     X, group = result.X_camera_ee, category.symmetry
-    shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
-    K = instance.intrinsics
     spin = spin_fixed = float("nan")
     if group.kind is SymmetryKind.CINF and instance.X_camera_hand is not None:
         spin = metrics.paper_rule_angle(X[:3, :3], X_true[:3, :3], np.zeros(3))
@@ -280,8 +274,6 @@ def _row(instance: Instance, result: PoseResult | None, usable: bool, ms: float)
         float(np.linalg.norm(X[:3, 3] - X_true[:3, 3])),
         metrics.paper_rule_angle(X[:3, :3], X_true[:3, :3], result.ambiguous),
         metrics.axis_angle(X[:3, :3], X_true[:3, :3], group),
-        metrics.mssd(X, X_true, shape.vertices, group) / shape.diameter,
-        metrics.mspd(X, X_true, shape.vertices, group, K.matrix) * 640 / K.width,
         spin,
         spin_fixed,
         result.confidence,

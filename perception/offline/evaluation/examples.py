@@ -134,13 +134,11 @@ class EeShape:
     """Shape of an EE, in its frame.
 
     Attributes:
-        vertices: (V, 3) [m].
-        low: Lower corner of their box, (3,) [m].
+        low: Lower corner of the box around it, (3,) [m].
         high: Upper corner, (3,) [m].
-        diameter: Largest distance of two vertices [m].
+        diameter: Largest distance of two points [m].
     """
 
-    vertices: Array
     low: Array
     high: Array
     diameter: float
@@ -156,12 +154,12 @@ def ee_shape(catalogue: Catalogue, tool: int, ee: int) -> EeShape:
         ee: Index of the end.
 
     Returns:
-        The shape, of at most 400 vertices.
+        The shape, by at most 400 of its vertices.
     """
     vertices = 1e-3 * np.asarray(ee_mesh(catalogue.tool(tool), ee).vertices)
     if len(vertices) > _VERTICES:
         vertices = vertices[np.random.default_rng(0).permutation(len(vertices))[:_VERTICES]]
-    return EeShape(vertices, vertices.min(0), vertices.max(0), float(pdist(vertices).max()))
+    return EeShape(vertices.min(0), vertices.max(0), float(pdist(vertices).max()))
 
 
 def spin_points(instance: Instance, case: Case) -> int:

@@ -86,75 +86,6 @@ def axis_angle(R: Array, R_true: Array, group: SymmetryGroup) -> float:
     return angle_between(group.canonical(R, R_true)[:, 2], R_true[:, 2])
 
 
-def mssd(X: Array, X_true: Array, vertices: Array, group: SymmetryGroup) -> float:
-    """Maximum symmetry-aware surface distance (BOP): the smallest over the group of the largest vertex distance.
-
-    Args:
-        X: Estimated pose, 4x4.
-        X_true: True pose, 4x4.
-        vertices: (V, 3) [m].
-        group: Symmetry group; a continuous one in 64 steps.
-
-    Returns:
-        The distance [m].
-    """
-    estimated = vertices @ X[:3, :3].T + X[:3, 3]
-    true = (vertices @ np.swapaxes(group.elements(), 1, 2)) @ X_true[:3, :3].T + X_true[:3, 3]
-    return float(np.linalg.norm(true - estimated, axis=-1).max(-1).min())
-
-
-def mspd(X: Array, X_true: Array, vertices: Array, group: SymmetryGroup, K: Array) -> float:
-    """Maximum symmetry-aware projection distance (BOP).
-
-    Args:
-        X: Estimated pose, 4x4.
-        X_true: True pose, 4x4.
-        vertices: (V, 3) [m].
-        group: Symmetry group; a continuous one in 64 steps.
-        K: Camera matrix, 3x3.
-
-    Returns:
-        The distance [px]; infinite for a pose behind the camera.
-    """
-    estimated = _project(vertices @ X[:3, :3].T + X[:3, 3], K)
-    true = _project((vertices @ np.swapaxes(group.elements(), 1, 2)) @ X_true[:3, :3].T + X_true[:3, 3], K)
-    distance = np.linalg.norm(true - estimated, axis=-1).max(-1).min()
-    return float(distance) if np.isfinite(distance) else float("inf")
-
-
-def average_recall(errors: Array, unit: Array | float) -> float:
-    """Average recall (BOP): mean over ten thresholds 0.05 to 0.5 of the share of errors under them.
-
-    Args:
-        errors: (N,).
-        unit: Unit of the thresholds: for MSSD the object's diameter, for MSPD 100 px at an image width of 640.
-
-    Returns:
-        The recall in [0, 1]; NaN without errors.
-    """
-    limits = np.linspace(0.05, 0.5, 10)
-    return float(np.mean([(errors < limit * unit).mean() for limit in limits])) if len(errors) else float("nan")
-
-
-def average_precision(score: Array, correct: NDArray[np.bool_], targets: int) -> float:
-    """Area under the interpolated precision-recall curve of ranked detections.
-
-    Args:
-        score: (N,); equal scores keep their order.
-        correct: Which are right, (N,) bool.
-        targets: Number of instances to be found.
-
-    Returns:
-        The area in [0, 1]; NaN without targets.
-    """
-    if targets == 0:
-        return float("nan")
-    hits = correct[np.argsort(-score, kind="stable")]
-    precision = np.cumsum(hits) / np.arange(1, len(hits) + 1)
-    envelope = np.maximum.accumulate(precision[::-1])[::-1]
-    return float((envelope * hits).sum() / targets)
-
-
 def calibration_error(confidence: Array, success: NDArray[np.bool_], bins: int = 10) -> float:
     """Expected calibration error: mean gap between confidence and success over equal bins, weighted by their size.
 
@@ -188,22 +119,6 @@ def reliability(confidence: Array, success: NDArray[np.bool_], bins: int = 10) -
     return [(float(confidence[r].mean()), float(success[r].mean()), int(r.sum())) for r in rows if r.any()]
 
 
-def refusing(confidence: Array, success: NDArray[np.bool_], share: float = 0.1) -> dict[str, float]:
-    """Share of failures before and after refusing the least confident estimates.
-
-    Args:
-        confidence: (N,) in [0, 1].
-        success: (N,) bool.
-        share: Share that is refused.
-
-    Returns:
-        "failures", "failures_kept", and their "ratio".
-    """
-    kept = np.argsort(-confidence, kind="stable")[: round(len(confidence) * (1 - share))]
-    before, after = float((~success).mean()), float((~success[kept]).mean())
-    return {"failures": before, "failures_kept": after, "ratio": after / before if before else float("nan")}
-
-
 def box_iou(X: Array, X_true: Array, low: Array, high: Array, group: SymmetryGroup, steps: int = 10) -> float:
     """Overlap of one box in two poses, on a grid. The rotation is first aligned modulo the group, as NOCS does.
 
@@ -233,9 +148,3 @@ def quantiles(values: Array) -> dict[str, Any]:
     if len(values) == 0:
         return {"median": None, "p95": None}
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95))}
-
-
-def _project(points: Array, K: Array) -> Array:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        uv = points @ K.T
-        return np.where(uv[..., 2:] > 1e-6, uv[..., :2] / uv[..., 2:], np.inf)

@@ -18,8 +18,6 @@ from toolee_robot.perception.pose.confidence import RIGHT
 GROUPS = ("held-out", "seen")
 IOU = 0.1
 """Least box overlap of a detection with its EE (NOCS)."""
-KEPT = 0.85
-"""Share of the most confident estimates for which errors are reported."""
 
 
 def tables(estimates: Estimates) -> dict[str, Any]:
@@ -58,13 +56,10 @@ def _row(e: Estimates) -> dict[str, Any]:
     """All metrics of one category.
 
     Shares under the thresholds, with "paper_" before them by the paper's rule; medians and 95th percentiles of the
-    errors; BOP's recalls; the errors of the usable and of the most confident 85 % of the estimates, of the EE's origin
-    and of its z axis (a hammer's face: centre and normal).
+    errors; those of the usable estimates, of the EE's origin and of its z axis (a hammer's face: centre and normal).
     """
     made, spin = e.rows(e.made), e.rows(np.isfinite(e.spin))
-    AR_mssd, AR_mspd = metrics.average_recall(e.mssd_share, 1.0), metrics.average_recall(e.mspd, 100.0)
-    best = np.zeros(len(e), dtype=bool)
-    best[np.argsort(-e.confidence, kind="stable")[: int(np.ceil(KEPT * len(e)))]] = True
+    usable = e.rows(e.usable & e.made)
     return {
         **metrics.shares(e.angle, e.position),
         **{f"paper_{k}": share for k, share in metrics.shares(e.paper_angle, e.position).items()},
@@ -73,18 +68,10 @@ def _row(e: Estimates) -> dict[str, Any]:
         **_quantiles("deg", np.rad2deg(made.angle)),
         "spin_median_deg": metrics.quantiles(np.rad2deg(spin.spin))["median"],
         "spin_with_hand_median_deg": metrics.quantiles(np.rad2deg(spin.spin_fixed))["median"],
-        "AR_MSSD": AR_mssd,
-        "AR_MSPD": AR_mspd,
-        "AR": (AR_mssd + AR_mspd) / 2,
-        **_kept("usable", e, e.usable),
-        **_kept("best_85_percent", e, best),
+        "usable_share": len(usable) / len(e),
+        **_quantiles("mm", 1e3 * usable.position, "usable_centre_"),
+        **_quantiles("deg", np.rad2deg(usable.axis), "usable_normal_"),
     }
-
-
-def _kept(name: str, e: Estimates, chosen: NDArray[np.bool_]) -> dict[str, float | None]:
-    part = e.rows(chosen & e.made)
-    errors = _quantiles("mm", 1e3 * part.position, "centre_") | _quantiles("deg", np.rad2deg(part.axis), "normal_")
-    return {f"{name}_share": len(part) / len(e), **{f"{name}_{k}": v for k, v in errors.items()}}
 
 
 def _quantiles(unit: str, values: Array, before: str = "") -> dict[str, float | None]:
@@ -108,40 +95,7 @@ def confidence(e: Estimates) -> dict[str, Any] | None:
         "usable_share": float(made.usable.mean()),
         "usable_right_10deg2cm": float(success[made.usable].mean()) if made.usable.any() else None,
         "usable_right_5deg1cm": float(strict[made.usable].mean()) if made.usable.any() else None,
-        "refusing_worst_10_percent": {
-            "10deg2cm": metrics.refusing(made.confidence, success),
-            "5deg1cm": metrics.refusing(made.confidence, strict),
-        },
     }
-
-
-def ranked_ap(instances: list[Instance], ranked: list[Ranked]) -> dict[str, dict[str, float | None]]:
-    """Average precision of each category over poses ranked by score, for each threshold, at box IoU over 0.1 (NOCS).
-
-    Args:
-        instances: The instances.
-        ranked: The poses.
-
-    Returns:
-        Category to threshold to AP, and the mean as "average".
-    """
-    by_image = _by_image(instances)
-    table: dict[str, dict[str, float | None]] = {}
-    for category in CATEGORIES:
-        targets = sum(i.target and i.category is category for i in instances)
-        if targets == 0:
-            continue
-        own = sorted((r for r in ranked if r.category is category), key=lambda r: -r.score)
-        overlaps = [_overlaps(r, by_image.get((r.image, category), [])) for r in own]
-        row: dict[str, float | None] = {}
-        for name, limits in metrics.THRESHOLDS.items():
-            correct, counted = _matched(own, overlaps, limits)
-            score = np.array([r.score for r in own])[counted]
-            row[name] = metrics.average_precision(score, correct[counted], targets)
-        table[category.value] = row
-    if table:
-        table["average"] = {k: float(np.mean([r[k] for r in table.values()])) for k in metrics.THRESHOLDS}
-    return table
 
 
 def usable_poses(instances: list[Instance], ranked: list[Ranked], images: int) -> dict[str, float | None]:
@@ -182,7 +136,7 @@ def right_poses(instances: list[Instance], ranked: list[Ranked]) -> tuple[NDArra
     order = sorted(range(len(ranked)), key=lambda k: -ranked[k].score)
     best_first = [ranked[k] for k in order]
     overlaps = [_overlaps(r, by_image.get((r.image, r.category), [])) for r in best_first]
-    correct, counted = _matched(best_first, overlaps, RIGHT)
+    correct, counted = _matched(best_first, overlaps)
     place = np.argsort(order)
     return correct[place], counted[place]
 
@@ -212,9 +166,7 @@ def _overlaps(detection: Ranked, instances: list[Instance]) -> _Overlap:
     return sorted(found, key=lambda pair: -pair[0])
 
 
-def _matched(
-    ranked: list[Ranked], overlaps: list[_Overlap], limits: tuple[float, float]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _matched(ranked: list[Ranked], overlaps: list[_Overlap]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which detections, best score first, are right, and which count (those of hardly visible EEs do not)."""
     correct, counted = np.zeros(len(ranked), dtype=bool), np.ones(len(ranked), dtype=bool)
     taken: set[int] = set()
@@ -228,7 +180,7 @@ def _matched(
             X, X_true = detection.X_camera_ee, instance.X_camera_ee
             angle = instance.category.symmetry.rotation_error(X[:3, :3], X_true[:3, :3])
             distance = np.linalg.norm(X[:3, 3] - X_true[:3, 3])
-            if bool(metrics.within(np.asarray(angle), np.asarray(distance), *limits)):
+            if bool(metrics.within(np.asarray(angle), np.asarray(distance), *RIGHT)):
                 correct[k] = True
                 taken.add(id(instance))
                 break

@@ -11,7 +11,6 @@ import numpy as np
 
 from toolee_robot.end_effectors import CATEGORIES, label_of
 from toolee_robot.perception.offline.evaluation.estimates import Estimates
-from toolee_robot.perception.offline.evaluation.metrics import THRESHOLDS
 from toolee_robot.perception.offline.evaluation.pose import GROUPS
 from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS
 from toolee_robot.runtime.html_page import Page
@@ -19,20 +18,13 @@ from toolee_robot.runtime.html_page import Page
 MASKS = {"truth": "true masks", "predicted": "predicted masks"}
 """Kinds of masks, and how the report calls them."""
 _SHOWN = ("5deg2cm", "10deg5cm", "5deg1cm", "5deg5mm")
-"""Thresholds of the tables on the terminal; the others and report.json have all."""
+"""Thresholds of the tables; report.json has all."""
 _COLOURS = ("#12609e", "#d1662b", "#5a8f3c", "#8a5aa8", "#8c8c8c", "#b0902a")
 DEFINITIONS = {
     "n deg m cm": "share of instances whose rotation error, modulo the category's symmetry group, and position error "
     "are both under the threshold; an instance without an estimate counts as over it",
-    "paper": "the same with the paper's rotation error, which ignores axes that the prediction itself calls ambiguous; "
-    "only for comparison with its tables",
-    "AR": "BOP's average recall: mean of that of the maximum symmetry-aware surface distance (0.05 to 0.5 of the EE's "
-    "diameter) and of the projection distance (5 to 50 px at a width of 640)",
-    "ranked AP": "area under the precision-recall curve of detections ranked by trust, right "
-    "if their box overlaps the EE's (IoU over 0.1) and the pose is under the threshold (NOCS)",
     "held-out, seen": "tools that were not, and that were, in the training data; both in new images",
     "usable": "the estimate's confidence is over the threshold that was fixed after training",
-    "calibration error": "mean gap between confidence and share within 10 deg and 2 cm over ten bins",
 }
 
 
@@ -45,14 +37,12 @@ class Table:
         columns: Headings.
         rows: Cells of each row, as text.
         left: Number of left-aligned columns.
-        on_page_only: Whether the terminal leaves it out.
     """
 
     title: str
     columns: Sequence[str]
     rows: list[list[str]]
     left: int = 1
-    on_page_only: bool = False
 
 
 def pose_tables(report: dict[str, Any]) -> list[Table]:
@@ -62,7 +52,7 @@ def pose_tables(report: dict[str, Any]) -> list[Table]:
         report: Its record, what `run.evaluate_pose` gives.
 
     Returns:
-        Accuracy and errors by group and kind of masks, ranking, what a picture shows, frames without a tool, time.
+        Accuracy by group and kind of masks, usable poses, what a picture shows, frames without a tool, time.
     """
     estimators, tables = report["estimators"], []
     for masks, text in MASKS.items():
@@ -73,14 +63,8 @@ def pose_tables(report: dict[str, Any]) -> list[Table]:
                 if group in record.get(masks, {}).get("groups", {})
             ]
             if found:
-                tables += _group_tables(f"{group} instances, {text}", found)
+                tables.append(_accuracy(f"{group} instances, {text}", found))
     of_masks = [(label, m, record[m]) for label, record in estimators.items() for m in MASKS if m in record]
-    ranked = [
-        [label_of(category), label, MASKS[masks], *_shares(row, THRESHOLDS)]
-        for label, masks, record in of_masks
-        for category, row in record["ranked_ap"].items()
-    ]
-    tables.append(Table("score-ranked AP", ("category", "estimator", "masks", *THRESHOLDS), ranked, 3, True))
     keys = ("right_10deg2cm", "wrong_per_image", "found_10deg2cm")
     usable = [
         [label, MASKS[masks], str(record["usable"]["poses"]), *_shares(record["usable"], keys)]
@@ -104,41 +88,24 @@ def pose_tables(report: dict[str, Any]) -> list[Table]:
         for label, masks, record in of_masks
         for t in [record["latency"]]
     ]
-    tables.append(Table("time of one pose", ("estimator", "masks", "median ms", "90 % ms", "on"), times, 2, True))
+    tables.append(Table("time of one pose", ("estimator", "masks", "median ms", "90 % ms", "on"), times, 2))
     return tables
 
 
-def _group_tables(title: str, found: list[tuple[str, dict[str, Any]]]) -> list[Table]:
-    """Accuracy, errors and confidence of one group under one kind of masks: by category a row for each estimator."""
+def _accuracy(title: str, found: list[tuple[str, dict[str, Any]]]) -> Table:
+    """The metrics of one group under one kind of masks: by category a row for each estimator."""
     categories = sorted(dict.fromkeys(c for _, t in found for c in t["table"]), key="average".__eq__)
-    by_category = [(c, label, t["table"][c]) for c in categories for label, t in found if c in t["table"]]
-    heads, rest = ("category", "estimator", "n"), [k for k in THRESHOLDS if k not in _SHOWN]
-    accuracy, strict = (
-        [[label_of(c), label, str(r["instances"]), *_shares(r, keys)] for c, label, r in by_category]
-        for keys in (_SHOWN, rest)
-    )
-    errors = [
+    rows = [
         [
-            *(label_of(c), label, *_shares(r, ("estimated",))),
-            *_numbers(r, ("median_mm", "p95_mm", "median_deg", "p95_deg", "spin_with_hand_median_deg")),
-            *_numbers(r, ("usable_centre_p95_mm", "usable_normal_p95_deg")),
-            *_shares(r, ("AR", "paper_5deg2cm", "paper_5deg5cm", "paper_10deg5cm")),
+            *(label_of(category), label, str(row["instances"]), *_shares(row, (*_SHOWN, "usable_share"))),
+            *_numbers(row, ("median_mm", "p95_mm", "median_deg", "p95_deg", "spin_with_hand_median_deg")),
         ]
-        for c, label, r in by_category
+        for category in categories
+        for label, t in found
+        if (row := t["table"].get(category)) is not None
     ]
-    of_errors = ("estimated", "mm", "95 %", "deg", "95 %", "spin, hand", "usable mm 95 %", "usable deg 95 %", "AR")
-    keys = ("expected_calibration_error", "usable_share", "usable_right_10deg2cm", "usable_right_5deg1cm")
-    confidence = [[label, *_shares(t["confidence"], keys)] for label, t in found if t["confidence"] is not None]
-    paper = ("paper 5deg2cm", "5deg5cm", "10deg5cm")
-    tables = [
-        Table(title, (*heads, *_SHOWN), accuracy, 2),
-        Table(f"other thresholds: {title}", (*heads, *rest), strict, 2, True),
-        Table(f"errors: {title}", (*heads[:2], *of_errors, *paper), errors, 2, True),
-    ]
-    if confidence:
-        columns = ("estimator", "calibration error", "usable", "of these 10deg2cm", "5deg1cm")
-        tables.append(Table(f"confidence: {title}", columns, confidence, 1, True))
-    return tables
+    errors = ("mm", "95 %", "deg", "95 %", "spin, hand")
+    return Table(title, ("category", "estimator", "n", *_SHOWN, "usable", *errors), rows, 2)
 
 
 def segmentation_tables(found: dict[str, Any]) -> list[Table]:
@@ -273,7 +240,7 @@ def _number(value: float | None, digits: int) -> str:
     return "–" if value is None or value != value else f"{value:.{digits}f}"
 
 
-def _shares(row: dict[str, Any], keys: Sequence[str] | dict[str, Any]) -> list[str]:
+def _shares(row: dict[str, Any], keys: Sequence[str]) -> list[str]:
     return [_number(row[k], 3) for k in keys]
 
 

@@ -29,7 +29,6 @@ from toolee_robot.perception.offline.evaluation.estimates import (
 )
 from toolee_robot.perception.offline.evaluation.examples import (
     Examples,
-    Instance,
     Part,
     joined,
     of_role,
@@ -158,15 +157,12 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
                     len(asked),
                 )
                 estimates[label][masks], rankings[label, masks] = summary(examples, estimator.of_tool, answers)
-        ranked_ap = processes.map(partial(_ranked_ap, examples.instances), rankings.values())
-        ranked = dict(zip(rankings, _counted(ranked_ap, partial(progress, "ranking"), len(rankings)), strict=True))
         for label, estimator in networks.estimators.items():
             record: dict[str, Any] = {"method": describe(estimator)}
             for masks, rows in estimates[label].items():
                 record[masks] = {
                     "groups": pose.tables(rows),
                     "breakdown": held_out_breakdown(examples.instances, rows, estimator.of_tool),
-                    "ranked_ap": ranked[label, masks],
                     "usable": pose.usable_poses(examples.instances, rankings[label, masks], examples.images),
                     "latency": {
                         **pose.latency(rows),
@@ -190,14 +186,6 @@ def _read(networks: Networks, part: Part) -> Examples:
 
 def _answer(label: str, networks: Networks, question: Question) -> Answer:
     return answer(networks.estimators[label], networks.trust[label], question)
-
-
-def _ranked_ap(
-    instances: list[Instance],
-    networks: Networks,  # noqa: ARG001 - as the others
-    ranked: list[Ranked],
-) -> dict[str, dict[str, float | None]]:
-    return pose.ranked_ap(instances, ranked)
 
 
 def _claims(seed: int, catalogue: Catalogue, networks: Networks, frame: RgbdFrame | int) -> tuple[bool, bool]:

@@ -31,7 +31,6 @@ from toolee_robot.perception.pose import weights
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
 from toolee_robot.perception.pose.weights import Calibration
-from toolee_robot.runtime.files import read_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,31 +190,18 @@ class Trainer(TrainingRun):
         self.start = {name: value.clone() for name, value in self.average.items()}  # the average changes in place
         self.record({"event": "begun from other weights"})
 
-    def calibrate(self) -> dict[str, Any]:
-        """Validate and calibrate the weights in `out`, on any machine, after a training that ran out of time.
-
-        Returns:
-            The report.
-        """
-        self._take_average(weights.load(self.out)[0].state_dict())
-        self.start = {}  # already mixed into the weights
-        described = read_json(self.out / f"{self.name}.json")["report"]
-        self.step, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
-        return self.finish(self.judged(), described["train"])
-
-    def finish(self, held_out: CloudBatch, trained: dict[str, Any] | None = None) -> dict[str, Any]:
+    def finish(self, held_out: CloudBatch) -> dict[str, Any]:
         """Validate and calibrate on held-out clouds, and write the weights.
 
         Args:
             held_out: The clouds.
-            trained: Configuration of the training, where it is not this one's.
 
         Returns:
             The report.
         """
         report, calibration = judge(self.export(), held_out, self._test_samples, str(self.distributed.device))
         self.record({"event": "finished", **{k: v for k, v in report.items() if k != "clouds"}})
-        report |= self._described(calibrated=True) | ({"train": trained} if trained else {})
+        report |= self._described(calibrated=True)
         weights.save(self.out, self.export(), calibration, report)
         return report
 
@@ -300,7 +286,6 @@ def _half(
 def train(
     out: Path,
     config: TrainConfig,
-    calibrate_only: bool = False,
     init: Path | None = None,
     rendered: Sequence[Path] = (),
 ) -> dict[str, Any]:
@@ -309,7 +294,6 @@ def train(
     Args:
         out: Folder for checkpoint, weights and log.
         config: Options of the training.
-        calibrate_only: Whether to only validate and calibrate the weights in `out`.
         init: Folder of weights of the same architecture to start from; their process may differ.
         rendered: Files of `RenderedClouds` to mix in.
 
@@ -321,7 +305,7 @@ def train(
         UserError: Options contradict each other.
         TooleeError: The loss is not finite.
     """
-    if config.init_share and init is None and not calibrate_only:
+    if config.init_share and init is None:
         raise UserError("init_share: say whose share that is, with --init FOLDER", code="user.init_share")
     kept = None
     if rendered:
@@ -337,7 +321,7 @@ def train(
         trainer = Trainer(out, config, samples, hands, distributed, kept)
         if init is not None:
             trainer.start_from(init)
-        return trainer.calibrate() if calibrate_only else trainer.run()
+        return trainer.run()
 
 
 class ReplayBuffer:

@@ -12,8 +12,8 @@ from toolee_robot.sim_backend.ur_controller.urscript.functions_motion import Mot
 from toolee_robot.sim_backend.ur_controller.urscript.functions_state import StateFunctions
 from toolee_robot.sim_backend.ur_controller.urscript.values import fitting, numbers, text
 
-CONFIGURABLE, TOOL = 8, 16
-"""Index of the first configurable and the first tool channel in the machine's lists."""
+STANDARD = 8
+"""Number of standard channels, the first in the machine's lists."""
 
 
 class IoFunctions:
@@ -78,15 +78,6 @@ class IoFunctions:
     def read_input_float_register(self, address: int) -> float:
         return _at(self._machine.registers.float_in, address)
 
-    def read_output_boolean_register(self, address: int) -> bool:
-        return _at(self._machine.registers.bool_out, address)
-
-    def read_output_integer_register(self, address: int) -> int:
-        return _at(self._machine.registers.int_out, address)
-
-    def read_output_float_register(self, address: int) -> float:
-        return _at(self._machine.registers.float_out, address)
-
     def write_output_boolean_register(self, address: int, value: bool) -> None:
         _put(self._machine.registers.bool_out, address, _boolean(value))
 
@@ -101,58 +92,23 @@ class IoFunctions:
     # -- channels
 
     def get_standard_digital_in(self, n: int) -> bool:
-        return _at(self._machine.digital_in[:CONFIGURABLE], n)
-
-    def get_configurable_digital_in(self, n: int) -> bool:
-        return _at(self._machine.digital_in[CONFIGURABLE:TOOL], n)
-
-    def get_tool_digital_in(self, n: int) -> bool:
-        return _at(self._machine.digital_in[TOOL:], n)
+        return _at(self._machine.digital_in[:STANDARD], n)
 
     def get_digital_in(self, n: int) -> bool:
         return _at(self._machine.digital_in, n)
 
     def get_standard_digital_out(self, n: int) -> bool:
-        return _at(self._machine.digital_out[:CONFIGURABLE], n)
-
-    def get_configurable_digital_out(self, n: int) -> bool:
-        return _at(self._machine.digital_out[CONFIGURABLE:TOOL], n)
-
-    def get_tool_digital_out(self, n: int) -> bool:
-        return _at(self._machine.digital_out[TOOL:], n)
+        return _at(self._machine.digital_out[:STANDARD], n)
 
     def get_digital_out(self, n: int) -> bool:
         return _at(self._machine.digital_out, n)
 
     def set_standard_digital_out(self, n: int, b: bool) -> None:
-        _at(self._machine.digital_out[:CONFIGURABLE], n)
+        _at(self._machine.digital_out[:STANDARD], n)
         self.set_digital_out(n, b)
-
-    def set_configurable_digital_out(self, n: int, b: bool) -> None:
-        _at(self._machine.digital_out[CONFIGURABLE:TOOL], n)
-        self.set_digital_out(CONFIGURABLE + n, b)
-
-    def set_tool_digital_out(self, n: int, b: bool) -> None:
-        _at(self._machine.digital_out[TOOL:], n)
-        self.set_digital_out(TOOL + n, b)
 
     def set_digital_out(self, n: int, b: bool) -> None:
         _put(self._machine.digital_out, n, _boolean(b))
-
-    def get_standard_analog_in(self, n: int) -> float:
-        return _at(self._machine.analog_in[:2], n)
-
-    def get_standard_analog_out(self, n: int) -> float:
-        return _at(self._machine.analog_out[:2], n)
-
-    def set_standard_analog_out(self, n: int, f: float) -> None:
-        """Set an analog output to a fraction of its range, 0 to 1."""
-        numbers(f, 0)
-        _at(self._machine.analog_out[:2], n)
-        _put(self._machine.analog_out, n, min(1.0, max(0.0, float(f))))
-
-    def set_analog_out(self, n: int, f: float) -> None:
-        self.set_standard_analog_out(n, f)
 
 
 def _boolean(value: Any) -> bool:

@@ -178,12 +178,6 @@ class StateFunctions:
         """Set the payload; the centre of gravity [m] defaults to the flange's origin."""
         self._machine.set_payload(self._mass(m), _three([0.0] * 3 if cog is None else cog))
 
-    def set_payload_mass(self, m: float) -> None:
-        self._machine.set_payload(self._mass(m), self._machine.payload_cog)
-
-    def set_payload_cog(self, CoG: Any) -> None:
-        self._machine.set_payload(self._machine.payload, _three(CoG))
-
     def set_target_payload(self, m: float, cog: Any = None, inertia: Any = None) -> None:
         self.set_payload(m, cog)
         self._machine.payload_inertia = np.array(six([0.0] * 6 if inertia is None else inertia, "inertia"))
@@ -206,12 +200,6 @@ class StateFunctions:
     def set_gravity(self, d: Any) -> None:
         """Set the acceleration equivalent to gravity [m/s^2], base axes; points upwards."""
         self._machine.gravity = _three(d)
-
-    def get_joint_temp(self, j: int) -> float:
-        return self._machine.temperatures[range(6)[j]]
-
-    def get_controller_temp(self) -> float:
-        return 30.0
 
 
 def _list(values: Array) -> list[float]:

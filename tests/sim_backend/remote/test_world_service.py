@@ -14,16 +14,16 @@ import pytest
 from tests.errors import raises
 from tests.sim_backend.kinematics import joints_for_hand
 from toolee_robot.errors import DeviceError, TooleeError
-from toolee_robot.frames import Array, frame_from_axes
-from toolee_robot.hal import Hand, Person, RgbdCamera
-from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.frames import Array, frame_from_axes, inverse
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.readable import readable
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.remote import Channel, RemoteHand, RemoteJudge, RemotePerson, remote_station
+from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.remote import Channel, RemoteJudge
 from toolee_robot.sim_backend.station import build_world, draw_handover
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.server.port import Service
+from toolee_robot.sim_backend.visuals import SceneVisuals
 from toolee_robot.sim_backend.world_plant import WorldPlant, WorldService
 from toolee_robot.station import sim_station
 
@@ -88,7 +88,7 @@ def loop() -> Iterator[Loop]:
 
 @pytest.mark.nightly
 def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
-    """The same seed, tool, offset and room; the same hold; frames and states on the host's clock."""
+    """The same seed, tool, offset and room; the same hold; frames and truth on the host's clock."""
     tool, _ = draw_handover(SEED, OPTIONS)
     loop.hold.set()  # two worlds would take turns on one core
     with SimStation.build(CONFIG, SEED, OPTIONS) as direct:
@@ -98,33 +98,20 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
         assert direct.station.person.request_handover("", 5.0)
         direct.station.hand.close()
         assert direct.station.person.release("", 5.0)
-        state = direct.station.hand.state()
         X_direct = direct.judge.X_hand_ee(direct.station.clock.now())
     loop.hold.clear()
-    # No arm: it goes through the controller's ports, which this loop has none of.
-    station = remote_station(loop, CONFIG, SEED, tool, None, HostClock())  # type: ignore[arg-type]
-    hand, person, camera = station.hand, station.person, station.camera
-    assert isinstance(hand, Hand)
-    assert isinstance(person, Person)
-    assert isinstance(camera, RgbdCamera)
+    visuals = SceneVisuals(CONFIG, tool, SEED, lambda: loop.call("scene"))
     began = time.monotonic()
-    frame = camera.read()
+    frame = SimCamera(visuals, HostClock(), CONFIG.camera.uncalibrated, SEED).read()
     np.testing.assert_allclose(frame.rgb.astype(float).mean(), expected.rgb.astype(float).mean(), atol=2.0)
     assert np.mean(np.abs(frame.rgb.astype(float) - expected.rgb)) < 5.0
-    hand.open()
-    assert person.zone_occupied()
-    assert not person.hold_to_run_held()
-    assert person.request_handover("", 5.0)
-    hand.close()
-    assert hand.state().holding
-    assert person.release("", 5.0)
-    now = hand.state()
-    assert began < frame.stamp < now.joints.stamp <= time.monotonic()
-    assert (now.holding, now.assisted) == (state.holding, state.assisted)
-    assert list(hand.joint_names) == list(direct.station.hand.joint_names)
-    np.testing.assert_allclose(now.joints.q, state.joints.q, atol=0.08)
+    loop.call("hand.open", 5.0, lasting=5.0)
+    assert loop.call("person.request_handover", "", 5.0, lasting=5.0)
+    loop.call("hand.close", 5.0, lasting=5.0)
+    assert loop.call("person.release", "", 5.0, lasting=5.0)
+    assert began < frame.stamp <= time.monotonic()
     judge = RemoteJudge(loop)
-    X = judge.X_hand_ee(now.joints.stamp)  # the clock on the wall may be ahead of a world that is late
+    X = judge.X_hand_ee(time.monotonic() - 0.1)  # the clock on the wall may be ahead of a world that is late
     assert np.linalg.norm(X[:3, 3] - X_direct[:3, 3]) < 0.004
     assert judge.verdict().hits == 0
     assert judge.strikes == ()
@@ -132,60 +119,36 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
         judge.X_hand_ee(began - 1e3)
 
 
-def test_the_hand_closes_while_the_arm_moves_and_is_read(loop: Loop) -> None:
-    hand = RemoteHand(loop, ())
+def test_the_hand_closes_while_the_arm_moves_and_is_seen(loop: Loop) -> None:
     q_start = loop.plant.q.copy()
-    closing = threading.Thread(target=hand.close)
-    closing.start()
+    closing = _closing(loop)
     time.sleep(0.05)
     with raises(DeviceError, code="device.busy"):
-        hand.open()
-    stamps, postures = [], []
+        loop.call("hand.open", 5.0, lasting=5.0)
+    fingers = []
     target = q_start.copy()
     while closing.is_alive():
         target[0] += 0.002
         loop.plant.command(target, np.zeros(6))
-        state = hand.state()
-        stamps.append(state.joints.stamp)
-        postures.append(state.joints.q)
+        fingers.append(_fingers(loop))
     closing.join()
-    assert len(stamps) > 20
-    assert np.all(np.diff(stamps) > 0)
-    assert np.ptp(np.array(postures), axis=0).max() > 0.5, "the fingers closed"
+    assert len(fingers) > 20
+    assert np.ptp(np.array(fingers), axis=0).max() > 0.02, "the fingers closed"
     assert loop.plant.q[0] > q_start[0] + 0.01
 
 
-def test_a_stopped_hand_ends_its_command_and_time_alone_ends_a_wait(loop: Loop) -> None:
-    hand, person = RemoteHand(loop, ()), RemotePerson(loop)
-    failed: list[Exception] = []
-
-    def close() -> None:
-        try:
-            hand.close()
-        except DeviceError as error:
-            failed.append(error)
-
-    closing = threading.Thread(target=close)
-    closing.start()
-    time.sleep(0.05)
-    hand.stop()
-    closing.join(5.0)
-    assert "stopped" in str(failed[0])
-    assert not hand.state().holding
-    assert not person.request_handover("", 0.2), "a person needs longer than that"
-    hand.open()
+def test_time_alone_ends_a_wait(loop: Loop) -> None:
+    assert not loop.call("person.request_handover", "", 0.2, lasting=0.2), "a person needs longer than that"
 
 
 def test_nothing_but_the_tick_loop_steps_the_world(loop: Loop) -> None:
-    """While no tick is done, a hand's command does not end, its state can be read, and no time passes."""
-    hand = RemoteHand(loop, ())
-    hand.state()
+    """While no tick is done, a hand's command does not end, the scene can be seen, and no time passes."""
+    _fingers(loop)
     loop.hold.set()
     time.sleep(0.05)
     ticks, before = loop.ticks, loop.world.time
-    closing = threading.Thread(target=hand.close)
-    closing.start()
-    still: list[Array] = [hand.state().joints.q for _ in range(5)]
+    closing = _closing(loop)
+    still = [_fingers(loop) for _ in range(5)]
     assert closing.is_alive()
     assert (loop.ticks, loop.world.time) == (ticks, before)
     np.testing.assert_array_equal(still[0], still[-1])
@@ -196,16 +159,29 @@ def test_nothing_but_the_tick_loop_steps_the_world(loop: Loop) -> None:
         loop.world.wait(0.1)
 
 
+def _closing(loop: Loop) -> threading.Thread:
+    thread = threading.Thread(target=lambda: loop.call("hand.close", 5.0, lasting=5.0))
+    thread.start()
+    return thread
+
+
+def _fingers(loop: Loop) -> Array:
+    """Places of the links of the hand in the palm's axes, (N, 3) [m]."""
+    links = loop.call("scene").links
+    X_palm_base = inverse(links["rh_palm"])
+    return np.array([(X_palm_base @ X)[:3, 3] for name, X in links.items() if name.startswith("rh_")])
+
+
 def test_unknown_requests_and_failures_are_answers_and_an_ended_world_says_so(loop: Loop) -> None:
     with raises(DeviceError, code="device.unknown_request"):
         loop.channel.call("hand.__class__")
     with raises(DeviceError, code="device.world_failed"):
         loop.channel.call("judge.X_hand_ee")
-    assert loop.channel.call("hand.state", 0.1).joints.q.shape == (len(SHADOW_HAND.joints),)
+    assert "tool0" in loop.channel.call("scene").links
     loop.channel.close()
     loop.join(10.0)
     with raises(DeviceError, code="device.world_ended"):
-        loop.channel.call("hand.state", 0.1)
+        loop.channel.call("scene")
 
 
 def test_a_push_is_felt_at_the_flange_in_the_controllers_base(loop: Loop) -> None:

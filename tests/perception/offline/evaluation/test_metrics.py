@@ -22,7 +22,6 @@ from toolee_robot.perception.offline.evaluation.photographs import crops, decide
 from toolee_robot.perception.pipeline import ToolPerception
 
 CUBE = 0.02 * (np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), -1).reshape(-1, 3) - 0.5)
-K = np.array([[400.0, 0, 256], [0, 400.0, 212], [0, 0, 1]])
 seeds = st.integers(0, 10_000)
 categories = st.sampled_from(list(Category))
 
@@ -38,8 +37,6 @@ def test_a_member_of_the_group_is_no_error(seed: int, category: Category, number
     X = random_pose(seed)
     elements = category.symmetry.elements()
     turned = X @ transform(elements[number % len(elements)])
-    assert metrics.mssd(turned, X, CUBE, category.symmetry) < 1e-12
-    assert metrics.mspd(turned, X, CUBE, category.symmetry, K) < 1e-8
     assert category.symmetry.rotation_error(turned[:3, :3], X[:3, :3]) < 1e-6
     low, high = CUBE.min(0), CUBE.max(0)
     assert metrics.box_iou(turned, X, low, high, category.symmetry) > 0.99
@@ -47,11 +44,9 @@ def test_a_member_of_the_group_is_no_error(seed: int, category: Category, number
 
 @given(seeds, categories, st.floats(0.001, 0.2))
 @examples(30)
-def test_a_shift_is_its_own_surface_distance_and_a_known_overlap(seed: int, category: Category, shift: float) -> None:
+def test_a_shift_leaves_a_known_overlap(seed: int, category: Category, shift: float) -> None:
     X = random_pose(seed)
     along = X @ transform(p=(0.0, 0.0, shift))
-    # Along the axis no symmetry helps, but of C2 about x, which turns the cube over.
-    assert metrics.mssd(along, X, CUBE, category.symmetry) == pytest.approx(shift, rel=1e-6)
     overlap = max(0.02 - shift, 0.0) / 0.02
     expected = overlap / (2 - overlap)
     found = metrics.box_iou(along, X, CUBE.min(0), CUBE.max(0), category.symmetry)
@@ -67,20 +62,6 @@ def test_an_axis_s_error_is_that_of_the_nearest_of_like_poses(
     like = R @ group.elements()[member % len(group.elements())]
     tilted = like @ Rotation.from_rotvec([0.0, tilt, 0.0]).as_matrix()
     assert metrics.axis_angle(tilted, R, group) == pytest.approx(tilt, abs=1e-6)
-
-
-def test_projection_distance_in_pixels() -> None:
-    X = transform(p=(0.0, 0.0, 0.5))
-    moved = transform(p=(0.01, 0.0, 0.5))
-    point = np.zeros((1, 3))
-    assert metrics.mspd(moved, X, point, Category.HAMMER_GRIP.symmetry, K) == pytest.approx(400 * 0.01 / 0.5)
-    assert metrics.mspd(transform(p=(0, 0, -0.5)), X, point, Category.HAMMER_GRIP.symmetry, K) == np.inf
-
-
-def test_recall_over_the_thresholds() -> None:
-    # Thresholds .05, .10, ... .50: an error of .12 is under eight of them, one of .6 under none.
-    assert metrics.average_recall(np.array([0.12, 0.6]), 1.0) == pytest.approx(0.4)
-    assert metrics.average_recall(np.array([0.0]), 100.0) == 1.0
 
 
 def test_shares_and_missing_estimates() -> None:
@@ -102,14 +83,6 @@ def test_the_papers_rule_forgives_what_the_prediction_calls_ambiguous() -> None:
     )
 
 
-def test_average_precision_by_hand() -> None:
-    # Ranked: right, wrong, right; three to find. Precision at the hits: 1 and 2/3, each a third of the recall.
-    score, right = np.array([0.5, 0.9, 0.7]), np.array([True, True, False])
-    assert metrics.average_precision(score, right, 3) == pytest.approx((1 + 2 / 3) / 3)
-    assert metrics.average_precision(np.zeros(0), np.zeros(0, bool), 2) == 0.0
-    assert np.isnan(metrics.average_precision(score, right, 0))
-
-
 def test_calibration_error_by_hand() -> None:
     confidence = np.array([0.95, 0.95, 0.25, 0.25])
     success = np.array([True, False, False, False])
@@ -117,20 +90,6 @@ def test_calibration_error_by_hand() -> None:
     rng = np.random.default_rng(0)
     p = rng.random(20_000)
     assert metrics.calibration_error(p, rng.random(20_000) < p) < 0.02
-
-
-@given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=10, max_size=60))
-@examples(40)
-def test_refusal(rows: list[tuple[float, bool]]) -> None:
-    confidence, success = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
-    refused = metrics.refusing(confidence, success)
-    kept = round(0.9 * len(rows))
-    best = sorted(range(len(rows)), key=lambda k: -confidence[k])[:kept]
-    assert refused["failures"] == pytest.approx((~success).mean())
-    assert refused["failures_kept"] == pytest.approx((~success[best]).mean())
-    # A perfect confidence puts every failure last.
-    ideal = metrics.refusing(success.astype(float), success)
-    assert ideal["failures_kept"] == pytest.approx(max((~success).sum() - (len(rows) - kept), 0) / kept)
 
 
 @pytest.fixture

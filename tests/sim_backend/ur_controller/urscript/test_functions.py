@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.examples import examples
 from tests.sim_backend.ur_controller.urscript.script_robot import READY, ScriptRobot
@@ -30,9 +29,9 @@ def pose(X: Array) -> str:
     return "p[" + ", ".join(f"{number:.17g}" for number in poses.vector(X)) + "]"
 
 
-@given(transforms(), transforms(), st.floats(0.0, 1.0))
+@given(transforms(), transforms())
 @examples(40)
-def test_pose_functions(X: Array, Y: Array, alpha: float) -> None:
+def test_pose_functions(X: Array, Y: Array) -> None:
     robot = ScriptRobot()
 
     def of(expression: str) -> Array:
@@ -42,22 +41,7 @@ def test_pose_functions(X: Array, Y: Array, alpha: float) -> None:
     np.testing.assert_allclose(of(f"pose_inv({pose(X)})"), inverse(X), atol=1e-8)
     back = of(f"pose_add({pose(X)}, pose_sub({pose(Y)}, {pose(X)}))")
     np.testing.assert_allclose(back, Y, atol=1e-8)
-    if np.trace(X[:3, :3].T @ Y[:3, :3]) > -1.0 + 1e-6:  # half a turn has two ways round
-        between = of(f"interpolate_pose({pose(X)}, {pose(Y)}, {alpha})")
-        np.testing.assert_allclose(between, poses.interpolated(X, Y, alpha), atol=1e-8)
     assert robot.value(f"point_dist({pose(X)}, {pose(Y)})") == pytest.approx(np.linalg.norm(X[:3, 3] - Y[:3, 3]))
-    rolled = written(robot, f"rpy2rotvec(rotvec2rpy([{', '.join(map(str, poses.vector(X)[3:]))}]))", 3)
-    np.testing.assert_allclose(poses.rotation(rolled), X[:3, :3], atol=1e-7)
-
-
-@given(transforms())
-@examples(20)
-def test_a_wrench_does_the_same_work_wherever_it_is_seen_from(X: Array) -> None:
-    w, twist = np.array([1.0, -2.0, 3.0, 0.4, -0.5, 0.6]), np.array([0.3, 0.1, -0.2, 0.5, 0.2, -0.7])
-    seen = written(ScriptRobot(), f"wrench_trans({pose(X)}, {w.tolist()})")
-    R, p = X[:3, :3], X[:3, 3]
-    there = np.concatenate([R.T @ (twist[:3] + np.cross(twist[3:], p)), R.T @ twist[3:]])
-    assert seen @ there == pytest.approx(w @ twist, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -71,13 +55,9 @@ def test_a_wrench_does_the_same_work_wherever_it_is_seen_from(X: Array) -> None:
         ("pow(2, 0.5)", 2**0.5),
         ("ceil(-1.5) + floor(2.7)", 1),
         ("length([1, [2, 3]])", 2),
-        ("binary_list_to_integer([True, False, True])", 5),
-        ('str_len(str_cat("a", to_str(12)))', 3),
-        ('str_find("hammer", "mm")', 2),
-        ('to_num(str_sub("x0.5", 1)) * 4', 2),
     ],
 )
-def test_mathematics_lists_and_texts(expression: str, value: float) -> None:
+def test_mathematics_and_lists(expression: str, value: float) -> None:
     assert ScriptRobot().value(expression) == pytest.approx(value)
 
 
@@ -131,9 +111,7 @@ def test_registers_channels_and_messages() -> None:
  write_output_float_register(13, read_input_float_register(2))
  write_output_boolean_register(65, read_input_boolean_register(64))
  set_standard_digital_out(2, True)
- set_configurable_digital_out(1, True)
- set_tool_digital_out(1, True)
- set_standard_analog_out(1, 0.5)
+ set_digital_out(9, True)
  popup("hello", title="greeting")
  textmsg("q: ", get_actual_joint_positions())
  protective_stop()
@@ -141,8 +119,7 @@ end"""
     )
     registers = robot.registers
     assert (registers.int_out[12], registers.float_out[13], registers.bool_out[65]) == (-14, 0.25, True)
-    assert [i for i, on in enumerate(robot.machine.digital_out) if on] == [2, 9, 17]
-    assert robot.machine.analog_out[1] == 0.5
+    assert [i for i, on in enumerate(robot.machine.digital_out) if on] == [2, 9]
     assert robot.messages == ["q: [0.3, -1.4, 1.6, -1.8, -1.5, 0.2]"]
     assert [e.kind for e in robot.events] == [EventKind.POPUP, EventKind.TEXT, EventKind.PROTECTIVE_STOP]
 
