@@ -206,8 +206,7 @@ class CollisionWorld:
         if closest.distance < need:
             raise CollisionError(
                 f"{what} would bring {closest} nearer than {need * 1e3:.0f} mm: nothing was moved; "
-                "clear the way or move the target",
-                code="collision.clearance",
+                "clear the way or move the target"
             )
 
     def free(self, q: Array, need: float, exempt: frozenset[tuple[str, str]] = frozenset()) -> bool:

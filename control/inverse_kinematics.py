@@ -105,8 +105,7 @@ class InverseKinematics:
             p = X_base_flange[:3, 3]
             raise UnreachableError(
                 f"no joint configuration brings the flange to {np.round(p, 3).tolist()} m with that orientation "
-                f"({np.linalg.norm(p):.2f} m from the base): move the target or the base",
-                code="unreachable.pose",
+                f"({np.linalg.norm(p):.2f} m from the base): move the target or the base"
             )
         return sorted(q, key=lambda c: float(np.sum(np.abs(c - reference))))
 
@@ -147,10 +146,7 @@ class InverseKinematics:
         error = np.where(np.isfinite(error), error, np.inf)
         best = int(np.argmin(error))
         if error[best] > START_TOLERANCE:  # an arm would refuse a line that starts there
-            raise UnreachableError(
-                "the configuration is at a singularity: move the arm by some degrees first",
-                code="unreachable.singularity",
-            )
+            raise UnreachableError("the configuration is at a singularity: move the arm by some degrees first")
         return best
 
     def unwrap(self, q: Array, near: Array) -> Array:

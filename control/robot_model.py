@@ -40,9 +40,7 @@ class RobotModel:
         try:
             self.model = pin.buildModelFromXML(description.urdf)
         except ValueError as error:
-            raise AssetError(
-                f"Pinocchio cannot read the {description.hand.label} on the arm: {error}", code="asset.urdf"
-            ) from error
+            raise AssetError(f"Pinocchio cannot read the {description.hand.label} on the arm: {error}") from error
         self.model.gravity.linear = gravity_below(up)
         self._data = self.model.createData()
         self._flange = self.model.getFrameId(description.flange_frame)

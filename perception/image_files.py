@@ -33,11 +33,11 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
     if data.dtype == np.uint16:
         data = (data >> 8).astype(np.uint8)
     if data.dtype != np.uint8:
-        raise UserError(f"rgb {path} holds {data.dtype}: it must be 8-bit colour, 0 to 255", code="user.rgb_type")
+        raise UserError(f"rgb {path} holds {data.dtype}: it must be 8-bit colour, 0 to 255")
     if data.ndim == 2:
         data = np.repeat(data[:, :, None], 3, axis=2)
     if data.ndim != 3 or data.shape[2] not in (3, 4):
-        raise UserError(f"rgb {path} has shape {data.shape}: it must be (height, width, 3)", code="user.rgb_shape")
+        raise UserError(f"rgb {path} has shape {data.shape}: it must be (height, width, 3)")
     return np.ascontiguousarray(data[:, :, :3])
 
 

@@ -118,7 +118,7 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
             ) from error
     if wrong := [key for key, value in tensors.items() if value.is_floating_point() and not value.isfinite().all()]:
         message = f"the weights {name} in {directory} are not finite ({wrong[0]}): fetch the files again"
-        raise AssetError(message, code="asset.not_finite")
+        raise AssetError(message)
     return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}, description
 
 
@@ -180,7 +180,5 @@ def _half(name: str, value: torch.Tensor) -> torch.Tensor:
         return value
     half = value.half()
     if not torch.isfinite(half).all():
-        raise AssetError(
-            f"weight {name} is not finite in half precision: the training run diverged", code="asset.not_finite"
-        )
+        raise AssetError(f"weight {name} is not finite in half precision: the training run diverged")
     return half

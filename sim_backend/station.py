@@ -49,7 +49,7 @@ def draw_hammer(rng: np.random.Generator, kinds: Sequence[ToolKind] = NAIL_DRIVE
         moment = 9.81 * tool.mass * tool.center_of_mass[2]
         if SWUNG_MASS[0] <= tool.mass <= SWUNG_MASS[1] and face[2, 3] >= MIN_REACH and moment <= MAX_MOMENT:
             return tool
-    raise UserError("no hammer of a usable mass found: choose another seed", code="user.seed_unusable")
+    raise UserError("no hammer of a usable mass found: choose another seed")
 
 
 def draw_handover(seed: int, options: SimOptions) -> tuple[Tool, InHandOffset]:

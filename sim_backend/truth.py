@@ -257,7 +257,7 @@ class PerfectPerception:
             PerceptionError: No hand is given.
         """
         if hand is None:
-            raise PerceptionError("perfect perception needs the hand that holds the tool", code="perception.no_hand")
+            raise PerceptionError("perfect perception needs the hand that holds the tool")
         X = hand.X_camera_hand @ self._judge.X_hand_ee(frame.stamp)
         uv = frame.intrinsics.matrix @ X[:3, 3]
         u, v = uv[:2] / uv[2]
@@ -288,11 +288,11 @@ class PerfectPerception:
         """
         if category not in (None, Category.HAMMER_HEAD):
             message = f"perfect perception supports the hammer's face only, not the {category}"
-            raise PerceptionError(message, code="perception.category")
+            raise PerceptionError(message)
         frames = [(e[0], X) for e, X in zip(estimates_per_frame, Xs_camera_hand, strict=True) if e]
         if not frames:
             message = "the true face lies where a held hammer cannot have it: was the tool dropped?"
-            raise PerceptionError(message, code="perception.nothing_seen")
+            raise PerceptionError(message)
         X_hand_ee = inverse(frames[-1][1]) @ frames[-1][0].X_camera_ee
         covariance = np.eye(6) * _SIGMA**2
         return InHandEstimate(

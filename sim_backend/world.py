@@ -215,7 +215,7 @@ def _connect(gui: bool) -> int:
     try:
         client = int(pb.connect(pb.GUI if gui else pb.DIRECT))
     except pb.error as error:
-        raise UserError(f"pybullet cannot start: {error}", code="user.pybullet") from error
+        raise UserError(f"pybullet cannot start: {error}") from error
     if client < 0:
         message = "pybullet cannot open its window: is there a screen (DISPLAY)? Leave --gui out to run headless"
         raise UserError(message, code="user.no_display")

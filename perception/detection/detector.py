@@ -300,10 +300,7 @@ def load_detector(detector: Detector, tensors: dict[str, Tensor], description: d
         AssetError: The classes or the architecture differ.
     """
     if list(description.get("classes", [])) != list(CLASSES):
-        raise AssetError(
-            f"the detector knows {description.get('classes')}, not {list(CLASSES)}: train it again",
-            code="asset.classes",
-        )
+        raise AssetError(f"the detector knows {description.get('classes')}, not {list(CLASSES)}: train it again")
     load_into(detector, tensors, "detector")
 
 

@@ -137,8 +137,7 @@ class CloudEstimator(ABC):
         cloud = canonicalize_one(points, self.radius(category), generator, self.points, self.ordered, more)
         if int(cloud.count[0]) < MIN_KEPT:
             raise PerceptionError(
-                f"the mask of the {category} covers no compact surface: {len(points)} scattered points",
-                code="perception.scattered_points",
+                f"the mask of the {category} covers no compact surface: {len(points)} scattered points"
             )
         kept = round(int(cloud.count[0]) / len(points) * visible)
         if rest is not None:

@@ -191,7 +191,7 @@ class SimArm:
         self._check_open()
         self._check_latch()
         if self._last is not None:
-            raise DeviceError("the arm does not answer: check its network link", code="device.link_down")
+            raise DeviceError("the arm does not answer: check its network link")
         if (fastest := np.abs(self._world.robot.arm_state()[1]).max()) > AT_REST:
             message = f"the arm moves ({fastest:.2f} rad/s): the force can be zeroed at standstill only"
             raise NotReadyError(message, code="not_ready.moving")
@@ -279,7 +279,7 @@ class SimArm:
             message = f"the robot is in {status}: a person must make it ready at the robot"
             raise DeviceError(message, code="device.robot_status")
         if self._last is not None:
-            raise DeviceError("the arm does not answer: check its network link", code="device.link_down")
+            raise DeviceError("the arm does not answer: check its network link")
         self._latched = ""
         self._q = self._world.robot.arm_state()[0]
         self._stops.place(self._q)

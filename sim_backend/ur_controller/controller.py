@@ -366,7 +366,7 @@ def _profile(options: ControllerOptions, model: ControllerModel) -> Profile:
 def _check(options: ControllerOptions) -> None:
     if options.model not in MODELS:
         message = f"unknown model {options.model!r}: choose one of {', '.join(MODELS)}"
-        raise UserError(message, code="user.robot_model")
+        raise UserError(message)
     if not is_loopback(options.host):
         raise UserError(
             f"{options.host!r} is not a loopback address: the emulated controller serves this computer only. Use "
@@ -375,14 +375,14 @@ def _check(options: ControllerOptions) -> None:
         )
     if options.profile not in get_args(ProfileName):
         message = f"unknown profile {options.profile!r}: choose one of {', '.join(get_args(ProfileName))}"
-        raise UserError(message, code="user.controller_profile")
+        raise UserError(message)
     check_real_time_factor(options.real_time_factor, options.host)
     if options.stops is not None and not all(value > 0.0 and isfinite(value) for value in astuple(options.stops)):
         message = f"the stops' decelerations must be over 0 rad/s^2, not {astuple(options.stops)}"
-        raise UserError(message, code="user.stop_deceleration")
+        raise UserError(message)
     if not 0.0 <= options.speed_slider <= 1.0:
         message = f"the speed slider must be between 0 and 1, not {options.speed_slider}"
-        raise UserError(message, code="user.speed_slider")
+        raise UserError(message)
     if not 1024 <= options.fault_port <= 65535:
         message = f"the fault port must be between 1024 and 65535, not {options.fault_port}"
-        raise UserError(message, code="user.fault_port")
+        raise UserError(message)

@@ -69,7 +69,7 @@ class ControllerProcess:
         **changes: Any,
     ) -> None:
         if options is not None and changes:
-            raise UserError("give either options or their fields", code="user.controller_options")
+            raise UserError("give either options or their fields")
         self.options = options or ControllerOptions(**changes)
         self._job = pickle.dumps((self.options, plant, setup, verbose, realtime))
         self._inherit, self._verbose = inherit, verbose
@@ -110,8 +110,8 @@ class ControllerProcess:
             answer = self._child.stdout.readline().decode().strip()
             if answer != "ready":
                 if answer:
-                    raise UserError(answer, code="user.controller_refused")
-                raise DeviceError("the emulated controller died at its start", code="device.controller_died")
+                    raise UserError(answer)
+                raise DeviceError("the emulated controller died at its start")
             self._client = FaultClient(self.host, self.options.fault_port)
         except BaseException:
             self._end()

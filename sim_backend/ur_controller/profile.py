@@ -73,8 +73,7 @@ class ServoLag:
             shortest = 0.5 * law + self.smoothing * REFERENCE_LOOKAHEAD - 0.5 * period
             raise UserError(
                 f"a lag of {lag:g} s is not possible: give {shortest:.4f} s or more, at a gain of {REFERENCE_GAIN:g} "
-                f"and a lookahead of {REFERENCE_LOOKAHEAD} s",
-                code="user.servo_lag",
+                f"and a lookahead of {REFERENCE_LOOKAHEAD} s"
             )
         dead = max(0, round((both - law) / period)) * period
         return replace(self, dead_time=dead, rate=1.0 / (REFERENCE_GAIN * (both - dead)))

@@ -53,8 +53,8 @@ def read_views(folder: Path, board: Board) -> tuple[list[BoardView], list[str], 
         The views; names of the images without the board; width and height of the images [px].
 
     Raises:
-        UserError: There is no such folder or no image in it (`user.image`), or the images have several sizes
-            (`user.image_size`).
+        UserError: There is no such folder or no image in it, or the images have several sizes
+           .
     """
     views: list[BoardView] = []
     unseen: list[str] = []
@@ -69,9 +69,7 @@ def read_views(folder: Path, board: Board) -> tuple[list[BoardView], list[str], 
         grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY), np.uint8)
         mine = (grey.shape[1], grey.shape[0])
         if size not in (None, mine):
-            raise UserError(
-                f"{path} is {mine}, others are {size} pixels: give images of one size", code="user.image_size"
-            )
+            raise UserError(f"{path} is {mine}, others are {size} pixels: give images of one size")
         size = mine
         view = find_board(grey, board, DISTORTED_FLAT)
         if view is None:
@@ -79,7 +77,7 @@ def read_views(folder: Path, board: Board) -> tuple[list[BoardView], list[str], 
         else:
             views.append(view)
     if size is None:
-        raise UserError(f"{folder} has no images: name a folder of PNG or JPEG files", code="user.image")
+        raise UserError(f"{folder} has no images: name a folder of PNG or JPEG files")
     return views, unseen, size
 
 

@@ -214,7 +214,7 @@ def read_image(path: Path, intrinsics: CameraIntrinsics) -> NDArray[np.uint8]:
         The image, (H, W) uint8.
 
     Raises:
-        UserError: It cannot be read (`user.image`), or has another size than the intrinsics say (`user.image_size`).
+        UserError: It cannot be read (`user.image`), or has another size than the intrinsics say.
     """
     return np.asarray(_checked(path, intrinsics, cv2.IMREAD_GRAYSCALE), np.uint8)
 
@@ -233,8 +233,7 @@ def _checked(path: Path, intrinsics: CameraIntrinsics, flags: int) -> NDArray[np
     if array.ndim != 2 or array.shape != (intrinsics.height, intrinsics.width):
         raise UserError(
             f"{path} is {array.shape}, but the intrinsics are for {(intrinsics.height, intrinsics.width)} (height, "
-            "width). Give the intrinsics of this stream and resolution",
-            code="user.image_size",
+            "width). Give the intrinsics of this stream and resolution"
         )
     return array
 

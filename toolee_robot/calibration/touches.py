@@ -279,9 +279,7 @@ def see_corner(record: CalibrationRecord, board: Board, view: BoardView, corner:
         UserError: The board has no such corner, or is seen so that its tilt is ambiguous.
     """
     if not 0 <= corner < len(board.corners):
-        raise UserError(
-            f"corner {corner}: the board has the corners 0 to {len(board.corners) - 1}", code="user.board_corner"
-        )
+        raise UserError(f"corner {corner}: the board has the corners 0 to {len(board.corners) - 1}")
     seen = see_board(KnownCamera.of_record(record), board, view)
     return SeenCorner(*seen.point(board.corners[corner]))
 

@@ -217,7 +217,7 @@ def _missing_package(error: ModuleNotFoundError) -> UserError:
 def _unusable(error: OSError) -> UserError:
     """A file or folder that cannot be read or written, wherever that was tried."""
     name = "a file" if error.filename is None else error.filename
-    return UserError(f"cannot use {name}: {words_of(error)}; make room or choose another place", code="user.place")
+    return UserError(f"cannot use {name}: {words_of(error)}; make room or choose another place")
 
 
 def _complain(error: TooleeError, as_json: bool) -> None:

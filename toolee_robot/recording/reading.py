@@ -38,10 +38,10 @@ def list_runs(folder: Path) -> list[dict[str, Any]]:
         and the others are None.
 
     Raises:
-        UserError: There is no such folder; code `user.no_runs`.
+        UserError: There is no such folder.
     """
     if not folder.is_dir():
-        raise UserError(f"there is no folder {folder}: give the --out of the runs", code="user.no_runs")
+        raise UserError(f"there is no folder {folder}: give the --out of the runs")
     return [_read(path) for path in sorted(folder.iterdir(), key=_order) if (path / RECORDING).is_file()]
 
 
@@ -55,11 +55,11 @@ def recording_of(run: Path) -> Path:
         The file.
 
     Raises:
-        UserError: There is none; code `user.no_recording`.
+        UserError: There is none.
     """
     path = run / RECORDING if run.is_dir() else run
     if not path.is_file():
-        raise UserError(f"{run} holds no {RECORDING}: `toolee runs` lists the runs", code="user.no_recording")
+        raise UserError(f"{run} holds no {RECORDING}: `toolee runs` lists the runs")
     return path
 
 

@@ -96,7 +96,7 @@ class RunRecorder:
             UserError: The colour image is empty.
         """
         if frame.rgb.size == 0:
-            raise UserError("the colour image could not be encoded as PNG: it is empty", code="user.empty_image")
+            raise UserError("the colour image could not be encoded as PNG: it is empty")
 
         def build() -> list[Item]:
             _, png = cv2.imencode(".png", cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR))

@@ -162,9 +162,7 @@ def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None 
         )
     tree = Tree(_weighed(links, model))
     if tree.joints != ARM_JOINTS:
-        raise AssetError(
-            f"{UR10_URDF} has unexpected joints: {tree.joints}; reinstall toolee_robot", code="asset.joints"
-        )
+        raise AssetError(f"{UR10_URDF} has unexpected joints: {tree.joints}; reinstall toolee_robot")
     return tree
 
 
@@ -177,7 +175,7 @@ def _weighed(links: tuple[Link, ...], model: ArmModel) -> tuple[Link, ...]:
     for link, X_dh, mass, centre in zip(links[1:-1], frames, data.link_mass, data.link_center_of_mass, strict=True):
         was = link.inertial
         if was is None:
-            raise AssetError(f"{UR10_URDF}: {link.name} has no inertia; reinstall toolee_robot", code="asset.inertia")
+            raise AssetError(f"{UR10_URDF}: {link.name} has no inertia; reinstall toolee_robot")
         p = (inverse(poses[link.name]) @ HALF_TURN @ X_dh @ [*centre, 1.0])[:3]
         moments = tuple(moment * mass / was.mass for moment in was.moments)
         found[link.name] = replace(
@@ -213,10 +211,7 @@ def robot_tree(
     arm = arm_tree(model, calibration)
     shared = arm.by_name.keys() & hand.tree.by_name.keys()
     if shared:
-        raise AssetError(
-            f"arm and {hand.label} both have links named {sorted(shared)}: rename them in {hand.source}",
-            code="asset.duplicate_links",
-        )
+        raise AssetError(f"arm and {hand.label} both have links named {sorted(shared)}: rename them in {hand.source}")
     return Tree((*arm.links, *hand.tree.links))
 
 

@@ -36,7 +36,7 @@ def _origin(parent: Element) -> Array:
 def _require(parent: Element, tag: str) -> Element:
     element = parent.find(tag)
     if element is None:
-        raise AssetError(f"the URDF lacks <{tag}> in {parent.get('name')}", code="asset.urdf_element_missing")
+        raise AssetError(f"the URDF lacks <{tag}> in {parent.get('name')}")
     return element
 
 
@@ -73,10 +73,7 @@ def _with_joint(link: Link, joint: Element) -> Link:
         joint=joint.get("name", ""),
     )
     if joint.get("type") not in ("revolute", "fixed"):
-        raise AssetError(
-            f"joint {link.joint} is {joint.get('type')}: only revolute and fixed joints are supported",
-            code="asset.joint_type",
-        )
+        raise AssetError(f"joint {link.joint} is {joint.get('type')}: only revolute and fixed joints are supported")
     if joint.get("type") == "fixed":
         return link
     limit, axis = _require(joint, "limit"), _numbers(_require(joint, "axis").get("xyz", ""))
@@ -140,7 +137,7 @@ def read_urdf(
 
     roots = [name for name in elements if name not in joints]
     if len(roots) != 1:
-        raise AssetError(f"{path} must have one root link, it has {roots}", code="asset.root_links")
+        raise AssetError(f"{path} must have one root link, it has {roots}")
     add(roots[0])
     return Tree(tuple(links))
 
@@ -158,9 +155,7 @@ def _shape(path: Path, element: Element) -> Shape:
     for folder in path.absolute().parents:
         if (folder / name).is_file():
             return Shape("mesh", (), X, folder / name, scale)
-    raise AssetError(
-        f"{path} names the mesh {name}, which is neither in its folder nor above it", code="asset.mesh_missing"
-    )
+    raise AssetError(f"{path} names the mesh {name}, which is neither in its folder nor above it")
 
 
 def _add_origin(parent: Element, X: Array) -> None:

@@ -129,25 +129,17 @@ class RgbdFrame:
     def __post_init__(self) -> None:
         if self.rgb.ndim != 3 or self.rgb.shape[2] != 3 or self.rgb.dtype != np.uint8:
             raise UserError(
-                f"rgb must be (H, W, 3) uint8, got {self.rgb.shape} {self.rgb.dtype}: convert grey or RGBA images",
-                code="user.rgb_format",
+                f"rgb must be (H, W, 3) uint8, got {self.rgb.shape} {self.rgb.dtype}: convert grey or RGBA images"
             )
         if self.depth.shape != self.rgb.shape[:2]:
             raise UserError(
-                f"depth {self.depth.shape} and rgb {self.rgb.shape[:2]} differ in size: register depth to colour",
-                code="user.depth_size",
+                f"depth {self.depth.shape} and rgb {self.rgb.shape[:2]} differ in size: register depth to colour"
             )
         if not np.issubdtype(self.depth.dtype, np.floating):
-            raise UserError(
-                f"depth must be float [m], got {self.depth.dtype}: multiply it by the camera's depth scale",
-                code="user.depth_format",
-            )
+            raise UserError(f"depth must be float [m], got {self.depth.dtype}: multiply it by the camera's depth scale")
         size = (self.intrinsics.height, self.intrinsics.width)
         if self.rgb.shape[:2] != size:
-            raise UserError(
-                f"image is {self.rgb.shape[:2]} but the intrinsics are for {size} (height, width)",
-                code="user.image_size",
-            )
+            raise UserError(f"image is {self.rgb.shape[:2]} but the intrinsics are for {size} (height, width)")
 
 
 @dataclass(frozen=True, eq=False)

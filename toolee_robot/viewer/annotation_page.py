@@ -250,7 +250,7 @@ def _number(text: str) -> float | None:
     try:
         return float(text.replace(",", "."))
     except ValueError:
-        raise UserError(f"{text!r} is no number: enter millimetres", code="user.number") from None
+        raise UserError(f"{text!r} is no number: enter millimetres") from None
 
 
 def _text(number: float | None) -> str:

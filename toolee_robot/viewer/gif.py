@@ -69,7 +69,7 @@ def write_gif(path: Path, drawn: Iterable[Picture]) -> None:
         first.save(beside, "GIF", save_all=True, append_images=others, duration=round(1e3 / RATE), loop=0)
         beside.rename(path)
     except OSError as error:
-        raise UserError(f"cannot write {path}: {words_of(error)}", code="user.gif") from error
+        raise UserError(f"cannot write {path}: {words_of(error)}") from error
     finally:
         beside.unlink(missing_ok=True)
 

@@ -83,7 +83,7 @@ class RerunPage:
             time.sleep(0.05)
         self._said.seek(0)
         said = self._said.read().decode(errors="replace").strip()[-500:]
-        raise UserError(f"the viewer's program does not start: {said or 'it says nothing'}", code="user.viewer_program")
+        raise UserError(f"the viewer's program does not start: {said or 'it says nothing'}")
 
 
 def _next_free(wanted: int) -> int:
@@ -93,7 +93,7 @@ def _next_free(wanted: int) -> int:
             return free_port(port)
         except OSError:
             continue
-    raise UserError(f"no port from {wanted} on is free: give another --port", code="user.port")
+    raise UserError(f"no port from {wanted} on is free: give another --port")
 
 
 PERIOD_S = 0.2

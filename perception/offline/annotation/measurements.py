@@ -90,7 +90,7 @@ def measure(frame: RgbdFrame, end: ClickedEnd) -> Measurements:
     protocol = PROTOCOL[end.shape]
     foreign = [c.role for c in end.clicks if c.role not in protocol.clicks and c.role is not Role.BOX]
     if foreign:
-        raise UserError(f"a {protocol.label} has no clicks of the kind {foreign[0]}: undo them", code="user.click_role")
+        raise UserError(f"a {protocol.label} has no clicks of the kind {foreign[0]}: undo them")
     for role, asked in protocol.clicks.items():
         if len(end.of(role)) < asked.least:
             raise UserError(

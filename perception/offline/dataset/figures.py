@@ -165,9 +165,7 @@ def inspect(root: Path, out: Path, count: int, pairs: int) -> dict[str, Any]:
     """
     spec = DatasetSpec.read(root)
     if not is_finished(root):
-        raise UserError(
-            f"{root} is not finished: run its `toolee dataset generate` again", code="user.dataset_unfinished"
-        )
+        raise UserError(f"{root} is not finished: run its `toolee dataset generate` again")
     out.mkdir(parents=True, exist_ok=True)
     for split in SPLITS:
         if scene_folders(root / split):

@@ -194,9 +194,7 @@ def read_image(path: Path) -> NDArray[Any]:
             f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"
         ) from error
     if pixels.shape[:2] != (HEIGHT, WIDTH):
-        raise AssetError(
-            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}, not {WIDTH}x{HEIGHT}", code="asset.image_size"
-        )
+        raise AssetError(f"{path} is {pixels.shape[1]}x{pixels.shape[0]}, not {WIDTH}x{HEIGHT}")
     return pixels
 
 

@@ -179,8 +179,7 @@ class DatasetSpec:
                 )
             if "renderer" in data:
                 raise UserError(
-                    f"{path} is of the path tracer, which this version no longer has: use the tag before-half",
-                    code="user.dataset_renderer",
+                    f"{path} is of the path tracer, which this version no longer has: use the tag before-half"
                 )
             spec = DatasetSpec(
                 config,

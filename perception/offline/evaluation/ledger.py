@@ -57,8 +57,7 @@ class Ledger:
         if not path.is_file():
             raise UserError(
                 f"{folder} is a test set, whose every scoring must be entered in the ledger {path}, which is missing: "
-                "score it in a checkout of the repository",
-                code="user.no_ledger",
+                "score it in a checkout of the repository"
             )
         return Ledger(path, found)
 
@@ -126,7 +125,7 @@ def _test_set(folder: Path) -> dict[str, Any] | None:
         return None
     sums = root / SUMS
     if not sums.is_file():
-        raise AssetError(f"{root} is not finished: run its `toolee dataset generate` again", code="asset.unfinished")
+        raise AssetError(f"{root} is not finished: run its `toolee dataset generate` again")
     asked = {k: getattr(spec, k) for k in ("config", "size", "seed", "test_share", "device", "sensor")}
     if not spec.tools:
         asked["kinds"] = spec.kinds

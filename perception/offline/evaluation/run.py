@@ -270,8 +270,6 @@ def labelled(weights: tuple[str, ...]) -> dict[str, Path | None]:
         path = Path(folder if equals else text)
         name = label if equals else path.name
         if name in labelled:
-            raise UserError(
-                f"--weights: two trainings are called {name}; give each a label, LABEL=DIR", code="user.duplicate_label"
-            )
+            raise UserError(f"--weights: two trainings are called {name}; give each a label, LABEL=DIR")
         labelled[name] = path
     return labelled

@@ -190,8 +190,7 @@ def _outcome(decoded: Future[SegmentationSet]) -> SegmentationSet | TooleeError:
         return error
     except BrokenProcessPool:
         return TooleeError(
-            "a process that decodes images was killed (out of memory?): the same command resumes the training",
-            code="toolee.process_killed",
+            "a process that decodes images was killed (out of memory?): the same command resumes the training"
         )
 
 
@@ -250,9 +249,7 @@ def begin(
     """
     data, out = given["data"], given["out"]
     if not data.is_dir():
-        raise UserError(
-            f"--data {data} is not a folder: make it with `toolee dataset generate`", code="user.data_not_a_folder"
-        )
+        raise UserError(f"--data {data} is not a folder: make it with `toolee dataset generate`")
     names = {f.name for f in fields(kind)} - {"data", "out", "model", "init", *own}
     options = options_of(given, given["config"], names) | own
     training = kind(data, out, init=given["init"], **options)

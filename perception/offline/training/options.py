@@ -121,9 +121,7 @@ def options_of(given: dict[str, Any], file: Path | None, names: set[str]) -> dic
         read = read_yaml(file, "options")
         if not isinstance(read, dict) or (unknown := sorted(set(map(str, read)) - names)):
             what = f"has no option {', '.join(unknown)}" if isinstance(read, dict) else "is no mapping of options"
-            raise UserError(
-                f"--config {file}: {what}; there are {', '.join(sorted(names))}", code="user.unknown_option"
-            )
+            raise UserError(f"--config {file}: {what}; there are {', '.join(sorted(names))}")
         options |= read
     return options | {k: v for k, v in given.items() if k in names and v is not None}
 
@@ -154,9 +152,7 @@ def remember(out: Path, resume: bool, config: dict[str, Any], name: str = CONFIG
         changed = {k for k in before.keys() | config.keys() if before.get(k) != config.get(k)} - _MAY_CHANGE
         if changed:
             raise UserError(
-                f"{out} was begun with another {', '.join(sorted(changed))} ({path}): use those values or "
-                "another --out",
-                code="user.config_changed",
+                f"{out} was begun with another {', '.join(sorted(changed))} ({path}): use those values or another --out"
             )
     if is_first():
         make_folder(out)
@@ -182,7 +178,4 @@ def make_folder(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise UserError(
-            f"cannot make or write the folder {folder}: {words_of(error)}; choose another place",
-            code="user.folder_not_writable",
-        ) from error
+        raise UserError(f"cannot make or write the folder {folder}: {words_of(error)}; choose another place") from error

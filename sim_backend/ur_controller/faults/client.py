@@ -59,8 +59,7 @@ class FaultClient:
         except OSError as error:
             raise DeviceError(
                 f"no emulated controller answers on {self._address} ({words_of(error)}): start one with `toolee "
-                f"emulate ur --host {host}`",
-                code="device.no_controller",
+                f"emulate ur --host {host}`"
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._buffer = b""
@@ -88,11 +87,11 @@ class FaultClient:
                 self._buffer += data
         except OSError as error:
             message = f"the emulated controller on {self._address} does not answer: {words_of(error)}"
-            raise DeviceError(message, code="device.no_controller") from error
+            raise DeviceError(message) from error
         line, self._buffer = self._buffer.split(b"\n", 1)
         answer: dict[str, Any] = json.loads(line)
         if not answer.pop("ok"):
-            raise UserError(answer["error"], code="user.fault_refused")
+            raise UserError(answer["error"])
         return answer
 
     def state(self) -> dict[str, Any]:

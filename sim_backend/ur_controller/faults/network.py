@@ -196,7 +196,7 @@ class NetworkFaults(HookGroup):
         if name == "all":
             return list(ports.values())
         if name not in ports:
-            raise UserError(f"no port {name!r}: choose one of all, {', '.join(ports)}", code="user.unknown_port")
+            raise UserError(f"no port {name!r}: choose one of all, {', '.join(ports)}")
         return [ports[name]]
 
     def _connections(self, name: str) -> list[Connection]:
@@ -249,7 +249,7 @@ class RtdeFaultHooks(HookGroup):
         """
         for name in variables:
             if name not in INPUTS:
-                raise UserError(f"no input variable {name!r}", code="user.unknown_variable")
+                raise UserError(f"no input variable {name!r}")
             self._controller.inputs.owners[name] = self._elsewhere
 
     @hook
@@ -276,5 +276,5 @@ class RtdeFaultHooks(HookGroup):
 def _known(variables: list[str]) -> list[str]:
     for name in variables:
         if name not in OUTPUTS:
-            raise UserError(f"no output variable {name!r}", code="user.unknown_variable")
+            raise UserError(f"no output variable {name!r}")
     return variables

@@ -140,7 +140,7 @@ class MeasuringFaults(HookGroup):
     def _check(self, index: int) -> None:
         inputs = len(self._robot.machine.digital_in)
         if not 0 <= index < inputs:
-            raise UserError(f"digital inputs are 0 to {inputs - 1}, not {index}", code="user.digital_input")
+            raise UserError(f"digital inputs are 0 to {inputs - 1}, not {index}")
 
 
 class RobotFaults(HookGroup):

@@ -93,17 +93,3 @@ def difference(X_from: Array, X_to: Array) -> Array:
         Translation [m] and rotation vector [rad], base axes, (6,).
     """
     return np.array([*(X_to[:3, 3] - X_from[:3, 3]), *rotation_vector(X_to[:3, :3] @ X_from[:3, :3].T)])
-
-
-def interpolated(X_from: Array, X_to: Array, alpha: float) -> Array:
-    """Pose on the straight path between two poses.
-
-    Args:
-        X_from: Start of the path, (4, 4).
-        X_to: End of the path, (4, 4).
-        alpha: Fraction of the path, 0 to 1.
-
-    Returns:
-        The pose, (4, 4).
-    """
-    return moved(X_from, alpha * difference(X_from, X_to))

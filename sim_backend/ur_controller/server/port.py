@@ -235,8 +235,7 @@ class Port:
             listener.close()
             raise UserError(
                 f"cannot listen on {self.host}:{self.number} ({self.name}): {words_of(error)}. Is another controller "
-                "running there? End it, or choose another address, for example --host 127.0.0.3.",
-                code="user.port_taken",
+                "running there? End it, or choose another address, for example --host 127.0.0.3."
             ) from error
         listener.setblocking(False)
         self._listener = listener

@@ -118,13 +118,13 @@ def efforts_of(config: HandConfig, clock: Clock) -> Generator[Array]:
         Effort of each motor as they come, (20,) [in the hand's unit].
 
     Raises:
-        UserError: The hand's maker says what its forces mean (`user.no_efforts`).
+        UserError: The hand's maker says what its forces mean.
         ConfigError: The port is missing, or none of this hand.
     """
     kind = wired_hand(config.model)
     if kind is None or not kind.measured_efforts:
         message = f"{config.model} has no hand.efforts to measure: `toolee hand state` shows its forces in newtons"
-        raise UserError(message, code="user.no_efforts")
+        raise UserError(message)
     _check_address(config, kind)
     from toolee_robot.devices.hands.shadow import ShadowHand
 

@@ -367,7 +367,7 @@ class PolledHand(ABC, Generic[LineT, SaidT]):
         except DeviceError as error:
             self._fail(error)
         except BaseException as error:
-            self._fail(DeviceError(f"the hand's driver failed: {error!r}", code="device.hand_driver"))
+            self._fail(DeviceError(f"the hand's driver failed: {error!r}"))
             raise
 
     def _poll(self, line: LineT) -> None:

@@ -49,7 +49,7 @@ class UrArmConfig:
             wrong = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
             raise ConfigError(f"the servo's parameters are invalid: {wrong}", code="config.servo") from error
         if not self.longest_motion > 0.0:
-            raise ConfigError("longest_motion must be positive", code="config.longest_motion")
+            raise ConfigError("longest_motion must be positive")
 
     @property
     def clock(self) -> HostClock:

@@ -261,8 +261,8 @@ def _listen(host: str, rate: float, deadline: float, duration: float) -> list[Rt
         names = [name for name in names if name not in unknown]
         if missing := set(_ALWAYS) - set(names):
             message = f"this controller does not know {', '.join(sorted(missing))}: update PolyScope"
-            raise DeviceError(message, code="device.unknown_outputs")
-    raise DeviceError("the controller's set of known outputs changed", code="device.unknown_outputs")
+            raise DeviceError(message)
+    raise DeviceError("the controller's set of known outputs changed")
 
 
 def _state(values: dict[str, Value]) -> UrState:

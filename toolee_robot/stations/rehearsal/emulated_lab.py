@@ -258,7 +258,7 @@ def claimed_address() -> Iterator[str]:
             if all(_silent(host, port) for port in _PORTS):
                 yield host
                 return
-    raise UserError("every loopback address has a controller. End those emulated controllers", code="user.no_address")
+    raise UserError("every loopback address has a controller. End those emulated controllers")
 
 
 def _silent(host: str, port: int) -> bool:

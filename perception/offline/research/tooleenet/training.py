@@ -311,13 +311,12 @@ def train_column(out: Path, options: PaperOptions, column: str, files: Sequence[
         TooleeError: The loss is not finite.
     """
     if column not in COLUMNS:
-        raise UserError(f"--column {column}: choose one of {', '.join(COLUMNS)}", code="user.column")
+        raise UserError(f"--column {column}: choose one of {', '.join(COLUMNS)}")
     clouds = RenderedClouds.cat([RenderedClouds.load(path) for path in files])
     clouds.check_kind(COLUMNS[column].of_tool)
     if not clouds.positive.all():
         raise UserError(
-            "some clouds are a detector's, of other things: make them with `toolee train clouds --true-masks`",
-            code="user.rendered_kind",
+            "some clouds are a detector's, of other things: make them with `toolee train clouds --true-masks`"
         )
     with init_distributed(options.device) as distributed:
         training = ColumnTraining(out, options, COLUMNS[column], clouds, distributed)

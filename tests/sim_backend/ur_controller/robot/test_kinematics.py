@@ -84,10 +84,8 @@ def test_the_models_agree_with_the_urdf_turned_by_half_a_turn(name: str) -> None
         np.testing.assert_allclose(forward(MODELS[name], q), turn @ X_urdf, atol=2e-5)
 
 
-@given(transforms(), transforms(), st.floats(0.0, 1.0))
+@given(transforms(), transforms())
 @examples(100)
-def test_poses_and_displacements_invert_each_other(X: Array, Y: Array, alpha: float) -> None:
+def test_poses_and_displacements_invert_each_other(X: Array, Y: Array) -> None:
     np.testing.assert_allclose(poses.matrix(poses.vector(X)), X, atol=1e-9)
     np.testing.assert_allclose(poses.moved(X, poses.difference(X, Y)), Y, atol=1e-9)
-    between = poses.interpolated(X, Y, alpha)
-    np.testing.assert_allclose(between[:3, 3], (1 - alpha) * X[:3, 3] + alpha * Y[:3, 3], atol=1e-9)

@@ -45,7 +45,7 @@ class DashboardReader:
         greeting = self._line(deadline)
         if "dashboard" not in greeting.lower():
             message = f"port {DASHBOARD_PORT} greets with {greeting[:60]!r}: this is no dashboard server"
-            raise ProtocolError(message, code="protocol.dashboard")
+            raise ProtocolError(message)
 
     def ask(self, question: Question, deadline: float) -> str | None:
         """Ask one question.

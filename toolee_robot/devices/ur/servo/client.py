@@ -238,8 +238,7 @@ class ServoClient:
                 raise ServoCrashError(
                     "the robot did not answer while connecting: check the network, then reset"
                     if self.memory.words[Word.CONNECTING]
-                    else "the servo process did not start: the machine is overloaded",
-                    code="servo_crash.start",
+                    else "the servo process did not start: the machine is overloaded"
                 )
             if started := int(self.memory.words[Word.CONNECTING]):
                 connecting = self._clock.to_wall_time(self._config.servo.connect_timeout)
@@ -247,7 +246,7 @@ class ServoClient:
         if isinstance(reply, Refused):
             raise reply.error()
         if not isinstance(reply, Connected):
-            raise ServoCrashError(f"the servo process answered {reply!r} to Connect", code="servo_crash.protocol")
+            raise ServoCrashError(f"the servo process answered {reply!r} to Connect")
         return reply.realtime
 
     def _await_end(self) -> Cause:
@@ -259,7 +258,7 @@ class ServoClient:
             if reply is not None:
                 self.kill()
                 message = f"the servo process answered {reply!r} to a motion: reset the arm"
-                raise ServoCrashError(message, code="servo_crash.protocol")
+                raise ServoCrashError(message)
             now, done = self._clock.now(), int(self.memory.words[Word.CYCLES])
             if done != cycles:
                 cycles, since = done, now

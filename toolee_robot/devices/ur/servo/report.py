@@ -132,7 +132,7 @@ def fault(
         message = STOPPED_BEFORE if status is ArmStatus.READY else advice(status)
         if status is ArmStatus.FAULT and errors is not None and (told := errors.reason()) is not None:
             message += f". Its code is {explain(told)[0]}"
-        return MotionFaultError(message, report, code="motion_fault.robot_status")
+        return MotionFaultError(message, report)
     if cause is Cause.DATA:
         old = "" if report is None else f" (up to {report.data_age * 1e3:.0f} ms old)"
         message = f"the robot's data were late or implausible{old}, and the arm was stopped"
@@ -141,7 +141,7 @@ def fault(
         message = "the link to the robot is lost; its watchdog stops it: check the network, then reset"
         if not program_ended:
             message += f"; {NOT_ENDED}"
-        return LinkLostError(message, report, code="link_lost.connection")
+        return LinkLostError(message, report)
     if cause is Cause.SPEED_SLIDER:
         message = "the speed slider was moved and the arm was stopped: set it to 100 % at the pendant, then reset"
         return MotionFaultError(message, report, code="motion_fault.speed_slider")
@@ -153,7 +153,7 @@ def fault(
         return MotionFaultError(message, report, code="motion_fault.speed_scaling")
     if cause is Cause.PROGRAM_PAUSED:
         message = "the robot's program was paused at the robot and has been ended: see why, then reset"
-        return MotionFaultError(message, report, code="motion_fault.program_paused")
+        return MotionFaultError(message, report)
     if cause is Cause.TRACKING:
         return TrackingError("the arm did not follow its commands and was stopped: look for an obstacle", report)
     if cause is Cause.OVERRUN:
@@ -166,7 +166,6 @@ def fault(
     return MotionFaultError(
         "the robot's program has ended (the pendant, its watchdog, another program): see the robot's log, then reset",
         report,
-        code="motion_fault.program_ended",
     )
 
 

@@ -73,7 +73,7 @@ class UrRtdeSocket:
                     found[fd] = state.st_ino
         if len(found) != 1:
             message = f"ur_rtde has {len(found)} RTDE connections instead of one: install the version in pyproject"
-            raise DeviceError(message, code="device.ur_rtde_version")
+            raise DeviceError(message)
         ((self._fd, self._inode),) = found.items()
         resource.setrlimit(resource.RLIMIT_NOFILE, (_OPEN_FILES, _OPEN_FILES))
 
@@ -327,7 +327,7 @@ class UrLink:
         """
         if not self.plausible:
             message = "the robot's data are implausible (joints, forces or time): restart its controller"
-            raise DeviceError(message, code="device.implausible_data")
+            raise DeviceError(message)
 
 
 def _explain(message: str, host: str) -> str:

@@ -117,14 +117,13 @@ class ScriptCalls:
                 wrenches.append(reading.wrench + link.wrench_offset)
             if not link.playing or link.status is not ArmStatus.READY or self._clock.now() > end:
                 message = "the robot's data or its program stopped while the force was zeroed: reset the arm"
-                raise DeviceError(message, code="device.program_stopped")
+                raise DeviceError(message)
         mean = np.mean(wrenches, axis=0)
         check_offset(mean)
         if e_series and np.linalg.norm(mean[:3]) > ZEROED:
             raise DeviceError(
                 f"the controller zeroed its force sensor, but still reports {np.linalg.norm(mean[:3]):.1f} N on "
-                "average: does something pull at the tool? Otherwise restart the controller",
-                code="device.wrench_not_zeroed",
+                "average: does something pull at the tool? Otherwise restart the controller"
             )
         link.wrench_offset = mean
         timestamp = link.newest.timestamp
@@ -164,7 +163,7 @@ class ScriptCalls:
     def _accepted(accepted: bool, what: str) -> None:
         if not accepted:
             message = f"the robot did not accept {what}: its program does not run; reset the arm"
-            raise DeviceError(message, code="device.program_stopped")
+            raise DeviceError(message)
 
     def _wait_cycle(self) -> bool:
         """Feed the watchdog and wait for a cycle. Returns whether there was a new reading."""

@@ -129,7 +129,7 @@ class StateStream:
             self._reader = RtdeReader.connect(host, deadline)
             if missing := {*_ALWAYS}.intersection(unknown).union(self._reader.subscribe(known, rate, deadline)):
                 message = f"the controller does not report {', '.join(sorted(missing))}: update PolyScope"
-                raise NotReadyError(message, code="not_ready.polyscope_version")
+                raise NotReadyError(message)
         first = self._reader.read(deadline)
         self.newest, self.seen = _reading(first), clock.now()
         self.arrived = first.received * clock.real_time_factor
