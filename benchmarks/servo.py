@@ -26,8 +26,7 @@ from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport, MotionWatch
-from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
-from toolee_robot.runtime.latency_monitor import LatencyMonitor
+from toolee_robot.runtime.latency_monitor import CpuKeepalive, LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.station import ServoConfig, sim_station

@@ -16,7 +16,7 @@ from toolee_robot.control.kinematics import ArmKinematics, solve
 from toolee_robot.control.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.errors import AssetError, UnreachableError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.robots.dh import DhParameters, dh_transform
+from toolee_robot.robots.urdf import DhParameters, dh_transform
 
 BRANCHES = 8
 """Number of branches of the closed form."""

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_MIN, REST_REACH
-from toolee_robot.perception.pose.depth_completion import complete_depth, surface_step
+from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_MIN, REST_REACH, complete_depth, surface_step
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
 NEAREST, FARTHEST = 0.05, 20.0

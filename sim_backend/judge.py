@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, cross, inverse, transform
 from toolee_robot.hal import Clock
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bodies import pb
 from toolee_robot.sim_backend.physics.nail import SLIDE, Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import driving_work
 from toolee_robot.sim_backend.truth import (

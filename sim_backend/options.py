@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.calibration.board import Board
+from toolee_robot.depth_noise import SensorKind
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.tools import Tool
 
 

@@ -13,8 +13,7 @@ from toolee_robot.frames import transform
 from toolee_robot.hal import Station
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
-from toolee_robot.sim_backend.devices.hand import SimHand
-from toolee_robot.sim_backend.devices.mount import SimMount
+from toolee_robot.sim_backend.devices.hand import SimHand, SimMount
 from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.judge import Judge
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions

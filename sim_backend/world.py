@@ -17,8 +17,7 @@ from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array, cross
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.physics.bodies import Furniture, ToolBody
-from toolee_robot.sim_backend.physics.bullet import IMPACT, StepSettings, pb
+from toolee_robot.sim_backend.physics.bodies import IMPACT, Furniture, StepSettings, ToolBody, pb
 from toolee_robot.sim_backend.physics.grip import AssistedGrip
 from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.sim_backend.physics.robot_body import RobotBody

@@ -20,14 +20,14 @@ from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Clock
 from toolee_robot.robots import load_robot
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.flange_sensor import TURN, FlangeSensor
 from toolee_robot.sim_backend.devices.hand import CoupledFingers
 from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.judge import Judge
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bodies import pb
 from toolee_robot.sim_backend.station import build_world, draw_handover, simulated_hand
 from toolee_robot.sim_backend.ur_controller.controller import Controller
 from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel

@@ -10,8 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
-from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
+from toolee_robot.runtime.latency_monitor import STALL_LIMIT, CpuKeepalive, LatencyMonitor
 
 pytest_plugins = ("tests.plugins.tiers",)
 FINE = ("tests/benchmarks/test_scripts.py",)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.sim_backend.ur_controller.faults.client import Trace
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import Trace
 
 SPEED, ACCELERATION = 0.1, 1.0
 """[rad/s], [rad/s^2] The caps."""

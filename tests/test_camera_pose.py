@@ -30,9 +30,8 @@ from toolee_robot.station import (
     with_setup,
 )
 from toolee_robot.station.job import check_enclosed
-from toolee_robot.stations.open_fields import open_fields, told
 from toolee_robot.stations.simulated import TAPE, simulated_board
-from toolee_robot.stations.template import contradiction, open_questions
+from toolee_robot.stations.template import contradiction, open_fields, open_questions, told
 
 LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
 LOOK_AT = sim_station().camera.X_base_camera

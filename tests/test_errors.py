@@ -23,7 +23,7 @@ from toolee_robot.errors import TooleeError, words_of
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
-from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import FaultClient
 
 ROOT = Path(__file__).parents[1]
 

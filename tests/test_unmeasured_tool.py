@@ -27,7 +27,7 @@ from toolee_robot.doctor.frames import check_base, check_mounting
 from toolee_robot.errors import ConfigError
 from toolee_robot.findings import Finding, Level
 from toolee_robot.frames import HALF_TURN, Array
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote import RemoteWorld

@@ -1,4 +1,4 @@
-"""Parameters of the depth noise of a Kinect v2 (time of flight), shared by its two implementations.
+"""The kinds of depth cameras, and the depth noise of a Kinect v2 (time of flight), shared by its two implementations.
 
 One implementation is a Warp kernel that the renderer applies per pixel; the other, in torch, applies the noise to
 thousands of small windows at once in the training of the pose network without a renderer.
@@ -13,8 +13,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Literal, get_args
 
 import numpy as np
+
+SensorKind = Literal[
+    "time-of-flight", "time-of-flight-lab", "structured-light", "active-stereo", "filled-stereo", "mixed"
+]
+"""time-of-flight: noise and lost outlines alone. time-of-flight-lab: with systematic errors, holes and registration.
+structured-light, active-stereo: see `render.triangulation`. filled-stereo: holes filled by the driver. mixed:
+one of them, drawn for each image."""
+KINDS: tuple[SensorKind, ...] = get_args(SensorKind)
+"""All of them."""
+
 
 AXIAL_MM = (1.5, -0.5, 0.3, 0.1)
 """Coefficients of sigma_z [mm]: the constant, z, z^2, and the term of the incidence angle."""

@@ -24,8 +24,8 @@ from toolee_robot.perception.pose.canonical import (
     with_rest_one,
 )
 from toolee_robot.perception.pose.network import DIRECTION_DIM
+from toolee_robot.perception.pose.pooling import fix_spin, with_spin_variance
 from toolee_robot.perception.pose.processes import Process, Sampler
-from toolee_robot.perception.pose.spin import fix_spin, with_spin_variance
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.types import HoldingHand, PoseHypotheses
 

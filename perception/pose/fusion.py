@@ -21,8 +21,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse, skew, transform
-from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align, pairwise_angles
-from toolee_robot.perception.pose.spin import with_spin_variance
+from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align, pairwise_angles, with_spin_variance
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.types import CameraError, InHandEstimate
 

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from toolee_robot.depth_noise import DepthNoise
+from toolee_robot.depth_noise import DepthNoise, SensorKind
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.hal import Clock
 from toolee_robot.render.depth_sensors import random_reading
@@ -17,7 +17,6 @@ from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.renderer import render
 from toolee_robot.render.scene import Body, Rendering, Scene
 from toolee_robot.render.sensor_models import Photo, measure_depth, photograph
-from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.sim_backend.visuals import VisualBody, VisualWorld
 from toolee_robot.station import CameraConfig
 from toolee_robot.types import CameraIntrinsics, RgbdFrame

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import wait_until_clear
 from toolee_robot.sim_backend.options import InHandOffset
-from toolee_robot.sim_backend.physics.bodies import fixed_box, set_body_pose
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bodies import fixed_box, pb, set_body_pose
 from toolee_robot.sim_backend.world import SimClock, SimWorld
 
 HOLDING_FORCE = 60.0  # [N] largest force with which the person holds the tool

@@ -22,7 +22,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array
-from toolee_robot.runtime.readable import readable
+from toolee_robot.runtime.clock import readable
 
 Address = tuple[str, int]
 """Host and port."""

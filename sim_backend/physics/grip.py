@@ -32,7 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.physics.bullet import pb, rotation_matrix
+from toolee_robot.sim_backend.physics.bodies import pb, rotation_matrix
 from toolee_robot.sim_backend.physics.grip_gains import GripGains, palm_mobility, tool_mobility
 
 TENDON_LOSS = 0.4  # fraction of the tilting torque that is lost while the fingers close again

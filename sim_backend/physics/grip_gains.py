@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.physics.bullet import pb, quiet, rotation_matrix
+from toolee_robot.sim_backend.physics.bodies import pb, quiet, rotation_matrix
 
 STIFFNESS = 3e4  # [N/m], at most
 DAMPING = 60.0  # [N s/m], at most

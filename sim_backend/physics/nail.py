@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bodies import pb
 from toolee_robot.sim_backend.physics.wood import NailSpec, resistance
 
 IMPACT_DISTANCE = 0.006  # [m] distance of a body from the nail's head below which steps must be short

@@ -22,7 +22,7 @@ import numpy as np
 
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
-from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import FaultClient, Trace
 from toolee_robot.sim_backend.ur_controller.robot.plant import ControllerModel, JointPlant, Plant
 
 Q_START = (0.0, -pi / 2, pi / 2, -pi / 2, -pi / 2, 0.0)  # [rad] the flange points down

@@ -87,7 +87,7 @@ import resource, sys
 from pathlib import Path
 from tests.app.test_job import DeadLink
 from toolee_robot.app.job import JobSpec, run_job
-from toolee_robot.app.observer import JobObserver
+from toolee_robot.app.sources import JobObserver
 from toolee_robot.app.variant import Variant
 class Told(JobObserver):
     def opened(self, *_):

@@ -22,10 +22,10 @@ from tests.errors import raises
 from tests.slow_motion import assert_slow
 from tests.stand_in import stand_in
 from toolee_robot.cli.app import parse, run
-from toolee_robot.cli.terminal import TerminalPerson
+from toolee_robot.cli.output import TerminalPerson
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import PersonNearError, UserError
-from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import FaultClient, Trace
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import sim_station
 from toolee_robot.tasks.bring_up.slow_motions import ACCELERATION, SPEED

@@ -16,8 +16,8 @@ import pytest
 
 from tests.stand_in import stand_in
 from toolee_robot.cli.app import run
-from toolee_robot.doctor.robot import expected_robot
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.doctor.machine import expected_robot
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.sim_backend.hands.inspire import InspireEmulator
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import load_station, sim_station

@@ -14,7 +14,7 @@ import pytest
 
 from tests.rigs.panel import Operator, Panel
 from tests.stand_in import stand_in
-from toolee_robot.doctor.robot import expected_robot
+from toolee_robot.doctor.machine import expected_robot
 from toolee_robot.sim_backend.hands.ability import AbilityEmulator
 from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel

@@ -24,7 +24,7 @@ from tests.cross_checks.held_hammer import (
 )  # fmt: skip
 from tests.sim_backend.physics.test_nail import FACE_RADIUS
 from toolee_robot.frames import Array, transform
-from toolee_robot.sim_backend.physics.bullet import IMPACT, StepSettings, rotation_matrix
+from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, rotation_matrix
 from toolee_robot.sim_backend.physics.grip import AssistedGrip
 from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.sim_backend.world import NORMAL

@@ -21,11 +21,17 @@ from toolee_robot.devices.cameras.recording import RecordedStream
 from toolee_robot.devices.ur.probe import UrState
 from toolee_robot.doctor.devices import check_exposure, check_holes, check_range, check_stream, sample_stream
 from toolee_robot.doctor.frames import check_frames, parse_point
-from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time, wake_up_lateness
-from toolee_robot.doctor.robot import check_force, force_at_rest
+from toolee_robot.doctor.machine import (
+    check_disk,
+    check_force,
+    check_processor,
+    check_real_time,
+    force_at_rest,
+    wake_up_lateness,
+)
 from toolee_robot.findings import Finding, Level
 from toolee_robot.frames import HALF_TURN, Array, transform
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import CameraDevice, sim_station
 from toolee_robot.types import ArmModel, RgbdFrame

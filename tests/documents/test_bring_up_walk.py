@@ -27,10 +27,10 @@ import yaml
 from tests.documents.blocks import ROOT, blocks
 from tests.slow_motion import assert_slow
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.doctor.robot import expected_robot
-from toolee_robot.robots.dh import DhParameters
-from toolee_robot.runtime.readable import readable
-from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
+from toolee_robot.doctor.machine import expected_robot
+from toolee_robot.robots.urdf import DhParameters
+from toolee_robot.runtime.clock import readable
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import FaultClient, Trace
 from toolee_robot.station import load_lab_station
 from toolee_robot.types import ArmModel
 

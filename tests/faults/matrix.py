@@ -40,8 +40,7 @@ from tests.faults.rows.start import calibration_rows, start_rows
 from tests.rigs.driver_rig import rig
 from tests.rigs.job_rig import Bench
 from tests.rigs.setting import Setting
-from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
-from toolee_robot.runtime.latency_monitor import LatencyMonitor
+from toolee_robot.runtime.latency_monitor import CpuKeepalive, LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel

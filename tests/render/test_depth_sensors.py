@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toolee_robot.depth_noise import DepthNoise
+from toolee_robot.depth_noise import KINDS, DepthNoise, SensorKind
 from toolee_robot.perception.offline.synthesis.example import Series, make_example
 from toolee_robot.render.depth_sensors import SystematicErrors, random_reading
 from toolee_robot.render.scene import Rendering
@@ -22,7 +22,6 @@ from toolee_robot.render.triangulation import (
     in_patches,
     smooth_noise,
 )
-from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.types import CameraIntrinsics
 
 K = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)

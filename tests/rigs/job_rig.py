@@ -24,7 +24,7 @@ from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.hand import SimHand
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bodies import pb
 from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import StationConfig, TaskConfig, sim_station
 from toolee_robot.tasks.common.look import Perceiver

@@ -13,7 +13,7 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionWatch
 from toolee_robot.sim_backend.devices.arm import RATE, SimArm
-from toolee_robot.sim_backend.ur_controller.faults.client import Trace
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import Trace
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.station import ArmLimits
 from toolee_robot.types import Trajectory

@@ -14,7 +14,7 @@ import numpy as np
 
 from tests.rigs.joints_path import MOVING, braking_time, projected
 from toolee_robot.control.motion.path_stop import stop_on_path
-from toolee_robot.devices.ur.servo.tracking import tracking_error
+from toolee_robot.devices.ur.servo.motion import tracking_error
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import (

@@ -20,7 +20,7 @@ from toolee_robot.control.planning.straight import Line
 from toolee_robot.errors import AssetError, ConfigError, UnreachableError
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform
 from toolee_robot.robots import FLANGE_FRAME, SHADOW_HAND, load_robot
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.station import load_station, sim_station
 from toolee_robot.types import ArmModel, DhCalibration
 

@@ -18,10 +18,18 @@ import pytest
 from benchmarks.servo import cpu_time
 from toolee_robot.devices.ur.protocols import tcp
 from toolee_robot.errors import NoAnswerError
-from toolee_robot.runtime.cpu_keepalive import CpuKeepalive, is_virtual
-from toolee_robot.runtime.gc_pause import gc_paused, gc_settled, gc_spared
-from toolee_robot.runtime.latency_monitor import LatencyMonitor, _family, _ticks, load_of_others
-from toolee_robot.runtime.readable import readable
+from toolee_robot.runtime.clock import readable
+from toolee_robot.runtime.latency_monitor import (
+    CpuKeepalive,
+    LatencyMonitor,
+    _family,
+    _ticks,
+    gc_paused,
+    gc_settled,
+    gc_spared,
+    is_virtual,
+    load_of_others,
+)
 
 
 def alive(pid: int) -> bool:
@@ -223,7 +231,7 @@ def test_they_leave_the_cores_to_whatever_else_runs() -> None:
 
 @pytest.mark.skipif(not is_virtual(), reason="a machine of one's own needs none of it")
 def test_they_end_with_a_user_that_is_killed() -> None:
-    program = "import time\nfrom toolee_robot.runtime.cpu_keepalive import CpuKeepalive\nwith CpuKeepalive() as a:\n"
+    program = "import time\nfrom toolee_robot.runtime.latency_monitor import CpuKeepalive\nwith CpuKeepalive() as a:\n"
     program += "    print(*a.pids, flush=True)\n    time.sleep(60)"
     user = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     assert user.stdout is not None

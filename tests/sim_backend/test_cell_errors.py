@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.robots import load_robot
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, draw_errors
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.station import draw_handover

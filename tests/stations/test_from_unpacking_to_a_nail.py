@@ -19,8 +19,8 @@ import yaml
 
 from tests.stations.lab_camera import LAB, TOOLEE
 from tests.trials.test_at_terminal import Terminal
-from toolee_robot.doctor.robot import expected_robot
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.doctor.machine import expected_robot
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import load_lab_station
 from toolee_robot.stations.template import INTRINSICS, OFFERED, get, open_questions, put

@@ -30,7 +30,7 @@ from toolee_robot.sim_backend.visuals import BoardVisuals, VisualBody
 from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station, sim_station
 from toolee_robot.stations.camera import REALSENSE, open_camera
 from toolee_robot.stations.rehearsal.camera import EmulatedLens, emulated_stream, lens_of
-from toolee_robot.stations.rehearsal.held_board import held_pose
+from toolee_robot.stations.rehearsal.person import held_pose
 
 BOARD = SHEETS["a3"].board
 WEAK = (-0.0125, 1e-3, 3e-4, -2e-4)

@@ -12,8 +12,7 @@ from tests.errors import raises
 from toolee_robot.cli.app import run
 from toolee_robot.errors import UserError
 from toolee_robot.station import MEASURED
-from toolee_robot.stations.open_fields import open_fields, told
-from toolee_robot.stations.template import OFFERED, open_questions, parse
+from toolee_robot.stations.template import OFFERED, open_fields, open_questions, parse, told
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 FILE = Path("my lab.yaml")

@@ -20,8 +20,17 @@ from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.station import load_lab_station
 from toolee_robot.station.schema import StationField
 from toolee_robot.stations.lab import Purpose, check_purpose
-from toolee_robot.stations.open_fields import open_fields
-from toolee_robot.stations.template import OFFERED, applicable, get, nullable, open_questions, parse, put, template
+from toolee_robot.stations.template import (
+    OFFERED,
+    applicable,
+    get,
+    nullable,
+    open_fields,
+    open_questions,
+    parse,
+    put,
+    template,
+)
 from toolee_robot.types import HandEfforts
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"

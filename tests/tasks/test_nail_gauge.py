@@ -12,7 +12,7 @@ from tests.tasks.bench import Log, is_home
 from tests.tasks.noisy_arm import Rig
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.perception.nail.sight import HeadOffset
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bodies import pb
 from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Strike
 from toolee_robot.tasks.hammering.nail_driving import STRIKES_BEFORE_SECOND_LOOK

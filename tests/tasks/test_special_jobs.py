@@ -20,7 +20,7 @@ from toolee_robot.frames import transform
 from toolee_robot.hal import ArmStatus
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bodies import pb
 from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.station import NailConfig, StationConfig, load_station

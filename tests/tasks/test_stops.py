@@ -14,7 +14,7 @@ from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from tests.rigs.people import People
 from tests.tasks.bench import Log, soon
 from toolee_robot.app.job import after_stop
-from toolee_robot.app.observer import JobObserver
+from toolee_robot.app.sources import JobObserver
 from toolee_robot.control import Meeting, StrikePlan
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.frames import Array

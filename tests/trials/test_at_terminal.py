@@ -17,7 +17,7 @@ from typing import Self
 
 import pytest
 
-from toolee_robot.runtime.readable import readable
+from toolee_robot.runtime.clock import readable
 from toolee_robot.trials import load_plan
 from toolee_robot.trials.results import Happened, read_results
 
@@ -96,7 +96,7 @@ CHEAP = (
     """
 import sys, time
 import toolee_robot.app.job as app
-from toolee_robot.runtime.readable import readable
+from toolee_robot.runtime.clock import readable
 
 class Result:
     def __init__(self, interrupted):

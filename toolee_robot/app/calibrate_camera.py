@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import toolee_robot
-from toolee_robot.app.observer import Listener
+from toolee_robot.app.sources import Listener
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import camera_board

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import toolee_robot
-from toolee_robot.app.observer import Listener, Waiting
+from toolee_robot.app.sources import Listener, Waiting
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.intrinsics import calibrate_intrinsics, read_views
 from toolee_robot.calibration.observation import BoardView
@@ -27,7 +27,7 @@ from toolee_robot.station import SIMULATED, CameraConfig, read_station, write_me
 from toolee_robot.station.camera_files import CAMERA, INTRINSICS, PINHOLE
 from toolee_robot.stations.camera import WITH_MODE, open_camera
 from toolee_robot.stations.rehearsal.camera import emulated_stream, lens_of
-from toolee_robot.stations.rehearsal.held_board import HeldBoard, drawn_camera
+from toolee_robot.stations.rehearsal.person import HeldBoard, drawn_camera
 from toolee_robot.tasks.calibration.collect import HandHeldViews, Offered
 
 PATIENCE = 120.0

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.app.observer import Listener
+from toolee_robot.app.sources import Listener
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.nail import (
     LocatedNail,

@@ -21,8 +21,7 @@ from toolee_robot.doctor.configuration import (
 )
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_lens, check_person, check_range
 from toolee_robot.doctor.frames import check_base
-from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time, check_weights
-from toolee_robot.doctor.robot import examine_robot
+from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time, check_weights, examine_robot
 from toolee_robot.errors import ConfigError, DeviceError, UserError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from toolee_robot.app.figures import Ran, job_figures, job_summary
-from toolee_robot.app.observer import JobObserver
 from toolee_robot.app.perceivers import job_networks, job_perceiver
-from toolee_robot.app.sources import Opened, Source
+from toolee_robot.app.sources import JobObserver, Opened, Source
 from toolee_robot.app.variant import Variant
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError, UserError
@@ -22,9 +21,8 @@ from toolee_robot.recording.mcap_file import tool_model
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.runtime.files import RunFolder, json_line, run_folder, write_atomic
-from toolee_robot.runtime.gc_pause import gc_settled
 from toolee_robot.runtime.interrupts import interrupts_held
-from toolee_robot.runtime.latency_monitor import LatencyMonitor
+from toolee_robot.runtime.latency_monitor import LatencyMonitor, gc_settled
 from toolee_robot.runtime.process_environment import code_version
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.app.sources import Opened, Tell
+from toolee_robot.depth_noise import SensorKind
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor
 from toolee_robot.runtime.yaml_files import read_record
-from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName

@@ -1,19 +1,21 @@
-"""Where the devices of a job come from, and the lab's own station. Simulations and rehearsals are in `simulated`."""
+"""Where the devices of a job come from, the lab's own station, and who hears of it. Simulations are in `simulated`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Station
+from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import StationConfig, load_lab_station, with_setup
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.stations.lab import LabStation, check_purpose
+from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp
 from toolee_robot.tools import ToolShape
 
@@ -160,3 +162,64 @@ class Lab:
             tool = lab.tool
             words = f"{tool.name.capitalize()}, {tool.weight_in_words}"
             yield Opened(lab.station, self.config, measured_grasp(tool, self.config), tool.name, words, None)
+
+
+class Waiting(Protocol):
+    """Work that takes a while."""
+
+    def update(self, text: str, /) -> None:
+        """What it does now."""
+
+
+class Listener(Protocol):
+    """A person at a terminal, or nobody."""
+
+    def say(self, text: str) -> None:
+        """What is going on."""
+
+    def warn(self, text: str) -> None:
+        """What the person should look at, although it goes on."""
+
+    def prompt(self, text: str) -> None:
+        """What the person is to do now."""
+
+    def doing(self, text: str) -> None:
+        """What a device is doing."""
+
+    def waiting(self, text: str) -> AbstractContextManager[Waiting]:
+        """Context of work that takes a while."""
+
+
+class JobObserver(TaskObserver):
+    """Base class of those who watch a job. This one shows nothing and answers nothing."""
+
+    def doing(self, text: str) -> None:
+        """Called with what is being set up, before the job begins."""
+
+    def prompt(self, text: str) -> None:
+        """Called with what the person at the station is to do."""
+
+    def opened(self, title: str, mode: str, recorder: RunRecorder) -> None:
+        """Called when the devices are open.
+
+        Args:
+            title: The tool in words.
+            mode: What is real and what is not, in words.
+            recorder: The recorder of the job.
+        """
+
+    def live(self) -> AbstractContextManager[None]:
+        """Context in which the task runs."""
+        return nullcontext()
+
+    def ask(self, question: str) -> str | None:
+        """Ask the person at the terminal after a stop.
+
+        Args:
+            question: The question.
+
+        Returns:
+            The line that was typed; None where nobody answers.
+        """
+        _ = question
+        return None

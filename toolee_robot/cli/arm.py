@@ -21,8 +21,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from toolee_robot.cli.output import Flag, JsonOption
-from toolee_robot.cli.terminal import TerminalPerson
+from toolee_robot.cli.output import Flag, JsonOption, TerminalPerson
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import is_loopback
 

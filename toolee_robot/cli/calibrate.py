@@ -18,8 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.panel import Panel
 
-from toolee_robot.cli.output import Flag, JsonOption
-from toolee_robot.cli.terminal import ConsoleListener
+from toolee_robot.cli.output import ConsoleListener, Flag, JsonOption
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor
 

@@ -18,8 +18,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from toolee_robot.cli.output import Flag, JsonOption, progress_bars
+from toolee_robot.depth_noise import SensorKind
 from toolee_robot.errors import UserError
-from toolee_robot.sensor_kinds import SensorKind
 
 if TYPE_CHECKING:
     from toolee_robot.perception.offline.dataset.catalogue import CustomMesh

@@ -21,8 +21,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from toolee_robot.cli.output import Flag, JsonOption
-from toolee_robot.cli.terminal import confirm_typed, require_terminal
+from toolee_robot.cli.output import Flag, JsonOption, confirm_typed, require_terminal
 from toolee_robot.errors import DeviceError, UserError
 
 if TYPE_CHECKING:

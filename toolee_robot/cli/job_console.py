@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.panel import Panel
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-from toolee_robot.app.observer import JobObserver
+from toolee_robot.app.sources import JobObserver
 from toolee_robot.control.arm_dynamics import StrikeLoad
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.end_effectors import Category

@@ -26,9 +26,9 @@ from rich.console import Console
 from toolee_robot.app.variant import Variant
 from toolee_robot.cli import EXIT_INTERRUPTED
 from toolee_robot.cli.output import Flag, JsonOption
+from toolee_robot.depth_noise import KINDS, SensorKind
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.gc_pause import gc_spared
-from toolee_robot.sensor_kinds import KINDS, SensorKind
+from toolee_robot.runtime.latency_monitor import gc_spared
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.station import StationConfig
 from toolee_robot.types import ArmModel

@@ -92,8 +92,7 @@ def _chosen(name: str, value: str) -> str:
 
 def _ask_all(file: Path, data: dict[str, Any], console: Console) -> int:
     from toolee_robot.station.station import to_station
-    from toolee_robot.stations.open_fields import open_fields, told
-    from toolee_robot.stations.template import UNASKED, get, open_questions
+    from toolee_robot.stations.template import UNASKED, get, open_fields, open_questions, told
 
     before = copy.deepcopy(data)
     console.print(
@@ -232,7 +231,7 @@ class Check(JsonOption):
         from toolee_robot.robots import hand_model
         from toolee_robot.station import check_current, load_lab_station, load_station, read_station
         from toolee_robot.stations.lab import check_purpose
-        from toolee_robot.stations.open_fields import open_fields, told
+        from toolee_robot.stations.template import open_fields, told
 
         console = self.console
         data = read_station(self.file)
@@ -304,7 +303,7 @@ class Upgrade:
 
     def run(self) -> int:
         from toolee_robot.station.upgrade import upgrade
-        from toolee_robot.stations.open_fields import open_fields, told
+        from toolee_robot.stations.template import open_fields, told
 
         console = Console(highlight=False)
         done = upgrade(self.file)

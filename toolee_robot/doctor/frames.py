@@ -15,7 +15,7 @@ from toolee_robot.devices.ur.probe import UrState
 from toolee_robot.devices.ur.setup_checks import pose_matrix
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import HALF_TURN, Array, BaseFrame
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.station import UPRIGHT_WITHIN, StationConfig
 from toolee_robot.station.robot import GRAVITY
 from toolee_robot.types import ArmModel

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.depth_noise import DepthNoise
+from toolee_robot.depth_noise import KINDS, DepthNoise, SensorKind
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.renderer import Image
 from toolee_robot.render.scene import Rendering
 from toolee_robot.render.sensor_models import measure_depth
 from toolee_robot.render.triangulation import Registration, Surface, TriangulatingCamera, in_patches, smooth_noise
-from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.types import CameraIntrinsics
 
 _PATCH = 0.012

@@ -11,11 +11,9 @@ import trimesh
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform
-from toolee_robot.robots.assets import UR10_URDF, link_mesh
-from toolee_robot.robots.dh import DhParameters, joint_origins
 from toolee_robot.robots.hands import SHADOW_HAND, HandChoice, HandModel, hand_model
-from toolee_robot.robots.tree import FLANGE_FRAME, Inertial, Link, Shape, Tree
-from toolee_robot.robots.urdf import read_urdf, write_urdf
+from toolee_robot.robots.tree import FLANGE_FRAME, UR10_URDF, Inertial, Link, Shape, Tree, link_mesh
+from toolee_robot.robots.urdf import DhParameters, joint_origins, read_urdf, write_urdf
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 ARM_JOINTS = (

@@ -1,14 +1,15 @@
-"""The clock of a station with real drivers: the host's monotonic clock, shared by all processes.
-
-With a controller stand-in and a simulated world the station may run slower than real time, so that a busy machine keeps
-up with every cycle and no bound has to be wider than on a real robot.
-"""
+"""Clocks of a station, and waiting for what can be read."""
 
 from __future__ import annotations
 
+import errno
 import ipaddress
+import os
+import select
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 
 from toolee_robot.errors import UserError
 
@@ -68,3 +69,32 @@ def is_loopback(host: str) -> bool:
         return ipaddress.IPv4Address(host).is_loopback
     except ValueError:
         return False
+
+
+SELECT_LIMIT = 1024
+"""Descriptors from this number on `select.select` refuses: FD_SETSIZE, select(2)."""
+
+
+def readable(descriptors: Sequence[int], timeout: float) -> list[int]:
+    """Wait until something can be read; the end of a connection and an error count, too.
+
+    Args:
+        descriptors: What to wait for.
+        timeout: Longest wait [s]; at most 0 for none. With a descriptor over SELECT_LIMIT it is rounded up to 1 ms.
+
+    Returns:
+        Those that are ready.
+
+    Raises:
+        OSError: One is closed.
+        ValueError: One is negative, as that of a closed socket.
+    """
+    if max(descriptors, default=0) < SELECT_LIMIT:  # exact to microseconds, unlike poll
+        return select.select(descriptors, [], [], max(timeout, 0.0))[0]
+    poll = select.poll()
+    for fd in descriptors:
+        poll.register(fd, select.POLLIN)
+    ready = poll.poll(ceil(1e3 * max(timeout, 0.0)))
+    if any(events & select.POLLNVAL for _, events in ready):
+        raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+    return [fd for fd, _ in ready]

@@ -1,8 +1,4 @@
-"""Stalls of the machine itself, and what other programs take of its cores, by what Linux counts in /proc (proc(5)).
-
-The host of a virtual machine may suspend its cores, against which no real-time priority helps. Time-critical software
-uses the monitor to distinguish the machine's stalls from its own delays.
-"""
+"""Ways that keep this process on time: no pauses for garbage, no core asleep, and what delayed it all the same."""
 
 from __future__ import annotations
 
@@ -13,8 +9,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final, Self
 
@@ -22,6 +18,116 @@ import numpy as np
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
+
+
+@contextmanager
+def gc_paused() -> Iterator[None]:
+    """Context in which the garbage collector does not run.
+
+    A collection stops all threads for up to 0.2 s, including that of the arm's heartbeat. The function is not part of
+    `hardware`, which may not import `gc`, since `gc` gives access to every object, including the simulation's ground
+    truth.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+@contextmanager
+def gc_spared() -> Iterator[None]:
+    """Context of imports, through whose objects the garbage collector does not go.
+
+    Modules stay until the process ends. The collector would go through all of them a dozen times while those of torch
+    and its like are imported, for a second or more, and find nothing.
+    """
+    with gc_paused():
+        yield
+    gc.freeze()
+
+
+@contextmanager
+def gc_settled() -> Iterator[Callable[[], None]]:
+    """Context in which a collection goes through what is new only, and is short.
+
+    With the networks and a station loaded a full one takes some 0.2 s, in which no thread runs: nearly the
+    time after which a driver takes its device for silent. Nothing that was there at the beginning is freed before the
+    end.
+
+    Returns:
+        The context. Its value adds what has come since: call it when a station has been opened.
+    """
+    gc.collect()
+    gc.freeze()
+    try:
+        yield gc.freeze
+    finally:
+        gc.unfreeze()
+
+
+# Linux shares a core among sessions first (sched_autogroup): whatever its own priority, the only process of a session
+# gets half of the core and delays what wakes up by 3 ms. Hence the session has the lowest priority, too.
+_BUSY_LOOP = """
+import os, time
+os.sched_setaffinity(0, {{{core}}})
+os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+while os.getppid() == {parent}:
+    try:
+        with open("/proc/self/autogroup", "w") as share:
+            share.write("19")
+    except BlockingIOError:  # nobody but root may do it twice in a tenth of a second, on the whole machine
+        time.sleep(0.11)
+    except OSError:  # a kernel without
+        break
+    else:
+        break
+while os.getppid() == {parent}:
+    for _ in range(1_000_000):
+        pass
+"""
+
+
+class CpuKeepalive:
+    """Context in which a process of the lowest priority runs on every usable core of a virtual machine.
+
+    On a physical machine it does nothing. The processes end with the one that started them.
+    """
+
+    def __init__(self) -> None:
+        self._processes: list[subprocess.Popen[bytes]] = []
+
+    def __enter__(self) -> Self:
+        if is_virtual():
+            for core in sorted(os.sched_getaffinity(0)):
+                program = _BUSY_LOOP.format(core=core, parent=os.getpid())
+                # A session of its own, so that it does not receive Ctrl-C.
+                self._processes.append(subprocess.Popen([sys.executable, "-S", "-c", program], start_new_session=True))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._processes:
+            process.kill()
+        for process in self._processes:
+            process.wait()
+        self._processes.clear()
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the processes."""
+        return [process.pid for process in self._processes]
+
+
+def is_virtual() -> bool:
+    """Whether this is a virtual machine, as its processor's flags tell (x86)."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("flags"):
+                return "hypervisor" in line.split()
+    return False
+
 
 PERIOD = 1.0
 """Time over which the load is measured [s]."""

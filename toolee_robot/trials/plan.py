@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from toolee_robot.app.variant import SIMULATED_ONLY, Variant
+from toolee_robot.depth_noise import SensorKind
 from toolee_robot.runtime.yaml_files import read_record
-from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.station import ToolData
 from toolee_robot.station.schema import STRICT, NotNegative, Positive
 

@@ -1,20 +1,87 @@
-"""A page of Rerun, served by a program of its own to this computer only; and the page of a job that runs."""
+"""Rerun's page of a run: its program, which listens on loopback only, and what it shows."""
 
 from __future__ import annotations
 
+import os
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+import urllib.request
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
 from toolee_robot.errors import UserError
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.station import StationConfig
-from toolee_robot.viewer.rerun_server import HOST, free_port, listens
 from toolee_robot.viewer.run_view import RunView, blueprint
+
+HOST = "127.0.0.1"
+POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; worker-src 'self' blob:; connect-src 'self' data: blob: http://{data}"
+)
+"""What the page may load: nothing but from this computer."""
+
+
+def listens(port: int) -> bool:
+    """Whether something on this computer listens on a port."""
+    with socket.socket() as probe:
+        return probe.connect_ex((HOST, port)) == 0
+
+
+def free_port(wanted: int = 0) -> int:
+    """A port that is free: the wanted one, or any; raises OSError if the wanted one is in use."""
+    with socket.socket() as probe:
+        probe.bind((HOST, wanted))
+        return int(probe.getsockname()[1])
+
+
+def serve(port: int, data_port: int) -> None:
+    """Serve until standard input is closed."""
+    import rerun_cli
+
+    inner = free_port()
+    # `serve_grpc` and `serve_web_viewer` of the Python module would listen on every network.
+    program = str(Path(rerun_cli.__file__).with_name("rerun"))
+    command = [program, "--serve-web", "--bind", HOST, "--port", str(data_port), "--web-viewer-port", str(inner)]
+    rerun = subprocess.Popen(command, env=os.environ | {"RERUN_ANALYTICS": "0"}, stdin=subprocess.DEVNULL)
+    names = {f"{name}:{port}" for name in (HOST, "localhost")}
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if self.headers.get("Host") not in names:
+                self.send_error(403)
+                return
+            with urllib.request.urlopen(f"http://{HOST}:{inner}{self.path}") as answer:
+                content = answer.read()
+            self.send_response(200)
+            self.send_header("Content-Type", answer.headers["Content-Type"])
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("Content-Security-Policy", POLICY.format(data=f"{HOST}:{data_port}"))
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, *_: object) -> None:
+            """Nothing is logged."""
+
+    try:
+        while not (listens(inner) and listens(data_port)) and rerun.poll() is None:
+            time.sleep(0.05)
+        server = ThreadingHTTPServer((HOST, port), Handler)
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        sys.stdin.read()
+    finally:
+        rerun.terminate()
+
+
+if __name__ == "__main__":
+    serve(int(sys.argv[1]), int(sys.argv[2]))
+
 
 START_S = 60.0
 """Longest time that the viewer's program may take to start [s]."""
@@ -46,7 +113,7 @@ class RerunPage:
                 code="user.missing_package",
             ) from error
         web, data = _next_free(port), free_port()
-        command = [sys.executable, "-m", "toolee_robot.viewer.rerun_server", str(web), str(data)]
+        command = [sys.executable, "-m", "toolee_robot.viewer.rerun_page", str(web), str(data)]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  (closed in `close`)
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=self._said, stderr=subprocess.STDOUT, start_new_session=True

@@ -16,7 +16,7 @@ from toolee_robot.sim_backend.physics.bodies import OBSTACLE_COLOR
 from toolee_robot.sim_backend.visuals import BodyId, SceneState, SceneVisuals, VisualBody
 from toolee_robot.station import StationConfig, given_by_nails, given_by_pose, read_station
 from toolee_robot.station.station import to_station
-from toolee_robot.stations.open_fields import open_fields
+from toolee_robot.stations.template import open_fields
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.types import CameraIntrinsics
 

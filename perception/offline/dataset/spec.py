@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot import __version__
+from toolee_robot.depth_noise import KINDS, SensorKind
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.perception.offline.dataset.catalogue import (
     FIRST_KINDS,
@@ -19,7 +20,6 @@ from toolee_robot.perception.offline.dataset.catalogue import (
 )
 from toolee_robot.perception.offline.dataset.records import read_json
 from toolee_robot.runtime.files import from_json, read_text
-from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.tools import TOOL_SPECS
 
 CONFIGS = ("paper", "hard", "paper-claws")

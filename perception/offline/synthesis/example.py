@@ -9,6 +9,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.depth_noise import SensorKind
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED, Catalogue, generated_tools, number_of
 from toolee_robot.perception.offline.dataset.instances import object_id
@@ -20,7 +21,6 @@ from toolee_robot.perception.offline.synthesis.station import paper_scene, stati
 from toolee_robot.render.depth_sensors import random_reading
 from toolee_robot.render.renderer import Shot
 from toolee_robot.render.sensor_models import Photo, photograph
-from toolee_robot.sensor_kinds import SensorKind
 from toolee_robot.types import CameraIntrinsics
 
 Labels = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], EeTable]

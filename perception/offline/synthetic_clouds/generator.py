@@ -37,8 +37,14 @@ from toolee_robot.perception.offline.synthetic_clouds.surface_samples import (
     SurfaceSamples,
     random_grasps,
 )
-from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
-from toolee_robot.perception.pose.depth_completion import complete_depth
+from toolee_robot.perception.pose.canonical import (
+    MIN_KEPT,
+    MIN_POINTS,
+    CanonicalCloud,
+    canonicalize,
+    complete_depth,
+    with_rest,
+)
 
 _MAX_COMPLETED = 512
 _EE_REACH, _TOOL_REACH = 2, 1

@@ -27,7 +27,7 @@ from toolee_robot.depth_noise import (
 )
 from toolee_robot.perception.offline.synthetic_clouds import point_splatting
 from toolee_robot.perception.offline.synthetic_clouds.batch import TorchRng
-from toolee_robot.perception.pose.depth_completion import surface_step
+from toolee_robot.perception.pose.canonical import surface_step
 
 GRID = 112
 """Pixels per side of the window around the EE."""

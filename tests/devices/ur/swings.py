@@ -14,7 +14,7 @@ from tests.stand_in import HOME, PATIENT, held, patient
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.ur_controller.faults.client import Trace
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import Trace
 from toolee_robot.station import ArmLimits, sim_station
 from toolee_robot.types import ArmModel, Trajectory
 

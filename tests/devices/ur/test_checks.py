@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from tests.examples import examples
 from toolee_robot.devices.ur.checks import UrExpected, check
 from toolee_robot.devices.ur.probe import PortState, RtdeQuality, UrReport, UrState
-from toolee_robot.devices.ur.protocols.primary import UrKinematics
+from toolee_robot.devices.ur.protocols.tcp import UrKinematics
 from toolee_robot.findings import Level, worst
 from toolee_robot.frames import Array
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.types import ArmModel, Payload
 
 _any = st.floats() | st.floats(-10, 10)

@@ -16,9 +16,8 @@ from tests.devices.ur.swings import swing, wait_for_mid_swing
 from tests.errors import raises
 from tests.stand_in import PATIENT, held, patient, stand_in
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
-from toolee_robot.devices.ur.error_log import RETRY, ErrorLog
-from toolee_robot.devices.ur.protocols.primary import ControllerError, errors_in
-from toolee_robot.devices.ur.status import JOINTS, explain
+from toolee_robot.devices.ur.protocols.tcp import ControllerError, errors_in
+from toolee_robot.devices.ur.status import JOINTS, RETRY, ErrorLog, explain
 from toolee_robot.errors import LatchedError, ProtectiveStopError
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot import error_codes as codes

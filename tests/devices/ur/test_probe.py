@@ -16,7 +16,7 @@ from toolee_robot.devices.ur.checks import UrExpected, check
 from toolee_robot.devices.ur.probe import UrReport, probe
 from toolee_robot.devices.ur.setup_checks import calibration_of
 from toolee_robot.findings import Finding, Level
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Payload
 

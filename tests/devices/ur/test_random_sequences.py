@@ -31,7 +31,7 @@ from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import DeviceError, MotionFaultError, TooleeError
 from toolee_robot.hal import MotionReport, MotionWatch
-from toolee_robot.sim_backend.ur_controller.faults.client import Trace
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import Trace
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 from toolee_robot.sim_backend.ur_controller.robot.machine import RATE_SLEW

@@ -25,7 +25,7 @@ from toolee_robot.errors import DeviceError, PersonNearError, TooleeError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, HandState, MotionReport, MotionWatch, Person, Station
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import FaultClient
 from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.motions import HOLD_SWITCH, Motions
 from toolee_robot.tasks.common.observer import TaskObserver

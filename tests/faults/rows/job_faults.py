@@ -12,7 +12,7 @@ from tests.faults.rows.job_fault import GRIP_DOUBTS, IN_STRIKE, INPUTS, RESUMES,
 from tests.rigs.job_rig import CONFIG
 from tests.rigs.people import Change, moved, unsure
 from toolee_robot.control.contact import Meeting
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bodies import pb
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 
 REST, SWING = Phase.REST, Phase.SWING

@@ -20,7 +20,7 @@ import numpy as np
 from tests.faults.record import FaultRow, Measurement, Phase
 from tests.faults.rows.arm import AT_REST, REST_TIME
 from tests.rigs.driver_rig import Rig, StopKind
-from toolee_robot.devices.ur.protocols.dashboard import DASHBOARD_PORT
+from toolee_robot.devices.ur.protocols.tcp import DASHBOARD_PORT
 from toolee_robot.errors import DeviceError, EmergencyStopError, MotionFaultError, ProtectiveStopError
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 

@@ -16,11 +16,12 @@ from toolee_robot.perception.pose.pooling import (
     FREE_SPIN_VARIANCE,
     SigmaScale,
     align,
+    fix_spin,
     pairwise_angles,
     pool,
+    with_spin_variance,
 )
 from toolee_robot.perception.pose.representation import rotation_matrix, rotation_vectors, rotations_about, twist_angles
-from toolee_robot.perception.pose.spin import fix_spin, with_spin_variance
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.tools import ToolKind, make_tool, train_seeds

@@ -19,15 +19,16 @@ from toolee_robot.perception.pose.canonical import (
     PATCHES,
     POINTS,
     REST_PATCHES,
+    RINGS,
     CanonicalCloud,
     canonicalize,
     canonicalize_one,
+    complete_depth,
     farthest_points_first,
     ray_rotation,
     with_rest,
     with_rest_one,
 )
-from toolee_robot.perception.pose.depth_completion import RINGS, complete_depth
 from toolee_robot.perception.pose.estimator import NEAREST
 from toolee_robot.perception.pose.representation import DIM, decode, encode, mirrored
 from toolee_robot.symmetry import SymmetryKind

@@ -19,7 +19,7 @@ from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.arm import HOLD_TIME, RATE, STANDSTILL, SimArm
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bodies import pb
 from toolee_robot.sim_backend.ur_controller.profile import CB3, E_SERIES, ForceErrors, profile
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
+from toolee_robot.depth_noise import KINDS, SensorKind
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import inverse, transform
 from toolee_robot.hal import RgbdCamera
 from toolee_robot.render.mesh import box
-from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.visuals import VisualBody
 from toolee_robot.station import sim_station

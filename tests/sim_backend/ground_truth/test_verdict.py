@@ -17,7 +17,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend.judge import Judge
-from toolee_robot.sim_backend.physics.bullet import IMPACT
+from toolee_robot.sim_backend.physics.bodies import IMPACT
 from toolee_robot.sim_backend.physics.nail import Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import NailSpec, driving_work
 from toolee_robot.sim_backend.truth import StruckBy, pose_error, strike_offset, strike_tilt

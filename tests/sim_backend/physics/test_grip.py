@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.physics import grip_gains
-from toolee_robot.sim_backend.physics.bullet import IMPACT, StepSettings, pb
+from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb
 from toolee_robot.sim_backend.physics.grip import TENDON_LOSS, AssistedGrip, GripLimits
 from toolee_robot.sim_backend.physics.grip_gains import (
     ANGULAR_DAMPING,

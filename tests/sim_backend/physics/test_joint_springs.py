@@ -14,7 +14,7 @@ from scipy.linalg import eigh
 
 from toolee_robot.frames import Array, cross
 from toolee_robot.robots import RobotDescription, load_robot
-from toolee_robot.sim_backend.physics.bullet import IMPACT, StepSettings, pb
+from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb
 from toolee_robot.sim_backend.physics.joint_springs import STIFFNESS, JointSprings
 from toolee_robot.sim_backend.physics.robot_body import RobotBody
 from toolee_robot.sim_backend.world import NORMAL

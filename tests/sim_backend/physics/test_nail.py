@@ -15,8 +15,7 @@ from tests.sim_backend.physics.energy_balance import driven_by
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, inverse, is_rigid, transform
-from toolee_robot.sim_backend.physics.bodies import ToolBody
-from toolee_robot.sim_backend.physics.bullet import IMPACT, StepSettings
+from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, ToolBody
 from toolee_robot.sim_backend.physics.nail import HINGE_X, LUMPED_MASS, Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import (
     NailSpec,

@@ -11,8 +11,7 @@ import pytest
 import trimesh
 
 from toolee_robot.robots import load_robot
-from toolee_robot.sim_backend.physics.bodies import fixed_box
-from toolee_robot.sim_backend.physics.bullet import MARGIN, pb, shrink_convex
+from toolee_robot.sim_backend.physics.bodies import MARGIN, fixed_box, pb, shrink_convex
 from toolee_robot.sim_backend.physics.robot_body import RobotBody
 from toolee_robot.station import sim_station
 

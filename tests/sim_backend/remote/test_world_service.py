@@ -15,8 +15,7 @@ from tests.errors import raises
 from tests.sim_backend.kinematics import joints_for_hand
 from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.frames import Array, frame_from_axes, inverse
-from toolee_robot.runtime.clock import HostClock
-from toolee_robot.runtime.readable import readable
+from toolee_robot.runtime.clock import HostClock, readable
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.remote import Channel, RemoteJudge

@@ -12,7 +12,7 @@ import pytest
 from tests.errors import raises
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
-from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import FaultClient
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess, resting_joints
 
 pytestmark = pytest.mark.sim

@@ -13,7 +13,7 @@ import serial
 from serial.tools.list_ports import comports
 
 from toolee_robot.errors import ConfigError, NoAnswerError, words_of
-from toolee_robot.runtime.readable import readable
+from toolee_robot.runtime.clock import readable
 
 READ_S, CONNECT_S = 0.01, 1.0
 """Longest wait for the first byte, and for a connection."""

@@ -22,7 +22,6 @@ from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control.motion.trajectory_checks import check_payload, check_trajectory
 from toolee_robot.devices.ur.checks import Identity, require_ready
 from toolee_robot.devices.ur.config import UrArmConfig
-from toolee_robot.devices.ur.error_log import ErrorLog
 from toolee_robot.devices.ur.probe import nominal_rate
 from toolee_robot.devices.ur.servo.client import ServoClient
 from toolee_robot.devices.ur.servo.clock import Realtime
@@ -30,7 +29,7 @@ from toolee_robot.devices.ur.servo.messages import Cause, Freedrive, MotionReque
 from toolee_robot.devices.ur.servo.program_watch import NOT_ENDED
 from toolee_robot.devices.ur.servo.report import arm_state, build_report, fault
 from toolee_robot.devices.ur.servo.shared_memory import StateColumn, Word
-from toolee_robot.devices.ur.status import advice, check_speed_slider
+from toolee_robot.devices.ur.status import ErrorLog, advice, check_speed_slider
 from toolee_robot.errors import (
     DeviceError,
     LatchedError,
@@ -40,7 +39,7 @@ from toolee_robot.errors import (
     StaleDataError,
 )
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionReport, MotionWatch
-from toolee_robot.runtime.gc_pause import gc_paused
+from toolee_robot.runtime.latency_monitor import gc_paused
 from toolee_robot.station import ArmLimits, servo_lag
 from toolee_robot.types import Payload, Trajectory
 

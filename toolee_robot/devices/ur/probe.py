@@ -16,10 +16,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.arm_data import CB3_RATE, E_SERIES_RATE
-from toolee_robot.devices.ur.protocols.dashboard import DASHBOARD_PORT, Question, ask_all
-from toolee_robot.devices.ur.protocols.primary import PRIMARY_PORT, UrKinematics, read_kinematics
 from toolee_robot.devices.ur.protocols.rtde import RTDE_PORT, RtdeReader, RtdeSample, Value
-from toolee_robot.devices.ur.protocols.tcp import connect
+from toolee_robot.devices.ur.protocols.tcp import (
+    DASHBOARD_PORT,
+    PRIMARY_PORT,
+    Question,
+    UrKinematics,
+    ask_all,
+    connect,
+    read_kinematics,
+)
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.devices.ur.probe import UrReport, UrState
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import Array, transform
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 ANGLE_ARM = 0.1

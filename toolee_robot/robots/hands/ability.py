@@ -11,8 +11,8 @@ from functools import partial
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.robots.assets import ABILITY_HAND_URDF
 from toolee_robot.robots.hands.model import UNMOUNTED, Finger, HandModel, NominalGrasp, Phalanx
+from toolee_robot.robots.tree import ABILITY_HAND_URDF
 from toolee_robot.robots.urdf import read_urdf
 
 ABILITY = "ability_hand"

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.robots.assets import INSPIRE_RH56_URDF
 from toolee_robot.robots.hands.model import UNMOUNTED, Finger, HandModel, NominalGrasp, Phalanx
+from toolee_robot.robots.tree import INSPIRE_RH56_URDF
 from toolee_robot.robots.urdf import read_urdf
 
 INSPIRE = "inspire_rh56"

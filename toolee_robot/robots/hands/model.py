@@ -17,8 +17,7 @@ import trimesh
 
 from toolee_robot.errors import AssetError, ConfigError
 from toolee_robot.frames import Array, frame_from_axes, inverse
-from toolee_robot.robots.assets import link_mesh
-from toolee_robot.robots.tree import FLANGE_FRAME, Tree
+from toolee_robot.robots.tree import FLANGE_FRAME, Tree, link_mesh
 from toolee_robot.types import HandWeight
 
 PALM = "palm"

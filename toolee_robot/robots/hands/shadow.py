@@ -11,8 +11,8 @@ from functools import partial
 import numpy as np
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.robots.assets import SHADOW_HAND_URDF
 from toolee_robot.robots.hands.model import Finger, HandModel, NominalGrasp, Phalanx, WristJoint
+from toolee_robot.robots.tree import SHADOW_HAND_URDF
 from toolee_robot.robots.urdf import read_urdf
 
 # The maker's prefixes: first, middle, ring, little finger. Joint 1 is a finger's last, joint 4 spreads it.

@@ -34,8 +34,7 @@ from toolee_robot.hal import Station
 from toolee_robot.robots import MOUNT
 from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
-from toolee_robot.runtime.latency_monitor import load_of_others
+from toolee_robot.runtime.latency_monitor import CpuKeepalive, load_of_others
 from toolee_robot.sim_backend.cell_errors import NOMINAL, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.hands import emulated_hand, find_emulator
@@ -46,8 +45,7 @@ from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.station import SIMULATED, HandConfig, StationConfig
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal.camera import SeenScene, emulated_stream
-from toolee_robot.stations.rehearsal.hand import FingerCoupling
-from toolee_robot.stations.rehearsal.person import RehearsedPerson
+from toolee_robot.stations.rehearsal.person import FingerCoupling, RehearsedPerson
 from toolee_robot.tools import Tool
 
 NOTHING_ELSE = 0.05

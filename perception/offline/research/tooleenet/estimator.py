@@ -25,10 +25,9 @@ from toolee_robot.perception.offline.research import HOW_TO_TRAIN
 from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, POINTS, PaperNet
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
-from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align
+from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align, with_spin_variance
 from toolee_robot.perception.pose.processes import Field, Process, Sampler, VarianceExploding
 from toolee_robot.perception.pose.representation import twist_angles
-from toolee_robot.perception.pose.spin import with_spin_variance
 from toolee_robot.perception.precision import torch_device
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.types import PoseHypotheses

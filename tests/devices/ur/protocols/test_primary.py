@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 from tests.devices.ur.wire import peer_sends, soon
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.devices.ur.protocols.primary import kinematics_from
+from toolee_robot.devices.ur.protocols.tcp import kinematics_from
 from toolee_robot.devices.ur.setup_checks import calibration_of, pose_error, tcp_error, worst_error
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 from toolee_robot.frames import Array
-from toolee_robot.robots.dh import DhParameters
+from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.types import ArmModel
 
 _six = st.lists(st.floats(-10, 10), min_size=6, max_size=6)

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from tests.devices.ur.wire import FORMATS, data, packet, peer_sends, setup_reply, soon
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.devices.ur.protocols.dashboard import DashboardReader, ask_all
 from toolee_robot.devices.ur.protocols.rtde import PacketBuffer, RtdeReader
-from toolee_robot.devices.ur.protocols.tcp import connect, receive_now
+from toolee_robot.devices.ur.protocols.tcp import DashboardReader, ask_all, connect, receive_now
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 
 _number = st.floats(allow_nan=False)

@@ -22,8 +22,7 @@ from toolee_robot.devices.ur.servo.clock import AFTER_PACKET, FOLLOW, SEEK, Sche
 from toolee_robot.devices.ur.servo.shared_memory import ServoMemory, StateColumn, Word, presample
 from toolee_robot.errors import DeviceError, LimitError
 from toolee_robot.frames import Array
-from toolee_robot.runtime.clock import HostClock
-from toolee_robot.runtime.readable import readable
+from toolee_robot.runtime.clock import HostClock, readable
 from toolee_robot.types import Trajectory
 
 

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from tests.sim_backend.kinematics import line
-from toolee_robot.devices.ur.error_log import ErrorLog
-from toolee_robot.devices.ur.protocols.primary import ControllerError
+from toolee_robot.devices.ur.protocols.tcp import ControllerError
 from toolee_robot.devices.ur.servo.messages import Cause
+from toolee_robot.devices.ur.servo.motion import tracking_error
 from toolee_robot.devices.ur.servo.report import arm_state, build_report, fault
 from toolee_robot.devices.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
-from toolee_robot.devices.ur.servo.tracking import tracking_error
+from toolee_robot.devices.ur.status import ErrorLog
 from toolee_robot.errors import ProtectiveStopError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus

@@ -26,6 +26,7 @@ from tests.examples import examples
 from tests.perception.folders import assert_same
 from toolee_robot.cli.app import parse, run
 from toolee_robot.cli.dataset import Generate
+from toolee_robot.depth_noise import KINDS, SensorKind
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
@@ -51,7 +52,6 @@ from toolee_robot.perception.offline.dataset.spec import (
 from toolee_robot.perception.offline.dataset.validate import pose_fault, validate
 from toolee_robot.perception.offline.synthesis.custom_tool_reader import read_custom_tools
 from toolee_robot.runtime.files import sha256
-from toolee_robot.sensor_kinds import KINDS, SensorKind
 from toolee_robot.tools import TOOL_SPECS
 from toolee_robot.types import CameraIntrinsics
 

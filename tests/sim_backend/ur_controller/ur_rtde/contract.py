@@ -12,7 +12,7 @@ import pytest
 
 from tests.sim_backend.ur_controller.ur_rtde.client import UrRtde, servo_sine, servo_up, speed_with_kicks
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.ur_controller.faults.client import Trace
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import Trace
 from toolee_robot.sim_backend.ur_controller.process import Q_START, ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS, ControllerModel

@@ -11,8 +11,7 @@ import time
 from contextlib import suppress
 from typing import Final
 
-from toolee_robot.devices.ur.protocols.dashboard import DASHBOARD_PORT, DashboardReader
-from toolee_robot.devices.ur.protocols.tcp import connect, receive, send
+from toolee_robot.devices.ur.protocols.tcp import DASHBOARD_PORT, DashboardReader, connect, receive, send
 from toolee_robot.errors import DeviceError
 
 RETRY: Final = 0.2  # [s] on the wall clock between two requests

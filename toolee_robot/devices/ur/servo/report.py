@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.devices.ur.error_log import ErrorLog
 from toolee_robot.devices.ur.servo.messages import Cause
 from toolee_robot.devices.ur.servo.program_watch import NOT_ENDED
 from toolee_robot.devices.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
-from toolee_robot.devices.ur.status import advice, arm_status, explain
+from toolee_robot.devices.ur.status import ErrorLog, advice, arm_status, explain
 from toolee_robot.errors import (
     EmergencyStopError,
     LinkLostError,
