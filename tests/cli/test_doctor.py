@@ -221,7 +221,7 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     said = capsys.readouterr().out
     assert code == 1
     assert "✗  safety              robot emergency stop" in said
-    assert "→ release the emergency stop" in said
+    assert "release the emergency stop, and confirm it at the teach pendant" in said
     assert "Not ready:" in said
 
 
