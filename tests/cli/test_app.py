@@ -161,7 +161,7 @@ def test_options_that_are_refused_are_an_error_for_json_too(capsys: pytest.Captu
 
 @pytest.mark.parametrize(
     "words",
-    ["camera record --seconds nan", "camera record --every nan", "train pose --lr inf", "rehearse hammer x.yaml "
+    ["camera record --seconds nan", "camera record --every nan", "rehearse hammer x.yaml "
      "--real-time-factor nan", "calibrate camera --bars-mm nan 1", "annotate x --port 99999999"],
 )  # fmt: skip
 def test_a_number_that_is_none_is_refused_before_anything_is_done(

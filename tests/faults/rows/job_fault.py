@@ -119,10 +119,10 @@ GRIP_DOUBTS = (
     JobFault(21, "one bad reading of the grip", SWING, "brakes on the path, asks the hand again, looks again, goes on",
              _blink, IN_STRIKE, DONE, "after 1 strikes", 2, "home", braking=Braking(None), looks_again=True, sees=True,
              before=0.15),
-    JobFault(21, "tool dropped, nobody answers", REST, NO_ANSWER, _drop_unanswered, RUN_UP, LOST, "nobody confirmed",
+    JobFault(21, "tool dropped, nobody answers", REST, NO_ANSWER, _drop_unanswered, RUN_UP, LOST, "nobody allowed",
              0, RUN_UP, keeps=False),
     JobFault(21, "tool dropped, nobody answers", SWING, "brakes on the path, " + NO_ANSWER, _drop_unanswered, IN_STRIKE,
-             LOST, "nobody confirmed", 1, "strike", braking=Braking(None), keeps=False, before=0.15),
+             LOST, "nobody allowed", 1, "strike", braking=Braking(None), keeps=False, before=0.15),
 )  # fmt: skip
 INPUTS = (
     JobFault(27, "door contact stuck closed", REST, "no fast motion", _at_inputs(ONE_CONTACT, high=DOOR_CLOSED), None,

@@ -323,4 +323,4 @@ def test_a_folder_that_cannot_be_is_refused_before_the_work(tmp_path: Path, caps
     (tmp_path / "file").write_text("in the way")
     out = tmp_path / "file" / "clouds.npz"
     assert run(["train", "clouds", str(tmp_path / "no data"), "--out", str(out)]) == 2
-    assert "cannot make the folder" in capsys.readouterr().err
+    assert "cannot make or write the folder" in capsys.readouterr().err
