@@ -77,13 +77,14 @@ def _started(folder: Path, words: Sequence[str]) -> Iterator[BaseProcess]:
         process.join()
 
 
-def _running(folder: Path) -> list[int]:
-    """Processes that were started in a folder, in whatever session."""
+def _running(folder: Path, but_for: bytes = b"nothing") -> list[int]:
+    """Processes that were started in a folder, in whatever session, but for those with a word in their command line."""
     found = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal() and int(entry.name) != os.getpid():
             with suppress(OSError):
-                if (entry / "cwd").readlink().is_relative_to(folder):
+                inside = (entry / "cwd").readlink().is_relative_to(folder)
+                if inside and but_for not in (entry / "cmdline").read_bytes():
                     found.append(int(entry.name))
     return found
 
@@ -119,11 +120,13 @@ class Long(ABC):
         words: Its words.
         resumes: Whether the same command goes on where it stopped.
         codes: Exit codes when it was not interrupted.
+        outlives: A word in the command line of what goes on after SIGKILL, on purpose.
     """
 
     words: tuple[str, ...]
     resumes = True
     codes: tuple[int, ...] = (0,)
+    outlives = b"nothing"
 
     @abstractmethod
     def prepare(self, folder: Path) -> None:
@@ -149,7 +152,8 @@ class Long(ABC):
                     (os.killpg if everybody else os.kill)(process.pid, kill)
             process.join(PATIENCE_S)
             assert not process.is_alive(), f"{kill!r} after {after:.2f} s did not end it"
-            _until(lambda: not _running(folder), f"{kill!r} after {after:.2f} s left processes")
+            but_for = self.outlives if kill is signal.SIGKILL else b"nothing"
+            _until(lambda: not _running(folder, but_for), f"{kill!r} after {after:.2f} s left processes")
             code = process.exitcode
         assert code is not None
         said, out = (folder / "stderr").read_text(), (folder / "stdout").read_text()
@@ -208,6 +212,9 @@ class Job(Long):
 
 class Rehearsal(Job):
     """`toolee rehearse hammer`: driver, servo process and emulators end with it."""
+
+    outlives = b"program_watch"
+    """It asks the controller for up to ten minutes to end the program that a killed driver has left there."""
 
     def __init__(self) -> None:
         self.words = ("rehearse", "hammer", "lab.yaml", *Job.words[2:6], "--out", "runs", "--json")

@@ -10,6 +10,7 @@ import numpy as np
 from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription, WristJoint, write_urdf
 from toolee_robot.robots.tree import fuse_links
+from toolee_robot.runtime.interrupts import interrupts_held
 from toolee_robot.sim_backend.physics.bodies import pb, pose_matrix, quiet
 from toolee_robot.sim_backend.physics.joint_springs import JointSprings
 from toolee_robot.types import Payload
@@ -84,13 +85,14 @@ class RobotBody:
     def _reload(self, *, rigid: bool) -> None:
         """Replace the body by one that is in the same state."""
         (q_arm, qd_arm), (q_hand, qd_hand) = self.arm_state(), self.hand_state()
-        pb.removeBody(self.body, physicsClientId=self._client)
-        self._load(q_arm, qd_arm, q_hand, qd_hand, rigid=rigid)
-        ignored, self._ignored = self._ignored, []
-        for body, link in ignored:
-            self.ignore_collisions(body, link)
-        if self._elastic is not None:
-            self._release_motors()
+        with interrupts_held():  # whoever stops the arm needs a whole one
+            pb.removeBody(self.body, physicsClientId=self._client)
+            self._load(q_arm, qd_arm, q_hand, qd_hand, rigid=rigid)
+            ignored, self._ignored = self._ignored, []
+            for body, link in ignored:
+                self.ignore_collisions(body, link)
+            if self._elastic is not None:
+                self._release_motors()
 
     def _release_motors(self) -> None:
         """Disable pybullet's motors of the arm: the springs alone move it."""

@@ -192,7 +192,11 @@ def test_every_command_is_one_line_of_its_groups_help_on_one_screen(
 def test_a_line_end_of_a_docstring_breaks_no_help(capsys: pytest.CaptureFixture[str]) -> None:
     @dataclass(frozen=True)
     class Broken:
-        """Do it. Exit code 0: done; 2: bad input."""
+        """Do it. Exit code 0: done;
+        2: bad input.
+
+        Another paragraph.
+        """
 
         place: str = ""
         """Where it is
