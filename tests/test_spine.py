@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.errors import raises
 from tests.strategies import rotations, transforms
 from toolee_robot.end_effectors import CATEGORIES, END_EFFECTORS, Category, label_of
 from toolee_robot.errors import UserError
