@@ -258,8 +258,8 @@ def _load(f: Mapping[str, Any]) -> Rows:
     if f["largest_impulse"] is None:
         return []
     return [
-        ("largest load at the flange", f"{_figure(f['largest_impulse'], ' N s')}, {f['largest_flange_force']:.0f} N"),
-        ("largest load of a joint", f"{100 * f['largest_torque_share']:.0f} % of its largest torque"),
+        ("load at the flange", f"at most {_figure(f['largest_impulse'], ' N s')}, {f['largest_flange_force']:.0f} N"),
+        ("load of a joint", f"at most {100 * f['largest_torque_share']:.0f} % of its largest torque"),
     ]
 
 
