@@ -130,7 +130,7 @@ def _sums(directory: Path) -> dict[str, str]:
 
 def _check(path: Path, sums: dict[str, str]) -> None:
     if path.name in sums and sha256(path) != sums[path.name]:
-        message = f"weight file {path} is damaged: its checksum is not in {SUMS}. Fetch the file again"
+        message = f"weight file {path} is damaged: its checksum is not the one in {SUMS}. Fetch the file again"
         raise AssetError(message, code="asset.unreadable")
 
 

@@ -1,9 +1,8 @@
 """Spelling, terms and length: codespell, the terms of `terms.toml`, and its limits on sentences and pages.
 
 Terms hold for Markdown outside of code, and for docstrings, comments and strings with spaces of Python files.
-Lengths hold for the documents. A page that `terms.toml` allows more may not get worse.
+Lengths hold for the documents.
 Exit code 1: something was found, one line each. Example: `python scripts/check_language.py`
-`--shrink` lowers what `terms.toml` allows to what the pages need now. `--pages` prints each page's counts.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ PAGE = re.compile(r"(README|CONTRIBUTING|CHANGELOG|docs/.*)\.md$")
 """Documents that have limits; the history has none."""
 ITEM = r"([-*+]|\d+\.) "
 SITE = "docs"
-"""Folder of the site, and what `terms.toml` calls all of its pages together."""
+"""Folder of the site."""
 NO_PROSE = re.compile(r"<!--(?:[^-]|-(?!->))*-->|^--8<--.*$|^:::.*\n(?: +.*\n)*", re.MULTILINE)
 """Comments, included files, and entries that mkdocstrings writes."""
 SENTENCE_END = re.compile(r"(?<!e\.g\.)(?<!i\.e\.)(?<!Fig\.)(?<=[.!?])[\"')*_]*\s+(?=[\"'(*_]*[A-Z0-9])")
@@ -100,22 +99,6 @@ def findings(path: str, text: str, terms: list[Term]) -> Iterator[str]:
                 yield f"{path}:{line}: {match[0]!r}: write {term.use}"
 
 
-@dataclass(frozen=True)
-class Counts:
-    """How long a page is: also what a page may have."""
-
-    words: int
-    """Words of the whole file, code and tables included."""
-    long: int
-    """Sentences over the limit."""
-    mean: float
-    """Mean length of a sentence outside of tables [words]."""
-
-    def line(self, path: str) -> str:
-        """The page's line in `terms.toml`."""
-        return f'"{path}" = {{words = {self.words}, long = {self.long}, mean = {self.mean:.1f}}}'
-
-
 def sentences(text: str) -> Iterator[tuple[int, str, bool]]:
     """Line number and text of each sentence of a Markdown page, and whether it stands in a table."""
     text = NO_PROSE.sub(lambda m: "\n" * m[0].count("\n"), text)
@@ -151,45 +134,26 @@ def long_sentences(text: str, limit: int) -> list[tuple[int, str]]:
     return [(line, sentence) for line, sentence, _ in sentences(text) if words_of(sentence) > limit]
 
 
-def count(text: str, limit: int) -> Counts:
-    """The counts of a page."""
-    lengths = [words_of(sentence) for _, sentence, in_table in sentences(text) if not in_table]
-    mean = sum(lengths) / max(len(lengths), 1)
-    return Counts(len(text.split()), len(long_sentences(text, limit)), round(mean, 1))
-
-
-def too_long(pages: dict[str, str], limits: Mapping[str, float], allowed: Mapping[str, Counts]) -> Iterator[str]:
-    """What is longer than the limits and than what is allowed, one line each."""
-    sentence = int(limits["sentence"])
+def too_long(pages: dict[str, str], limits: Mapping[str, float]) -> Iterator[str]:
+    """What is longer than the limits, one line each."""
+    sentence, site = int(limits["sentence"]), 0
     for path, text in pages.items():
-        now, most = count(text, sentence), allowed.get(path, Counts(0, 0, 0.0))
-        if now.words > (limit := max(most.words, limits["page"])):
-            yield f"{path}: {now.words} words; at most {limit:g}"
-        if now.mean > (limit := max(most.mean, limits["mean"])):
-            yield f"{path}: {now.mean:g} words a sentence in the mean; at most {limit:g}"
-        if now.long > most.long:
-            yield f"{path}: {now.long} sentences over {sentence} words; at most {most.long}"
-            yield from (
-                f"{path}:{line}: {words_of(long)} words: {long}" for line, long in long_sentences(text, sentence)
-            )
-    total, most = site_words(pages), allowed.get(SITE, Counts(0, 0, 0.0))
-    if total > (limit := max(most.words, limits["site"])):
-        yield f"{SITE}: {total} words; at most {limit:g}"
+        words, mean = len(text.split()), mean_sentence(text)
+        site += words if path.startswith(f"{SITE}/") else 0
+        if words > limits["page"]:
+            yield f"{path}: {words} words; at most {limits['page']:g}"
+        if mean > limits["mean"]:
+            yield f"{path}: {mean:g} words a sentence in the mean; at most {limits['mean']:g}"
+        for line, long in long_sentences(text, sentence):
+            yield f"{path}:{line}: {words_of(long)} words; at most {sentence}: {long}"
+    if site > limits["site"]:
+        yield f"{SITE}: {site} words; at most {limits['site']:g}"
 
 
-def site_words(pages: dict[str, str]) -> int:
-    """Words of all pages of the site."""
-    return sum(len(text.split()) for path, text in pages.items() if path.startswith(f"{SITE}/"))
-
-
-def shrink(listed: str, pages: dict[str, str], limits: Mapping[str, float], allowed: Mapping[str, Counts]) -> str:
-    """The text of `terms.toml` with no more allowed than the pages need."""
-    for path, most in allowed.items():
-        now = count(pages.get(path, ""), int(limits["sentence"])) if path != SITE else Counts(site_words(pages), 0, 0.0)
-        least = Counts(min(now.words, most.words), min(now.long, most.long), min(now.mean, most.mean))
-        kept = least.words > limits["site" if path == SITE else "page"] or least.long or least.mean > limits["mean"]
-        listed = listed.replace(most.line(path) + "\n", least.line(path) + "\n" if kept else "")
-    return listed
+def mean_sentence(text: str) -> float:
+    """Mean length of a page's sentences outside of tables [words]."""
+    lengths = [words_of(sentence) for _, sentence, in_table in sentences(text) if not in_table]
+    return round(sum(lengths) / max(len(lengths), 1), 1)
 
 
 def tracked_files() -> list[str]:
@@ -204,18 +168,11 @@ def tracked_files() -> list[str]:
 def main() -> int:
     """Check the repository; the exit code."""
     listed = Path(__file__).with_name("terms.toml")
-    terms, lengths = load_terms(listed), tomllib.loads(listed.read_text())
-    limits, allowed = lengths["limits"], {path: Counts(**most) for path, most in lengths["allowed"].items()}
+    terms, limits = load_terms(listed), tomllib.loads(listed.read_text())["limits"]
     paths = tracked_files()
     pages = {path: (ROOT / path).read_text() for path in paths if PAGE.match(path) and path != HISTORY[0]}
-    if "--shrink" in sys.argv:
-        listed.write_text(shrink(listed.read_text(), pages, limits, allowed))
-        return 0
-    if "--pages" in sys.argv:
-        print("\n".join(count(text, int(limits["sentence"])).line(path) for path, text in pages.items()))
-        return 0
     found = [line for path in paths for line in findings(path, (ROOT / path).read_text(), terms)]
-    found += too_long(pages, limits, allowed)
+    found += too_long(pages, limits)
     print("\n".join(found), end="\n" if found else "")
     spelling = subprocess.run(["codespell", *paths], cwd=ROOT, check=False)
     print(f"{len(paths)} files, {len(found)} findings, spelling {'ok' if spelling.returncode == 0 else 'wrong'}")

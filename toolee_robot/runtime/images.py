@@ -59,10 +59,10 @@ def decode_image(packed: bytes, flags: int = cv2.IMREAD_UNCHANGED) -> NDArray[An
 
 
 def _check_size(packed: bytes) -> None:
-    """Refuse an image that would fill the memory, before it is decoded; what is no image OpenCV says."""
+    """Refuse an image that would fill the memory, before it is decoded. OpenCV reports what is no image."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what is damaged OpenCV tells
+            warnings.simplefilter("ignore")  # OpenCV reports damage
             width, height = Image.open(BytesIO(packed)).size
     except Image.DecompressionBombError:
         raise ValueError(f"it has more than {LARGEST_IMAGE:,} pixels") from None

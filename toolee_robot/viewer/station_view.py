@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import HALF_TURN, Array, BaseFrame, frame_from_axes, inverse, transform, transform_points
-from toolee_robot.sim_backend.physics.bodies import OBSTACLE_COLOR
 from toolee_robot.sim_backend.visuals import BodyId, SceneState, SceneVisuals, VisualBody
 from toolee_robot.station import StationConfig, given_by_nails, given_by_pose, read_station
 from toolee_robot.station.station import to_station
@@ -158,10 +157,6 @@ def axes(Xs: Array, length: float) -> Any:
     ends = length * np.swapaxes(Xs[:, :3, :3], 1, 2).reshape(-1, 3)
     colors = np.tile(np.array(AXES_COLORS, np.uint8), (len(Xs), 1))
     return rr.Arrows3D(origins=origins, vectors=ends, colors=colors, radii=length / 30)
-
-
-OBSTACLE = rgb(OBSTACLE_COLOR[:3])
-"""Colour of the boxes that are kept clear of."""
 
 
 WORKSPACE, VIEW, LABEL = (60, 120, 200), (250, 190, 90), (20, 24, 30)
