@@ -194,9 +194,10 @@ class InspireLine(ABC):
         """One attempt; None without a usable reply in time."""
         self.counts.requests += 1
         self._port.drop_received()
-        received, end = b"", time.monotonic() + ANSWER_S
+        received, end, late = b"", time.monotonic() + ANSWER_S, False
         if self._port.send(request):
-            while time.monotonic() < end:
+            while not late:
+                late = time.monotonic() >= end  # asked first, so that a process that was held up looks once more
                 received += self._port.receive()
                 if (found := find(received)) is not None:
                     return found

@@ -88,9 +88,10 @@ class RobotiqLine:
         for _ in range(ATTEMPTS):
             self.counts.requests += 1
             self._port.drop_received()
-            received, end = b"", time.monotonic() + ANSWER_S
+            received, end, late = b"", time.monotonic() + ANSWER_S, False
             self._port.send(f"{request}\n".encode())
-            while time.monotonic() < end:
+            while not late:
+                late = time.monotonic() >= end  # asked first, so that a process that was held up looks once more
                 received += self._port.receive()
                 if found := re.search(reply.encode(), received):
                     return found[1]

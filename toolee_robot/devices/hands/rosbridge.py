@@ -210,8 +210,9 @@ class RosbridgeLine:
             NoAnswerError: A topic says nothing, or the connection is gone.
             ProtocolError: What answers is no Shadow Hand.
         """
-        end = time.monotonic() + FIND_S
-        while time.monotonic() < end:
+        end, late = time.monotonic() + FIND_S, False
+        while not late:
+            late = time.monotonic() >= end  # asked first, so that a process that was held up looks once more
             told = self._take(ANSWER_S)
             if told is not None and self._heard.issuperset(TYPES):
                 return told
@@ -229,8 +230,10 @@ class RosbridgeLine:
             NoAnswerError: None came, or the connection is gone.
         """
         end = time.monotonic() + ANSWER_S
-        while (left := end - time.monotonic()) > 0.0:
-            if (told := self._take(left)) is not None:
+        left = ANSWER_S
+        while left > 0.0:
+            left = end - time.monotonic()
+            if (told := self._take(max(left, 0.0))) is not None:
                 return told
         self.counts.unanswered += 1
         message = f"the hand behind {self._url} says nothing new: check its power and the network"
