@@ -185,9 +185,8 @@ class BopImage:
             if error.code != "user.depth_unit":
                 raise
             raise UserError(  # whose remedy is an option of a single frame
-                f"{self.depth}: no depth is in metres with the depth_scale of {self.scale * 1e3:g} that "
-                "scene_camera.json has for it: give the millimetres of one unit there, 1 for millimetres, 0.1 for "
-                "tenths",
+                f"{self.depth}: with the depth_scale {self.scale * 1e3:g} of scene_camera.json no depth is "
+                "plausible in metres. Give the millimetres per unit there: 1 for millimetres, 0.1 for tenths",
                 code=error.code,
             ) from error
         return _frame(self.rgb, image, self.depth, depth, intrinsics)

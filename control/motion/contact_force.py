@@ -88,8 +88,8 @@ def strike_guard(
         needed = SIGMAS * float(np.sqrt(np.mean(steps**2)))
     if needed > MAX_FACTOR * strike.contact_force:
         raise DeviceError(
-            f"the force at rest is so noisy that only a step of {needed:.0f} N would be a sure contact, and "
-            f"strike.contact_force is {strike.contact_force:g} N: no strike. Check the payload, wait until nothing "
+            f"the force at rest is so noisy that a sure contact needs a step of {needed:.0f} N, more than "
+            f"strike.contact_force {strike.contact_force:g} N: no strike. Check the payload, wait until nothing "
             "swings, or raise it as far as hand and tool can bear",
             code="device.force_noise",
         )

@@ -160,8 +160,8 @@ def touch_settings(forces: Array, rate: float, strike: StrikeConfig) -> TouchSet
     needed = SIGMAS * deviation * float(np.sqrt(1.0 + window / ZERO_TIME))
     if needed > MAX_FACTOR * strike.touch_force:
         raise DeviceError(
-            f"at rest the force varies so much (standard deviation {sigma:.1f} N) that only {needed:.0f} N would be a "
-            f"sure contact, strike.touch_force is {strike.touch_force:g} N: nothing is touched. Check the payload, "
+            f"the force at rest is so noisy (standard deviation {sigma:.1f} N) that a sure contact needs "
+            f"{needed:.0f} N, more than strike.touch_force {strike.touch_force:g} N: no touch. Check the payload, "
             "wait until nothing swings, or raise it as far as the hand can bear",
             code="device.force_noise",
         )

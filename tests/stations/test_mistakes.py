@@ -243,7 +243,7 @@ def test_a_camera_whose_depth_is_in_millimetres_is_told(in_millimetres: Path, sa
 def test_a_folder_of_frames_whose_depth_is_in_millimetres_is_told(in_millimetres: Path, said: Say) -> None:
     assert run(["estimate", "--bop", str(in_millimetres)]) == EXIT_USER
     told = said()
-    assert "the depth_scale of 100 that scene_camera.json has for it" in told
+    assert "with the depth_scale 100 of scene_camera.json" in told
     assert "1 for millimetres" in told
     assert "--depth-scale" not in told, "which goes with a single frame"
 

@@ -153,8 +153,8 @@ def see_nail(
     tilt = angle_between(up, np.array([0.0, 0.0, 1.0]))
     if tilt > LARGEST_TILT:
         raise UserError(
-            f"the board is tilted by {np.rad2deg(tilt):.1f}°, {np.rad2deg(LARGEST_TILT):.0f} are allowed: lay it flat "
-            "on the wood, make the wood level, or calibrate the camera again (`toolee calibrate check`)",
+            f"the board is tilted by {np.rad2deg(tilt):.1f}°, and {np.rad2deg(LARGEST_TILT):.0f} are allowed. Lay "
+            "it flat on the wood, level the wood, or check the camera's calibration (`toolee calibrate check`)",
             code="user.wood_tilted",
         )
     p_board = np.array([*on_wood.p_board_nail, on_wood.thickness])
@@ -180,8 +180,8 @@ def _check_size(X_camera_board: Array, board: Board, camera: KnownCamera, depth:
     ratio = float(np.median(measured[known] / points[inside, 2][known]))
     if abs(ratio - 1.0) > LARGEST_SCALING:
         raise UserError(
-            f"by its size the board is {points[:, 2].mean():.3f} m away, by the depth image {ratio:.3f} times as far: "
-            f"its squares seem to be {ratio * board.square * 1e3:.1f} mm and not {board.square * 1e3:.1f}: check "
+            f"by its size the board is {points[:, 2].mean():.3f} m away, by the depth image {ratio:.3f} times as "
+            f"far. Its squares seem to be {ratio * board.square * 1e3:.1f} mm, not {board.square * 1e3:.1f}. Check "
             "--sheet, and measure both scale bars again",
             code="user.board_size",
         )

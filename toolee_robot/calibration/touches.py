@@ -116,9 +116,9 @@ def locate_tip(Xs_base_flange: Sequence[Array]) -> Tip:
     spread = motion_spread(Xs_base_flange)
     if not spread.sufficient:
         raise UserError(
-            f"the touches turn the flange by {np.rad2deg(spread.first):.0f}° and by {np.rad2deg(spread.second):.0f}° "
-            f"about an axis across it: {np.rad2deg(MIN_ROTATION):.0f}° about both are needed, or the tip is "
-            "undetermined along an axis",
+            f"the touches turn the flange by {np.rad2deg(spread.first):.0f}°, and by "
+            f"{np.rad2deg(spread.second):.0f}° about an axis across it. Both need {np.rad2deg(MIN_ROTATION):.0f}°, "
+            "or the tip is undetermined along an axis",
             code="user.tip_degenerate",
         )
     X = np.asarray(Xs_base_flange)
@@ -228,8 +228,8 @@ def see_board(camera: KnownCamera, board: Board, view: BoardView, image: NDArray
     X_camera_board, ratio = camera_board(view, board, camera.intrinsics)
     if ratio < AMBIGUOUS:
         raise UserError(
-            "two tilts of the board explain the image almost equally: lay it nearer to the camera, or turn it so that "
-            "the camera sees it more from the side",
+            "two tilts of the board explain the image almost equally. Lay it nearer to the camera, or turn it so "
+            "that the camera sees it more from the side",
             code="user.board_ambiguous",
         )
     reprojection = view.reprojection(X_camera_board, board, camera.intrinsics)

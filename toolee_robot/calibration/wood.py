@@ -106,7 +106,7 @@ def _check_spread(xy: Array) -> None:
     where = "nearly on a line" if width < 0.5 * longest else "too near to each other"
     raise UserError(
         f"the touches of the wood lie {where}: up to {longest * 1e3:.0f} mm apart, but only {width * 1e3:.0f} mm wide "
-        f"across that, and {MIN_WIDTH * 1e3:.0f} mm are needed: touch once more, "
+        f"across that. {MIN_WIDTH * 1e3:.0f} mm are needed. Touch once more, "
         f"{(MIN_WIDTH - width) * 1e3:.0f} mm further out across the line",
         code="user.wood_degenerate",
     )

@@ -56,8 +56,8 @@ class Ledger:
         path = LEDGER if path is None else path
         if not path.is_file():
             raise UserError(
-                f"{folder} is a test set, whose every scoring must be entered in the ledger {path}, which is missing: "
-                "score it in a checkout of the repository"
+                f"{folder} is a test set, and its ledger {path} is missing. Evaluate it in a checkout of the "
+                "repository, where each evaluation is logged",
             )
         return Ledger(path, found)
 

@@ -79,9 +79,9 @@ def check_fit(
     noise = refined.noise
     if (pixel := float(np.median(own))) > PIXEL:
         raise UserError(
-            f"within a single image the corners are {pixel:.1f} px off a board of {board.columns} x {board.rows} "
-            f"squares under a focal length of {intrinsics.fx:.0f} px: other intrinsics, a lens distortion that is not "
-            "corrected, a bent board, or images in which it moves",
+            f"in a single image the corners are {pixel:.1f} px off a board of {board.columns} x {board.rows} "
+            f"squares with a focal length of {intrinsics.fx:.0f} px. Possible causes: other intrinsics, an "
+            "uncorrected lens distortion, a bent board, or a board that moved",
             code="user.calibration_image",
         )
     good = float(np.mean(refined.weights > 0.5))

@@ -113,14 +113,14 @@ def choose_lens(told: Lens, stated: StatedLens | None, *, undistorted: bool | No
     mine, theirs = told.intrinsics, stated.intrinsics
     if (mine.width, mine.height) != (theirs.width, theirs.height):
         raise NotReadyError(
-            f"the camera's images are {_size(mine)}, those of the station file {_size(theirs)}: give the size in which "
-            "it was calibrated, or enter what `toolee camera show` prints",
+            f"the camera's images are {_size(mine)}, those of the station file {_size(theirs)}. Give the size of "
+            "the calibration, or enter what `toolee camera show` prints",
             code="not_ready.camera_size",
         )
     if undistorted is None and stated.lens.distorts:
         raise NotReadyError(
-            "the station file states a distortion, and the recording does not say whether it was taken out of its "
-            "images: record again, or add `undistorted: true` or `false` to its recording.json",
+            "the station file gives a distortion, but the recording does not say whether its images are "
+            "undistorted. Record again, or add `undistorted: true` or `false` to its recording.json",
             code="not_ready.camera_undistorted",
         )
     if undistorted:

@@ -249,7 +249,7 @@ class RealSenseStream:
             has = ", ".join(sorted({f"{p.width()}x{p.height()}" for _, p in modes})) or "none"
             raise NotReadyError(
                 f"the RealSense has no {stream.name} image of {mode.width}x{mode.height} at {mode.fps} Hz (sizes at "
-                f"this rate: {has}): choose another size or rate, and a port of USB 3",
+                f"this rate: {has}). Choose another size or rate, and a USB 3 port",
                 code="not_ready.camera_mode",
             )
         return fitting[0]

@@ -183,8 +183,8 @@ def _protective_stop(state: ArmState, report: MotionReport | None, errors: Error
     if told is None and max(deviation, collision) >= RATIO_LIMIT:
         if deviation >= collision:
             message += (
-                f". Its joints were off their path (position deviation ratio {deviation:.2f}, a stop at 1): it was "
-                "hit, or the motion was too fast for the payload that is set"
+                f". Its joints were off their path (position deviation ratio {deviation:.2f}, it stops at 1). It "
+                "was hit, or the motion was too fast for the payload set at the robot"
             )
             kind = "position_deviation"
         else:
