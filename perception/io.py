@@ -251,8 +251,8 @@ def _bop_image(path: Path, key: str, entry: Any, rgbs: dict[int, Path], depths: 
         )
     if not 0.0 < scale < 1.0:
         raise UserError(
-            f'{path}, image "{key}": depth_scale {scale * 1e3:g} is not the millimetres of one unit: 1 for '
-            "millimetres, 0.1 for tenths",
+            f'{path}, image "{key}": depth_scale {scale * 1e3:g} is not plausible. Give the millimetres '
+            "per unit: 1 for millimetres, 0.1 for tenths",
             code="user.bop_camera",
         )
     for kind, files in (("rgb", rgbs), ("depth", depths)):

@@ -112,7 +112,7 @@ def test_a_hand_that_is_not_well(simulation: SimStation, hand: SimHand) -> None:
     hand.temperature = 40.0
     assert found() == (Level.OK, "answers, empty, 24 joints, 40 °C")
     hand.temperature = 71.0
-    assert found() == (Level.FAIL, "71 °C, 65 °C are allowed")
+    assert found() == (Level.FAIL, "71 °C, above the allowed 65 °C")
     hand.fault = "index finger stalled"
     assert found() == (Level.FAIL, "index finger stalled")
     hand.cut_link()

@@ -12,7 +12,7 @@ from toolee_robot.station import PersonConfig
 from toolee_robot.tasks.common.motions import HOLD_SWITCH
 
 TWO_CONTACTS = PersonConfig(door_closed_input=0, door_open_input=1, hold_to_run_input=2, hold_to_run_released_input=3)
-"""Door and switch have two antivalent contacts each."""
+"""Door and switch have two complementary contacts each."""
 ONE_CONTACT = PersonConfig(
     door_closed_input=0, door_open_input=None, hold_to_run_input=2, hold_to_run_released_input=None
 )

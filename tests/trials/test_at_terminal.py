@@ -124,7 +124,7 @@ app.run_job = run_job
 )
 """The command with a stand-in for the job: it asks at the terminal, and stops its arm on Ctrl-C."""
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
-ANSWERS = {"continue later?": "r", "in mm,": "0.3", "does it lean": "n", "slip in the hand?": "n", "done again?": "y"}
+ANSWERS = {"continue later?": "r", "in mm,": "0.3", "does it lean": "n", "slip in the hand?": "n", "repeat it?": "y"}
 
 
 def written(folder: Path, **fields: object) -> Path:

@@ -236,7 +236,7 @@ def test_a_command_that_is_killed_in_a_job_does_that_trial_again_and_tells_it(tm
         lead_trials(plan, tmp_path, Person("r").ask, lambda _: None, killed)
     person = Person(*GOOD)
     lead(plan, tmp_path, person)
-    assert any("ended while this trial was under way" in line for line in person.read)
+    assert any("ended during this trial" in line for line in person.read)
     page = write_report(plan, tmp_path).read_text()
     assert "cut off" in page
     assert read_results(plan, tmp_path)[0][0].figures["tries"] == 2
@@ -286,8 +286,8 @@ def test_nails_and_woods_of_the_plan_are_told_to_person_and_job(tmp_path: Path) 
     [
         ({"arms": (Variant.FULL, Variant.PERFECT_PERCEPTION)}, "only a simulation knows"),
         ({"arms": (Variant.ICP,)}, "nobody has measured"),
-        ({"errors": "exact"}, "a station has its own"),
-        ({"errors": {"ruler": 0.001}}, "a station has its own"),
+        ({"errors": "exact"}, "for simulations only"),
+        ({"errors": {"ruler": 0.001}}, "for simulations only"),
         ({"where": InSimulation(), "attended": True}, "no station file"),
         ({"tools": ("a", PEEN, "a")}, "a name of its own"),
     ],
@@ -303,7 +303,7 @@ def test_a_plan_on_a_robot_has_a_person_and_a_rehearsal_where_it_says_so(tmp_pat
     assert not replace(PLAN, tools=(), where=rehearsal).led
     assert replace(PLAN, tools=(), where=rehearsal, attended=True).led
     assert load_plan(LAB.with_name("robot_trials.yaml")).on_robot
-    with pytest.raises(ValueError, match="drawn from the seed"):
+    with pytest.raises(ValueError, match="where the seed chooses them"):
         replace(PLAN, where=rehearsal)
     with raises(UserError, code="user.attended"):
         run_trials(PLAN, tmp_path)

@@ -241,7 +241,7 @@ def test_a_killed_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert "0 of 1 flush" in _run(file, out, "--report-only")
     assert json.loads((out / FIGURES).read_text())["finished"] == 1
 
-    assert "1 of 2 trials are there already" in _run(file, out, "--jobs", "1")
+    assert "1 of 2 trials are already done" in _run(file, out, "--jobs", "1")
     assert results.read_bytes().startswith(kept), "the first trial was not run again"
     folders = sorted(folder.name.split("-")[-1] for folder in runs.glob("[0-9]*"))
     assert (folders, finished.is_dir()) == (["seed101", "seed102"], True)
@@ -252,5 +252,5 @@ def test_a_killed_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert (out / FIGURES).read_text() == (whole / FIGURES).read_text()
 
     before = results.read_bytes()
-    assert "2 of 2 trials are there already" in _run(file, out, "--jobs", "1")
+    assert "2 of 2 trials are already done" in _run(file, out, "--jobs", "1")
     assert results.read_bytes() == before, "nothing is left to be run"

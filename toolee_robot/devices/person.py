@@ -15,13 +15,13 @@ DEBOUNCE = 0.05
 """Time for which every reading must agree before a contact counts as made or broken [s]; contacts bounce for some
 10 ms."""
 DISCREPANCY = 0.5
-"""Longest time for which two antivalent contacts may agree with each other, while they change [s]."""
+"""Longest time for which two complementary contacts may agree with each other, while they change [s]."""
 
 
 class Contact:
     """The debounced state of a contact.
 
-    With two inputs the contacts are antivalent: one is high while the other is low. Both low is an unplugged cable,
+    With two inputs the contacts are complementary: one is high while the other is low. Both low is an unplugged cable,
     both high a short circuit or a contact that is stuck; after DISCREPANCY either is a fault, until the contact is seen
     broken on both inputs. With one input a contact that is stuck high cannot be told from one that is made: only a
     change proves it.

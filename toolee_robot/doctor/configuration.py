@@ -38,14 +38,14 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
     wrong = []
     for joint, mine, most in zip(model.arm_joints, arm.velocity, model.velocity, strict=False):
         if mine > most * 1.001:
-            wrong.append(f"arm.velocity of {joint} is {mine:.2f} rad/s, the {arm.model} does {most:.2f}")
+            wrong.append(f"arm.velocity of {joint} is {mine:.2f} rad/s, and the {arm.model} reaches {most:.2f}")
     for joint, q, low, high in zip(model.arm_joints, config.scene.home, model.lower, model.upper, strict=False):
         if not low <= q <= high:
             wrong.append(f"scene.home puts {joint} at {q:.2f} rad, outside {low:.2f} to {high:.2f}")
     load = model.hand_payload(model.hand_closed).mass + SWUNG_MASS[1]
     payload = ARM_DATA[arm.model].payload
     if load > payload:
-        wrong.append(f"hand and hammer weigh {load:.1f} kg, the {arm.model} carries {payload:.1f}")
+        wrong.append(f"hand and hammer weigh {load:.1f} kg, and the {arm.model} carries {payload:.1f}")
     inside = np.all(np.less(config.scene.workspace_lower, config.scene.handover_position)) and np.all(
         np.less(config.scene.handover_position, config.scene.workspace_upper)
     )
@@ -79,14 +79,14 @@ def check_sides(config: StationConfig) -> Finding:
     scene, work = config.scene, config.work
     flange = RobotModel.of_station(config).arm.fk(np.array(scene.home))[:2, 3]
     if np.linalg.norm(flange) < OVER_BASE:
-        return ok("sides", "not looked at: the arm at home is over its base")
+        return ok("sides", "not checked: the arm at home is over its base")
     places = {f"work.nails {nail.name}": nail.xy for nail in work.nails} or {"work.nail_xy": work.nail_xy}
     places |= {"scene.handover_position": scene.handover_position[:2], "camera": config.camera.center[:2]}
     over = [name for name, place in places.items() if np.linalg.norm(place) < OVER_BASE]
     judged = {name: place for name, place in places.items() if name not in over}
     behind = [name for name, place in judged.items() if angle_between(_flat(flange), _flat(place)) > BEHIND]
     if not behind:
-        skipped = f"; not looked at, over the base: {', '.join(over)}" if over else ""
+        skipped = f"; not checked, over the base: {', '.join(over)}" if over else ""
         return ok("sides", f"nail, handover and camera are on the side of the arm at home{skipped}")
     cause = f"{'it is' if len(behind) == 1 else 'they are'} typed in the other base's frame"
     if len(behind) == len(judged):
@@ -104,7 +104,7 @@ def _flat(place: ArrayLike) -> Array:
 
 
 def check_contacts(config: StationConfig) -> Iterator[Finding]:
-    """Check whether door and hold-to-run switch have two antivalent contacts each.
+    """Check whether door and hold-to-run switch have two complementary contacts each.
 
     Args:
         config: Configuration of the station.
@@ -125,10 +125,10 @@ def check_contacts(config: StationConfig) -> Iterator[Finding]:
             f"the {device} has one contact: stuck high or bridged it reads as {reading}, and only a missing change "
             "reveals that"
         )
-        remedy = f"wire its second, antivalent contact and give person.{field}; until then, before a session: "
+        remedy = f"wire its second, complementary contact and give person.{field}; until then, before a session: "
         yield warn(name, message, f"{remedy}`toolee doctor --inputs`")
     if not single:
-        yield ok("contacts", "door and hold-to-run switch have two antivalent ones each")
+        yield ok("contacts", "door and hold-to-run switch have two complementary contacts each")
 
 
 def check_measured(path: Path | None, stand_in: bool) -> Finding:
@@ -146,7 +146,7 @@ def check_measured(path: Path | None, stand_in: bool) -> Finding:
     """
     missing = list(MEASURED) if path is None else unmeasured(path)
     if not missing:
-        return ok("measured", "the file gives everything that describes a lab")
+        return ok("measured", "the file gives everything about the lab")
     message = f"the simulated station's values stand in for {', '.join(missing)}"
     remedy = "measure and enter them" + (": `toolee arm` moves no real robot without" if stand_in else "")
     return (warn if stand_in else fail)("measured", message, remedy)
@@ -172,7 +172,7 @@ def check_calibration(
         message = "none: no job and no look with the camera, only the slow motions of `toolee arm`"
         return warn("calibration", message, "`toolee calibrate camera` when the arm moves as it should")
     if calibration is None:
-        return fail("calibration", "none", "calibrate the camera to the robot, enter it in the station file")
+        return fail("calibration", "none", "calibrate the camera to the robot, enter the result in the station file")
     problems = calibration.problems(
         calibration.robot_serial if robot_serial is None else robot_serial,
         calibration.camera_serial if camera_serial is None else camera_serial,

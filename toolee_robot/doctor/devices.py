@@ -78,13 +78,13 @@ def check_hand(hand: Hand, config: StationConfig) -> Finding:
     if hand.joint_names != robot.description.hand_joints:
         return fail("hand", "its joints are not the model's", "use a driver for this hand")
     if state.fault:
-        return fail("hand", state.fault, "clear the fault in its own software, then look again")
+        return fail("hand", state.fault, "clear the fault in its own software, then check again")
     hottest = state.temperature
     if hottest is not None and hottest > config.supervisor.max_hand_temperature:
         most = config.supervisor.max_hand_temperature
-        return fail("hand", f"{hottest:.0f} °C, {most:.0f} °C are allowed", "let it cool down")
+        return fail("hand", f"{hottest:.0f} °C, above the allowed {most:.0f} °C", "let it cool down")
     if robot.description.hand.clamps and not state.holding:
-        return ok("hand", "a tool mount, which has no sensors: look that it is empty")
+        return ok("hand", "a tool mount, which has no sensors: check that it is empty")
     if state.holding:
         return warn("hand", "it holds something", "take it out: a job begins with an empty hand")
     warmth = "" if hottest is None else f", {hottest:.0f} °C"
@@ -109,18 +109,18 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
         second = camera.read()
         now = clock.now()
     except TooleeError as error:
-        yield Finding.of_error(name, error, "check its cable; plug it into a port of its own")
+        yield Finding.of_error(name, error, "check its cable, and give it its own USB port")
         return
     if not second.stamp > first.stamp:
         yield fail(name, "it repeats the same frame", "restart the camera's driver")
     elif not asked - EARLY <= second.stamp <= now + EARLY:
-        message = f"a frame asked for now says that it is {now - second.stamp:.2f} s old"
+        message = f"a new frame's time stamp is {now - second.stamp:.2f} s old"
         yield fail(name, message, "its clock is not the station's, or its frames queue: correct its driver")
     elif now - asked > SLOW:
         message = f"a frame takes {now - asked:.2f} s"
-        yield warn(name, message, "jobs take longer: look for load on this machine and on its port")
+        yield warn(name, message, "jobs take longer: check the load on this computer and on its port")
     else:
-        yield ok(name, f"new frames, {(now - second.stamp) * 1e3:.0f} ms old when they are here")
+        yield ok(name, f"new frames, {(now - second.stamp) * 1e3:.0f} ms old on arrival")
     if not second.intrinsics.agrees(config.camera.intrinsics):
         yield fail(
             "intrinsics",
@@ -129,7 +129,7 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
         )
     known = float(np.mean(np.isfinite(second.depth) & (second.depth > 0)))
     if known < DEPTH_KNOWN:
-        yield fail("depth", f"known for {known:.0%} of the image", "look for sun, glass, or a covered lens")
+        yield fail("depth", f"known for {known:.0%} of the image", "check for sun, glass, or a covered lens")
     else:
         yield ok("depth", f"known for {known:.0%} of the image")
 
@@ -137,7 +137,7 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
 def check_person(person: Person) -> Finding:
     """Report whether a person is in the zone, which is no fault before a handover but prevents fast motion."""
     if person.zone_occupied():
-        return ok("person", "somebody is inside, or the station cannot tell: nothing fast will move")
+        return ok("person", "somebody is inside, or the inputs are unclear: no fast motion")
     return ok("person", "nobody is inside")
 
 
@@ -216,7 +216,7 @@ def check_stream(sample: StreamSample, camera: StreamedCamera) -> Iterator[Findi
         yield ok("rate", message)
     spread = float(np.quantile(sample.ages, 0.95) - min(sample.ages))
     message = f"frames are {np.median(sample.ages) * 1e3:.0f} ms old, 95 % within {spread * 1e3:.0f} ms of the least"
-    yield ok("clock", message) if spread < 0.1 else warn("clock", message, "look for load on this machine")
+    yield ok("clock", message) if spread < 0.1 else warn("clock", message, "check the load on this computer")
     refused = {reason: count for reason, count in camera.refused.items() if reason.name != "WARMING_UP"}
     if refused:
         told = ", ".join(f"{reason} ({count} times)" for reason, count in refused.items())
@@ -287,7 +287,7 @@ def check_holes(frame: RgbdFrame, tool: NDArray[np.bool_] | None) -> Finding:
     known = np.isfinite(frame.depth) & (frame.depth > 0)
     everywhere = f"{1 - known.mean():.0%} of the image"
     if tool is None or not tool.any():
-        return warn("holes", f"{everywhere} without depth; no tool was seen", "hold a tool before the camera, again")
+        return warn("holes", f"{everywhere} without depth; no tool was seen", "hold a tool in front of the camera")
     holes = float(np.mean(~known[tool]))
     message = f"{holes:.0%} of the tool and {everywhere} without depth"
     near, far = DISTANCE

@@ -50,8 +50,8 @@ def check_frames(state: UrState, config: StationConfig, jogged_point: Array | No
     yield ok("TCP place", f"{both}; this software's kinematics: {off * 1e3:.1f} mm off")
     name = JOGGED_POINT
     if jogged_point is None:
-        remedy = "jog the arm to near the work, read X Y Z of the TCP there (feature Base), give --jogged-point X Y Z"
-        yield warn(name, "nobody has compared the frames with the pendant", remedy)
+        remedy = "jog the arm near the work, read X Y Z of the TCP (feature Base), and give --jogged-point X Y Z"
+        yield warn(name, "the frames were not compared with the pendant", remedy)
         return
     away = float(np.linalg.norm(jogged_point - tcp))
     shown = f"the pendant shows {_mm(jogged_point)}"
@@ -100,7 +100,7 @@ def _cause(point: Array, tcp: Array, flange: Array, state: UrState, model: ArmMo
             f"it is where the flange of a {other} would be",
             "set arm.model in the station file, or connect to the right robot",
         ),
-        (1e-3 * tcp, "these are metres, a thousandth", "give millimetres, as the pendant shows them"),
+        (1e-3 * tcp, "these are metres instead of millimetres", "give millimetres, as the pendant shows them"),
         (0.0254 * tcp, "these may be inches", "set the pendant to metric units and read it again"),
     ]
     place, cause, remedy = min(causes, key=lambda c: float(np.linalg.norm(point - c[0])))
@@ -177,9 +177,9 @@ def check_mounting(state: UrState, config: StationConfig) -> Finding:
         return ok(NAME, message)
     if off >= np.pi - MOUNTING_TOLERANCE:
         # That what points upwards reads positive is one sentence of a manual, and was never seen on a robot.
-        remedy = "hold a spirit level to the base: if it stands as arm.up says, this accelerometer has the other sign"
+        remedy = "check with a spirit level: if the base stands as arm.up says, this accelerometer has the other sign"
         return warn(NAME, f"{message}: upside down", f"{remedy}; please report it, and leave arm.up as it is")
-    remedy = "correct arm.up; and set PolyScope's Mounting page right before the brakes are released again"
+    remedy = "correct arm.up, and set PolyScope's Mounting page before the brakes are released again"
     return fail(NAME, message, remedy)
 
 

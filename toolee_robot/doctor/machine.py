@@ -47,7 +47,7 @@ def check_processor(cpus: Path = Path("/sys/devices/system/cpu")) -> Iterator[Fi
     """
     n = len(os.sched_getaffinity(0))
     if n < 2:
-        yield fail("cores", f"{n}", "the servo loop needs one of its own: use a machine with 4")
+        yield fail("cores", f"{n}", "the servo loop needs its own core: use a computer with 4")
     elif n < CPUS:
         yield warn("cores", f"{n}", f"with {CPUS}, perception and planning cannot delay the servo loop")
     else:
@@ -57,14 +57,14 @@ def check_processor(cpus: Path = Path("/sys/devices/system/cpu")) -> Iterator[Fi
         with suppress(OSError):
             governors.add(path.read_text().strip())
     if not governors:
-        yield ok("frequency", "not adjustable on this machine")
+        yield ok("frequency", "cannot be set on this computer")
     elif governors <= {"performance"}:
         yield ok("frequency", "governor performance")
     else:
         yield warn(
             "frequency",
             f"governor {', '.join(sorted(governors))}",
-            "cores that sleep wake late: sudo cpupower frequency-set -g performance",
+            "sleeping cores wake late: sudo cpupower frequency-set -g performance",
         )
 
 
@@ -97,7 +97,7 @@ def check_real_time(rate: float) -> Iterator[Finding]:
         f"{rate:.0f} Hz: 99 % of the cycles less than {p99 * 1e3:.2f} ms late, the worst {late.max() * 1e3:.2f} ms"
     )
     if p99 > LATE:
-        yield warn("schedule", message, "stop other programs; commands later than half a cycle count as overruns")
+        yield warn("schedule", message, "stop other programs. Commands later than half a cycle count as overruns")
     else:
         yield ok("schedule", message)
 
@@ -221,7 +221,7 @@ def measure_force(host: str, rate: float) -> ForceAtRest:
     deadline = time.monotonic() + PATIENCE + DURATION
     with RtdeReader.connect(host, deadline) as reader:
         if reader.subscribe(["actual_TCP_force"], rate, deadline):
-            raise ProtocolError("the controller tells no actual_TCP_force")
+            raise ProtocolError("the controller does not report actual_TCP_force")
         end = time.monotonic() + DURATION
         readings = []
         while time.monotonic() < end:
@@ -266,7 +266,7 @@ def check_force(force: ForceAtRest, config: StationConfig) -> Finding:
     except DeviceError as error:
         return warn(name, message, str(error))
     message += f"; a touch goes at {1e3 * touch.speed:.0f} mm/s and ends at {touch.force:.1f} N"
-    return ok(name, message if force.sd > 1e-6 else f"{message}; no noise, as only a simulation's")
+    return ok(name, message if force.sd > 1e-6 else f"{message}; no noise, so this is a simulation")
 
 
 @dataclass(frozen=True)
@@ -323,5 +323,5 @@ def examine_robot(host: str, config: StationConfig, jogged_point: Array | None =
         try:
             findings.append(check_force(measure_force(host, rate), config))
         except DeviceError as error:
-            findings.append(Finding.of_error("force", error, "look for other RTDE clients and a bad network"))
+            findings.append(Finding.of_error("force", error, "check for other RTDE clients and a bad network"))
     return RobotCheck(findings, report.serial, rate, own)

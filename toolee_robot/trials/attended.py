@@ -114,8 +114,8 @@ def judged(config: StationConfig, nails: Sequence[str], ask: Ask, tell: Callable
             continue
         of = f" {name}" if len(nails) > 1 else ""
         height = _height(
-            f"Nail{of}: height of its head over the wood by calipers, in mm, below it with a minus "
-            f"({NOT_MEASURABLE}: it cannot be measured)? ",
+            f"Nail{of}: height of its head over the wood by calipers, in mm, negative if below ({NOT_MEASURABLE}: "
+            "not measurable)? ",
             1e3 * work.nail_length, ask, tell,
         )  # fmt: skip
         bent = yes(f"Nail{of}: does it lean by 10° or more, or was its head pushed 3 mm aside? y: yes, n: no? ", ask)
@@ -177,7 +177,7 @@ def _height(question: str, length: float, ask: Ask, tell: Callable[[str], object
         try:
             height = float(answer)
         except ValueError:
-            tell(f"{answer!r} is no number")
+            tell(f"{answer!r} is not a number")
             continue
         if DEEPEST <= height <= length:
             return height
@@ -186,7 +186,7 @@ def _height(question: str, length: float, ask: Ask, tell: Callable[[str], object
 
 READY = "r: ready, begin; s: skip this trial; q: stop, and continue later? "
 """The question before each trial."""
-COUNTS = "Was all as the plan says, so that the trial counts, however it ended? y: it counts, n: it is done again? "
+COUNTS = "Was everything as the plan says, so that the trial counts, however it ended? y: it counts, n: repeat it? "
 """The question after each trial."""
 Tell = Callable[[str], object]
 
@@ -221,7 +221,7 @@ def lead_trials(plan: TrialPlan, folder: Path, ask: Ask, tell: Tell, job: Job) -
     with Results(plan, folder) as results:
         check_paper_weights(plan, results.records)
         order = plan.order()
-        tell(f"{len(results.done)} of {len(order)} trials are done, in the order that the plan's hash drew")
+        tell(f"{len(results.done)} of {len(order)} trials are done, in the plan's random order")
         results.note(Happened.SESSION)
         try:
             for i, trial in enumerate(order):
@@ -235,7 +235,7 @@ def lead_trials(plan: TrialPlan, folder: Path, ask: Ask, tell: Tell, job: Job) -
                     _Led(results, ask, tell, job, plan).lead(task_of(plan, trial, folder), f"{i + 1} of {len(order)}")
         except (_Stopped, EOFError, KeyboardInterrupt) as stop:
             results.note(Happened.STOPPED)
-            tell("stopped: the same command goes on")
+            tell("stopped: run the same command again to continue")
             if isinstance(stop, KeyboardInterrupt):
                 raise
         return results.records
@@ -253,7 +253,7 @@ def _check(plan: TrialPlan, station: StationConfig) -> None:
     for nail in plan.nails:
         if isinstance(nail, str) and nail not in station.work.names:
             raise ConfigError(
-                f"nails: the station's are {', '.join(station.work.names)}, and the plan says {nail}: give its sizes",
+                f"nails: the station's are {', '.join(station.work.names)}, and the plan names {nail}: give its sizes",
                 code="config.plan",
             )
 
@@ -290,7 +290,7 @@ class _Led:
                 self._measure(task, number, last[0].facts["figures"])
                 continue
             if last and last[0].what is Happened.BEGUN:
-                self.tell("The command ended while this trial was under way: it is done again.")
+                self.tell("The command ended during this trial, so it is repeated.")
             for line in self._card(task, number):
                 self.tell(line)
             answer = choice(READY, "rsq", self.ask)

@@ -158,7 +158,7 @@ class TrialPlan:
     def _problems(self) -> Iterator[str]:
         for name in ("arms", "sensors"):
             if len(set(getattr(self, name))) < len(getattr(self, name)):
-                yield f"{name}: each one once"
+                yield f"{name}: give each one once"
         if (Variant.PAPER in self.arms) != bool(self.paper_weights):
             yield (
                 "paper_weights: the variant `paper`, and no other, needs the folder of a training of the paper's "
@@ -167,12 +167,12 @@ class TrialPlan:
         if not self.led and self.seeds[-1] >= 2**31:
             yield f"first_seed, trials: seeds end at {2**31 - 1}"
         if never := sorted(set(self.left_out) - set(range(self.first_seed, self.seeds[-1]))):
-            yield f"left_out: {', '.join(map(str, never))} would not come in this plan"
+            yield f"left_out: {', '.join(map(str, never))} are not in this plan"
         for what, names in (("tools", names_of(self.tools)), ("nails", names_of(self.nails)), ("woods", self.woods)):
             if len({slug(name) for name in names}) < len(names):
                 yield f"{what}: give each a name of its own, which differs in letters or digits"
         if not isinstance(self.where, InSimulation) and (self.errors != "nominal" or self.sensors):
-            yield "errors, sensors: they are drawn in a simulation; a station has its own, so leave them out"
+            yield "errors, sensors: leave them out, they are for simulations only"
         yield from self._of_a_person() if self.led else self._of_nobody()
 
     def _of_a_person(self) -> Iterator[str]:
@@ -184,9 +184,9 @@ class TrialPlan:
 
     def _of_nobody(self) -> Iterator[str]:
         if self.tools:
-            yield "tools: in a simulation they are drawn from the seed; a person hands over those of a plan on a robot"
+            yield "tools: leave them out in a simulation, where the seed chooses them"
         if self.instructions:
-            yield "instructions: nobody reads them in a simulation"
+            yield "instructions: leave them out in a simulation, where nobody reads them"
 
     @property
     def seeds(self) -> tuple[int, ...]:

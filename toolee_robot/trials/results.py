@@ -217,8 +217,8 @@ def _read(path: Path, plan: TrialPlan) -> tuple[dict[Trial, Record], list[Event]
         raise UserError(f"{path} holds no results of trials: {why}", code="user.no_results") from error
     if other:
         raise UserError(
-            f"{path} holds the trials of another plan, {named}: this one is "
-            f"{plan.hash[:12]}. A plan is not changed once its trials have begun: give another --out",
+            f"{path} holds the trials of another plan, {named}; this one is {plan.hash[:12]}. A plan must not "
+            "change once its trials have begun. Give another --out",
             code="user.other_plan",
         )
     return {record.trial: record for record in records}, events

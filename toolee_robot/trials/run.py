@@ -173,7 +173,7 @@ def run_trials(
         check_paper_weights(plan, results.records)
         todo = [task_of(plan, trial, folder) for trial in plan.order() if trial not in results.done]
         if results.done:
-            tell(f"{len(results.done)} of {len(results.done) + len(todo)} trials are there already")
+            tell(f"{len(results.done)} of {len(results.done) + len(todo)} trials are already done")
         crashed: list[_Crash] = []
         with closing((workers or on_threads)(partial(_run, job), todo, jobs)) as finished:
             in_a_row, most = 0, max(MOST_CRASHES, jobs or cores())

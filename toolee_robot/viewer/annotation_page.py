@@ -88,7 +88,7 @@ class AnnotationPage:
             self._undo.on_click(self._handled(self._session.undo))
             self._caliper = gui.add_text("Caliper [mm]", "")
             self._caliper.on_update(self._chosen(lambda: self._session.enter(caliper_mm=_number(self._caliper.value))))
-            self._tape = gui.add_text("Tape [mm]", "", hint="From where the tape begins to the end's origin.")
+            self._tape = gui.add_text("Tape [mm]", "", hint="From the start of the tape to the end effector's origin.")
             self._tape.on_update(self._chosen(lambda: self._session.enter(tape_mm=_number(self._tape.value))))
             self._offset = gui.add_text(
                 "Tape offset [mm]",
@@ -215,9 +215,9 @@ def result_text(end: AnnotatedEnd) -> str:
         f"At {x:.1f}, {y:.1f}, {z:.1f} mm from the camera.",
     ]
     if end.fit.redundancy == 0:
-        rows.append("**A wrong click would not show: make more of them.**")
+        rows.append("**A wrong click would go unnoticed: make more clicks.**")
     if end.fit.scale > 1.5:
-        rows.append(f"Residuals are {end.fit.scale:.1f} times what was expected; the uncertainty has grown with them.")
+        rows.append(f"Residuals are {end.fit.scale:.1f} times the expected ones; the uncertainty has grown with them.")
     for check in end.checks:
         verdict = "agrees" if check.agrees else "**disagrees: the pose is not used**"
         rows.append(
@@ -250,7 +250,7 @@ def _number(text: str) -> float | None:
     try:
         return float(text.replace(",", "."))
     except ValueError:
-        raise UserError(f"{text!r} is no number: enter millimetres") from None
+        raise UserError(f"{text!r} is not a number: enter millimetres") from None
 
 
 def _text(number: float | None) -> str:

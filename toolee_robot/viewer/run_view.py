@@ -39,7 +39,7 @@ WORDS = {
     "": "Connecting",
     "handover": "Handover: waiting for the hammer",
     "grip": "Grip",
-    "view": "Look: bringing the hammer before the camera",
+    "view": "Look: bringing the hammer into the camera's view",
     "perceive": "Look: finding its face",
     "plan": "Planning the strike",
     "touch": "Measuring the nail with a slow touch",
@@ -165,7 +165,7 @@ class RunView:
             parts.append(f"## {ended.reason}")
         elif self._prompt and len(h.decisions) <= self._prompted:
             parts.append(f"## ➤ {self._prompt}")
-        parts.append(f"**Nail**: {state.protrusion * 1e3:.1f} mm over the wood, as measured last")
+        parts.append(f"**Nail**: {state.protrusion * 1e3:.1f} mm over the wood, last measured")
         seen = h.status.at(stamp)
         if seen is not None:
             code = "" if seen.error_code is None else f", {seen.error_code}"

@@ -280,7 +280,7 @@ class StationView:
         fields = open_fields(self._data or {}, self._path)
         if not fields:
             return "**Missing**: nothing"
-        lines = ["**Missing**; what is drawn of it is the simulated station's:", ""]
+        lines = ["**Missing**; shown instead are the simulated station's:", ""]
         if all(entry.note for entry in fields):
             lines = ["**Missing**: nothing that a job needs. Not there, either:", ""]
         lines += [f"- {entry.fields}" + (f" ({entry.note})" if entry.note else "") for entry in fields]
@@ -316,11 +316,11 @@ def _colours(config: StationConfig) -> str:
     far = "`camera.target`" if config.camera.measured_pose is None else "the nail"
     lines = [
         "- blue lines: the workspace, which the arm does not leave",
-        "- orange: the camera, with the box that is kept clear around it",
+        "- orange: the camera, with the box around it that the arm avoids",
         f"- yellow lines: what it sees, as far as {far}",
         "- dark grey: the stand, and the hand or mount on the flange",
         "- see-through: the person",
     ]
     if config.scene.obstacles:
-        lines.append("- ochre: obstacles, which are kept clear of")
+        lines.append("- ochre: obstacles, which the arm avoids")
     return "\n".join(["**Colours**", "", *lines, "", f"Axes: red x, green y, blue z. The grid is {CELL:g} m wide."])

@@ -109,7 +109,7 @@ def check(report: UrReport, expected: UrExpected) -> list[Finding]:
     ]
     if quality is None:
         why = "too few readings came to judge the rate"
-        return [*findings, fail("RTDE rate", why, "look for other RTDE clients and a bad network")]
+        return [*findings, fail("RTDE rate", why, "check for other RTDE clients and a bad network")]
     return [*findings, *_data(quality)]
 
 

@@ -184,7 +184,7 @@ def _protective_stop(state: ArmState, report: MotionReport | None, errors: Error
         if deviation >= collision:
             message += (
                 f". Its joints were off their path (position deviation ratio {deviation:.2f}, it stops at 1). It "
-                "was hit, or the motion was too fast for the payload set at the robot"
+                "was hit, or the motion was too fast for the payload that is set"
             )
             kind = "position_deviation"
         else:
