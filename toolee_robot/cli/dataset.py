@@ -40,9 +40,9 @@ class Generate(JsonOption):
     Train with DIR/train; DIR/test shows held-out tools.
     """
 
-    config: Literal["paper", "hard", "paper-claws"]
+    config: Literal["paper", "hard", "paper-views"]
     """paper: upright tool, no roll, one grasp, no noise. hard: any orientation, hands, occlusion, noise.
-    paper-claws: as paper, for training, with claw hammers whose claw is mostly hidden behind the head.
+    paper-views: as paper, with a camera that looks at the middle of the tool, as in the published code.
     """
     size: Annotated[int, tyro.conf.arg(metavar="N")]
     """Examples in all."""

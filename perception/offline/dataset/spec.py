@@ -22,7 +22,7 @@ from toolee_robot.perception.offline.dataset.records import read_json
 from toolee_robot.runtime.files import from_json, read_text
 from toolee_robot.tools import TOOL_SPECS
 
-CONFIGS = ("paper", "hard", "paper-claws")
+CONFIGS = ("paper", "hard", "paper-views")
 """Scene configurations."""
 SPLITS = ("train", "test")
 """Splits; "test" shows held-out instances, textures and backgrounds."""
@@ -113,8 +113,6 @@ class DatasetSpec:
             raise UserError(f"--test-share {self.test_share}: give a share from 0 to 1")
         if self.tools and self.test_share != 1.0:
             raise UserError(f"--test-share {self.test_share}: one's own tools are all held out, leave it out or give 1")
-        if self.tools and self.config == "paper-claws":
-            raise UserError(f"--config {self.config} is to train on, one's own tools are all held out: choose paper")
 
     @property
     def is_test_set(self) -> bool:

@@ -302,5 +302,5 @@ def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
 _SCENES: dict[str, Callable[[np.random.Generator, Pool], SceneSample]] = {
     "paper": paper_scene,
     "hard": _hard_scene,
-    "paper-claws": partial(paper_scene, claws=True),
+    "paper-views": partial(paper_scene, published_views=True),
 }

@@ -58,57 +58,81 @@ from toolee_robot.tools import ToolShape
 from toolee_robot.types import CameraIntrinsics
 
 DEPTHS = (0.42, 0.98)
+_FULL = CameraIntrinsics(FOCAL, FOCAL, FULL_WIDTH / 2 - 0.5, FULL_HEIGHT / 2 - 0.5, FULL_WIDTH, FULL_HEIGHT)
 _MARGIN = 60.0
 _SHIFT = 0.05
-_TURNS = 6
 _HAND, _ROOM = 101, 100
 _SKIN = Material(linear((0.78, 0.60, 0.50)), roughness=0.55)
 
 
-def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> SceneSample:
+def paper_scene(rng: np.random.Generator, pool: Pool, published_views: bool = False) -> SceneSample:
     """Generate a scene of the protocol.
 
-    A right hand holds a tool with vertical handle in the nominal grasp, shifted by up to 5 cm along the handle. An EE
-    is at a depth of 0.42 to 0.98 m; the pitch of the camera is -45 to 30 degrees, its roll 0.
+    A right hand holds a tool with vertical handle in the nominal grasp, shifted by up to 5 cm along the handle. The
+    camera has no roll.
 
     Args:
         rng: Random generator.
         pool: Tools, grasps and surfaces.
-        claws: Show a tool with a claw, and of `_TURNS` rotations about the handle the one with the best view of the
-            face: the head is in front of the claw, which is the hardest view of the protocol and a rare one.
+        published_views: See `_published_view`; else an EE is anywhere in the image, see `_any_view`.
 
     Returns:
         The scene, with the camera.
     """
-    tool = pool.tool_with(Category.HAMMER_GRIP, rng) if claws else pool.tool(rng)
-    pitch = np.deg2rad(rng.uniform(-45.0, 30.0))
-    X_world_camera = look(np.zeros(3), np.array([np.cos(pitch), 0.0, np.sin(pitch)]), 0.0)
-    full = CameraIntrinsics(FOCAL, FOCAL, FULL_WIDTH / 2 - 0.5, FULL_HEIGHT / 2 - 0.5, FULL_WIDTH, FULL_HEIGHT)
-    ee = tool.ees[int(rng.integers(len(tool.ees)))]
-    pixel = rng.uniform([_MARGIN, _MARGIN], [FULL_WIDTH - _MARGIN, FULL_HEIGHT - _MARGIN])
-    p = X_world_camera[:3, :3] @ full.rays(pixel) * rng.uniform(*DEPTHS)
-    turns = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi, _TURNS if claws else 1)[:, None]).as_matrix()
-    R = turns[np.argmin(turns @ tool.ees[0].X_tool_ee[:3, 2] @ p)]
-    X_world_tool = transform(R, p - R @ ee.X_tool_ee[:3, 3])
-
+    tool = pool.tool(rng)
+    X_world_camera, X_world_tool = (_published_view if published_views else _any_view)(rng, tool)
     radius = tool.handle.grip_radius
     X_hand_tool = SHOWN_HAND.grasp.X_hand_tool(radius)
     grasp = Grasp(X_hand_tool, wrap_fingers(SHOWN_HAND, X_hand_tool, radius), radius)
     along = float(np.clip(rng.uniform(-_SHIFT, _SHIFT), tool.handle.z_min + 0.03, max(tool.handle.z_max, 0.0)))
+    if published_views:  # the hand stays in view, and the tool moves
+        X_world_tool = X_world_tool @ transform(p=(0.0, 0.0, -along))
     X_world_hand = X_world_hand_of(X_world_tool @ transform(p=(0.0, 0.0, along)), X_hand_tool)
 
-    # The window contains the centre of the tool with a random offset and lies within the full image.
+    # The window contains the centre of the tool with an offset and lies within the full image.
+    offset = np.zeros(2) if published_views else rng.uniform([-80.0, -60.0], [80.0, 60.0])
     vertices = transform_points(np.linalg.inv(X_world_camera) @ X_world_tool, np.asarray(tool.mesh.vertices))
-    pixels = vertices[:, :2] / np.maximum(vertices[:, 2:], 0.1) * FOCAL + [full.cx, full.cy]
-    middle = 0.5 * (pixels.min(axis=0) + pixels.max(axis=0)) + rng.uniform([-80.0, -60.0], [80.0, 60.0])
+    pixels = vertices[:, :2] / np.maximum(vertices[:, 2:], 0.1) * FOCAL + [_FULL.cx, _FULL.cy]
+    middle = 0.5 * (pixels.min(axis=0) + pixels.max(axis=0)) + offset
     corner = np.clip(np.round(middle - [WIDTH / 2, HEIGHT / 2]), 0, [FULL_WIDTH - WIDTH, FULL_HEIGHT - HEIGHT])
-    window = CameraIntrinsics(FOCAL, FOCAL, full.cx - float(corner[0]), full.cy - float(corner[1]), WIDTH, HEIGHT)
+    window = CameraIntrinsics(FOCAL, FOCAL, _FULL.cx - float(corner[0]), _FULL.cy - float(corner[1]), WIDTH, HEIGHT)
     bodies = hand_bodies(grasp, HandStyle(False, _SKIN, _SKIN, _SKIN), X_world_hand, _HAND)
     bodies += tool_bodies(tool, X_world_tool, 1, rng, repaint=True)
     bodies += walls(rng, pool.surfaces, _ROOM, min(float((X_world_tool @ [0, 0, tool.handle.z_min, 1])[2]), 0.0) - 0.8)
     placed = PlacedTool(tool, X_world_tool, X_world_hand, False, 1, Stance.HELD)
     scene = Scene(bodies, lamps(rng), environment(rng))
     return SceneSample(scene, window, X_world_camera, (placed,), SCENES.index("paper"), CIRCLE)
+
+
+def _any_view(rng: np.random.Generator, tool: ToolShape) -> tuple[Array, Array]:
+    """An EE at any pixel, 0.42 to 0.98 m deep; any turn about the handle; a camera's pitch of -45 to 30 degrees.
+
+    Returns:
+        X_world_camera and X_world_tool, 4x4 [m].
+    """
+    pitch = np.deg2rad(rng.uniform(-45.0, 30.0))
+    X_world_camera = look(np.zeros(3), np.array([np.cos(pitch), 0.0, np.sin(pitch)]), 0.0)
+    ee = tool.ees[int(rng.integers(len(tool.ees)))]
+    pixel = rng.uniform([_MARGIN, _MARGIN], [FULL_WIDTH - _MARGIN, FULL_HEIGHT - _MARGIN])
+    p = X_world_camera[:3, :3] @ _FULL.rays(pixel) * rng.uniform(*DEPTHS)
+    R = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi)).as_matrix()
+    return X_world_camera, transform(R, p - R @ ee.X_tool_ee[:3, 3])
+
+
+def _published_view(rng: np.random.Generator, tool: ToolShape) -> tuple[Array, Array]:
+    """A view of the published generator: the camera looks at one point, 0.42 to 0.98 m away: the middle of the tool.
+
+    The camera is 0.3 to 0.6 m beside that point on both horizontal axes, on either side (azimuth: four sectors of 37
+    degrees), and 0.1 m below to 0.5 m above it. The tool does not turn. `paper_scene` shifts it along its handle.
+
+    Returns:
+        As `_any_view`.
+    """
+    beside = rng.choice([-1.0, 1.0], 2) * rng.uniform(0.3, 0.6, 2)
+    target = -np.array([*beside, rng.uniform(-0.1, 0.5)])
+    vertices = np.asarray(tool.mesh.vertices)
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    return look(np.zeros(3), target, 0.0), transform(p=target - middle)
 
 
 _CAMERA = np.array([0.95, -0.62, 0.85])
