@@ -27,8 +27,7 @@ from toolee_robot.calibration.intrinsics import read_views
 from toolee_robot.calibration.record import INTRINSICS_FORMAT, read_intrinsics, write_signed
 from toolee_robot.calibration.session import read_image as read_board_image
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
-from toolee_robot.perception.image_files import read_depth, read_rgb
-from toolee_robot.perception.io import bop_images, parse_intrinsics, read_pose
+from toolee_robot.perception.io import bop_images, parse_intrinsics, read_depth, read_pose, read_rgb
 from toolee_robot.perception.offline.annotation.clicks import ClicksFile, read_clicks, write_clicks
 from toolee_robot.perception.weight_files import load_weights, save_weights
 from toolee_robot.runtime.files import claimed, from_json, read_text, run_folder

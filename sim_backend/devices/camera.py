@@ -10,13 +10,11 @@ import numpy as np
 from toolee_robot.depth_noise import DepthNoise, SensorKind
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.hal import Clock
-from toolee_robot.render.depth_sensors import random_reading
+from toolee_robot.render.depth_sensors import Photo, measure_depth, photograph, random_reading
 from toolee_robot.render.lab import laboratory
-from toolee_robot.render.material import Material, finish
+from toolee_robot.render.material import Body, Material, Rendering, Scene, finish
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.renderer import render
-from toolee_robot.render.scene import Body, Rendering, Scene
-from toolee_robot.render.sensor_models import Photo, measure_depth, photograph
 from toolee_robot.sim_backend.visuals import VisualBody, VisualWorld
 from toolee_robot.station import CameraConfig
 from toolee_robot.types import CameraIntrinsics, RgbdFrame

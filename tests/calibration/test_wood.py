@@ -18,9 +18,8 @@ from scipy.stats import chi2
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.app.calibrate_nail import check_near
-from toolee_robot.calibration.nail import locate_nail
+from toolee_robot.calibration.nail import MIN_WIDTH, fit_wood, locate_nail
 from toolee_robot.calibration.touches import add_touch, locate_tip, read_touches
-from toolee_robot.calibration.wood import MIN_WIDTH, fit_wood
 from toolee_robot.cli.app import run
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, UserError

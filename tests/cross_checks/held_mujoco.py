@@ -24,8 +24,7 @@ from tests.cross_checks.held_hammer import (
 )  # fmt: skip
 from tests.cross_checks.held_pybullet import HEAD_LENGTH
 from tests.sim_backend.physics.test_nail import FACE_RADIUS
-from toolee_robot.sim_backend.physics.grip import RELEASE_SLIP, RELEASE_TILT, TENDON_LOSS, TILT_SLIP
-from toolee_robot.sim_backend.physics.grip_gains import GripGains
+from toolee_robot.sim_backend.physics.grip import RELEASE_SLIP, RELEASE_TILT, TENDON_LOSS, TILT_SLIP, GripGains
 from toolee_robot.sim_backend.physics.nail import LUMPED_MASS
 from toolee_robot.sim_backend.physics.wood import resistance
 

@@ -22,7 +22,7 @@ from tests.cross_checks.tables import (
     held_strikes,
 )
 from tests.sim_backend.physics.energy_balance import driven_by
-from toolee_robot.sim_backend.physics import grip_gains
+from toolee_robot.sim_backend.physics import grip
 from toolee_robot.sim_backend.physics.wood import NailSpec
 from toolee_robot.sim_backend.station import draw_hammer
 
@@ -79,7 +79,7 @@ def test_no_hammer_is_lost_by_arithmetic(case: Case) -> None:
 
 def test_the_sweep_would_see_a_loss_by_arithmetic(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gains that ignore the tool's inertia, as they once did, lose the hammer that is lightest about its handle."""
-    monkeypatch.setattr(grip_gains, "STABILITY_NUMBER", np.inf)
+    monkeypatch.setattr(grip, "STABILITY_NUMBER", np.inf)
     assert lost_by_arithmetic(draw_hammer(np.random.default_rng([151, 10])), Case(0.9, 100.0))
 
 

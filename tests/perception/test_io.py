@@ -12,8 +12,7 @@ import pytest
 from tests.errors import raises
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
-from toolee_robot.perception.image_files import read_depth, read_rgb
-from toolee_robot.perception.io import bop_images, parse_intrinsics, read_frame, read_pose
+from toolee_robot.perception.io import bop_images, parse_intrinsics, read_depth, read_frame, read_pose, read_rgb
 
 
 @pytest.fixture

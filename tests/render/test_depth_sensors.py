@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from toolee_robot.depth_noise import KINDS, DepthNoise, SensorKind
 from toolee_robot.perception.offline.synthesis.example import Series, make_example
-from toolee_robot.render.depth_sensors import SystematicErrors, random_reading
-from toolee_robot.render.scene import Rendering
-from toolee_robot.render.sensor_models import Photo, measure_depth, photograph
+from toolee_robot.render.depth_sensors import Photo, SystematicErrors, measure_depth, photograph, random_reading
+from toolee_robot.render.material import Rendering
 from toolee_robot.render.triangulation import (
     Registration,
     Surface,

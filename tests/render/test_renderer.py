@@ -15,12 +15,12 @@ from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.render import Body, Light, Material, Mesh, Pattern, Scene, caster, render
+from toolee_robot.render.depth_sensors import Photo, gaussian, measure_depth, photograph, white
 from toolee_robot.render.device import DeviceArray, checked, put
+from toolee_robot.render.material import Backdrop, Patch, Rendering
 from toolee_robot.render.mesh import FloatArray, box, cylinder, plane, sphere
 from toolee_robot.render.rays import BvhTracer, EmbreeTracer, Tracer, in_camera
 from toolee_robot.render.renderer import Shot, pixel_rays
-from toolee_robot.render.scene import Backdrop, Patch, Rendering
-from toolee_robot.render.sensor_models import Photo, gaussian, measure_depth, photograph, white
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.types import CameraIntrinsics
 

@@ -21,7 +21,7 @@ from toolee_robot.cli.app import run
 from toolee_robot.devices.cameras.lens_choice import LensSource
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.render.scene import Rendering
+from toolee_robot.render.material import Rendering
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import Pictures

@@ -15,15 +15,16 @@ from toolee_robot.calibration.nail import (
     LocatedNail,
     OnWood,
     SeenNail,
+    WoodPlane,
     check_height,
     combine,
+    fit_wood,
     foot_of,
     locate_nail,
     see_nail,
 )
 from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart, read_record
 from toolee_robot.calibration.touches import KnownCamera, read_touches
-from toolee_robot.calibration.wood import WoodPlane, fit_wood
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, NotReadyError, UserError
 from toolee_robot.frames import Array, BaseFrame, angle_between, inverse, transform_points

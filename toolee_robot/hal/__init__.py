@@ -17,9 +17,7 @@ from toolee_robot.hal.arm import (
     MotionReport,
     MotionWatch,
 )
-from toolee_robot.hal.camera import RgbdCamera
-from toolee_robot.hal.device import Clock, Device
-from toolee_robot.hal.hand import ClearsFaults, Hand, HandState, KeepsCourse
+from toolee_robot.hal.device import ClearsFaults, Clock, Device, Hand, HandState, KeepsCourse, RgbdCamera
 from toolee_robot.hal.person import CLEAR_TIME, Person, wait_until_clear
 from toolee_robot.hal.station import Station
 

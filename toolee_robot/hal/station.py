@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from toolee_robot.hal.arm import Arm
-from toolee_robot.hal.camera import RgbdCamera
-from toolee_robot.hal.device import Clock
-from toolee_robot.hal.hand import Hand
+from toolee_robot.hal.device import Clock, Hand, RgbdCamera
 from toolee_robot.hal.person import Person
 
 

@@ -3,9 +3,8 @@
 Embree (CPU) or Warp (GPU) intersects the rays; Warp kernels shade the hits on either device.
 """
 
-from toolee_robot.render.material import Material, Pattern
+from toolee_robot.render.material import Body, Environment, Light, Lobe, Material, Pattern, Rendering, Scene
 from toolee_robot.render.mesh import Mesh
 from toolee_robot.render.renderer import render
-from toolee_robot.render.scene import Body, Environment, Light, Lobe, Rendering, Scene
 
 __all__ = ["Body", "Environment", "Light", "Lobe", "Material", "Mesh", "Pattern", "Rendering", "Scene", "render"]

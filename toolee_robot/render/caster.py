@@ -19,9 +19,9 @@ from toolee_robot.render.device import DeviceArray, empty, launch, put, rows_of
 from toolee_robot.render.kernels import light as kernels
 from toolee_robot.render.kernels import surroundings
 from toolee_robot.render.kernels.surroundings import TABLE_SIZE, Surface
+from toolee_robot.render.material import Backdrop, Environment, Light, Scene
 from toolee_robot.render.mesh import Mesh
 from toolee_robot.render.rays import BvhTracer, EmbreeTracer, Found, Tracer
-from toolee_robot.render.scene import Backdrop, Environment, Light, Scene
 
 _BLURS = (0.05, 0.25, 0.6, 1.0)
 """Blur half-widths [rad] of the maps; the last map is the diffuse irradiance."""

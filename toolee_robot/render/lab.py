@@ -8,9 +8,19 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.render.material import Color, Material, Pattern, any_color, finish, linear
+from toolee_robot.render.material import (
+    Body,
+    Color,
+    Environment,
+    Light,
+    Lobe,
+    Material,
+    Pattern,
+    any_color,
+    finish,
+    linear,
+)
 from toolee_robot.render.mesh import box, cylinder, plane
-from toolee_robot.render.scene import Body, Environment, Light, Lobe
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from toolee_robot.frames import Array
 from toolee_robot.render.caster import Caster, Hits, picture
 from toolee_robot.render.device import DeviceArray, checked, empty, launch, put
 from toolee_robot.render.kernels import image as kernels
+from toolee_robot.render.material import Rendering, Scene
 from toolee_robot.render.mesh import FloatArray
-from toolee_robot.render.scene import Rendering, Scene
 from toolee_robot.types import CameraIntrinsics
 
 _MIDDLE_GREY = 0.2

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from toolee_robot.render.material import Rendering
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.renderer import Image
-from toolee_robot.render.scene import Rendering
 from toolee_robot.types import CameraIntrinsics
 
 

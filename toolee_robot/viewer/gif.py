@@ -16,10 +16,9 @@ from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import frame_from_axes, transform
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.mcap_file import read_tool_model
-from toolee_robot.render.material import Material, finish, linear
+from toolee_robot.render.material import Body, Environment, Light, Material, Scene, finish, linear
 from toolee_robot.render.mesh import Mesh, box
 from toolee_robot.render.renderer import render
-from toolee_robot.render.scene import Body, Environment, Light, Scene
 from toolee_robot.sim_backend.visuals import BodyId
 from toolee_robot.station import StationConfig
 from toolee_robot.types import CameraIntrinsics

@@ -20,8 +20,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import Array
 from toolee_robot.perception.detection.boxes import pairwise_iou
-from toolee_robot.perception.image_files import read_depth, read_rgb
-from toolee_robot.perception.io import make_intrinsics
+from toolee_robot.perception.io import make_intrinsics, read_depth, read_rgb
 from toolee_robot.perception.offline.annotation.poses import Box, position_sigma, rotation_sigma
 from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.runtime.files import read_json

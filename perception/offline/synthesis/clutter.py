@@ -16,9 +16,8 @@ from toolee_robot.frames import Array, random_rotation, rotation_z, transform, t
 from toolee_robot.perception.offline.dataset.records import BACKDROPS, ROOMS, TEXTURES, draw
 from toolee_robot.render import Body, Material, Mesh, Pattern
 from toolee_robot.render.lab import Surroundings, laboratory
-from toolee_robot.render.material import any_color, finish, linear
+from toolee_robot.render.material import Backdrop, Patch, any_color, finish, linear
 from toolee_robot.render.mesh import box, cylinder, plane, sphere, tube
-from toolee_robot.render.scene import Backdrop, Patch
 
 _R_WALL = Rotation.from_euler("y", -np.pi / 2)
 """Rotation of the normal of a plane from z to -x."""

@@ -18,9 +18,8 @@ from toolee_robot.perception.offline.dataset.spec import CONFIGS, SPLITS, Datase
 from toolee_robot.perception.offline.synthesis.hard import hard_scene
 from toolee_robot.perception.offline.synthesis.placement import Pool, SceneSample
 from toolee_robot.perception.offline.synthesis.station import paper_scene, station_scene
-from toolee_robot.render.depth_sensors import random_reading
+from toolee_robot.render.depth_sensors import Photo, photograph, random_reading
 from toolee_robot.render.renderer import Shot
-from toolee_robot.render.sensor_models import Photo, photograph
 from toolee_robot.types import CameraIntrinsics
 
 Labels = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], EeTable]

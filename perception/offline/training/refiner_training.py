@@ -25,8 +25,16 @@ from toolee_robot.perception.detection.boxes import clip
 from toolee_robot.perception.detection.detector import TOOL, Detector, trained_detector
 from toolee_robot.perception.detection.inputs import encode_rgbd, working_size
 from toolee_robot.perception.detection.passes import MAGNIFICATION
-from toolee_robot.perception.detection.refiner import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
-from toolee_robot.perception.detection.refiner_crops import Images, MaskAt, Squares, sample_squares
+from toolee_robot.perception.detection.refiner import (
+    WEIGHTS_NAME,
+    Images,
+    MaskAt,
+    Refiner,
+    RefinerConfig,
+    Squares,
+    load_refiner,
+    sample_squares,
+)
 from toolee_robot.perception.offline.dataset.records import MIN_POINTS
 from toolee_robot.perception.offline.dataset.scenes import SegmentationSet
 from toolee_robot.perception.offline.training.detector_training import mask_overlap, outline_losses, weighted_mean

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from toolee_robot.sim_backend.ur_controller.urscript import syntax, values
+from toolee_robot.sim_backend.ur_controller.urscript import functions_library, syntax
 from toolee_robot.sim_backend.ur_controller.urscript.tokens import ScriptError
 
 _Node = TypeVar("_Node", bound=ast.AST)
@@ -71,9 +71,17 @@ _COMPARE: dict[str, type[ast.cmpop]] = {
     ">": ast.Gt,
     ">=": ast.GtE,
 }
-_CHECKED = (values.negate, values.truth, values.item, values.set_item, values.pose, values.copied, values.flat)
+_CHECKED = (
+    functions_library.negate,
+    functions_library.truth,
+    functions_library.item,
+    functions_library.set_item,
+    functions_library.pose,
+    functions_library.copied,
+    functions_library.flat,
+)
 HELPERS: dict[str, Callable[..., Any]] = {
-    **{f"_{name}": values.of_numbers(getattr(operator, name)) for name in _ARITHMETIC.values()},
+    **{f"_{name}": functions_library.of_numbers(getattr(operator, name)) for name in _ARITHMETIC.values()},
     **{f"_{f.__name__}": f for f in _CHECKED},
 }
 """Functions that compiled programs call."""

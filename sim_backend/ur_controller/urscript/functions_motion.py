@@ -33,8 +33,7 @@ from toolee_robot.sim_backend.ur_controller.robot.motion import (
     SpeedJ,
 )
 from toolee_robot.sim_backend.ur_controller.robot.servoj import servoj
-from toolee_robot.sim_backend.ur_controller.urscript.functions_library import matrix, six
-from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
+from toolee_robot.sim_backend.ur_controller.urscript.functions_library import Pose, matrix, numbers, six
 
 Wait = Generator[None, None, None]
 

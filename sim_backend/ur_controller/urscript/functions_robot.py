@@ -8,9 +8,9 @@ from typing import Any
 
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.registers import Action, Event, EventKind
+from toolee_robot.sim_backend.ur_controller.urscript.functions_library import fitting, numbers, text
 from toolee_robot.sim_backend.ur_controller.urscript.functions_motion import MotionFunctions
 from toolee_robot.sim_backend.ur_controller.urscript.functions_state import StateFunctions
-from toolee_robot.sim_backend.ur_controller.urscript.values import fitting, numbers, text
 
 STANDARD = 8
 """Number of standard channels, the first in the machine's lists."""

@@ -11,8 +11,7 @@ from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward, inverse
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.motion import MotionError
-from toolee_robot.sim_backend.ur_controller.urscript.functions_library import as_pose, matrix, six
-from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
+from toolee_robot.sim_backend.ur_controller.urscript.functions_library import Pose, as_pose, matrix, numbers, six
 
 CONTACT = 20.0  # [N] against the direction above which there is contact
 CONTACT_START = 5.0  # [N] above which a contact has begun

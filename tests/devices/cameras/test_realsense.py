@@ -21,7 +21,7 @@ from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.errors import NoAnswerError, NotReadyError
 from toolee_robot.frames import Array
-from toolee_robot.render.sensor_models import measure_depth
+from toolee_robot.render.depth_sensors import measure_depth
 from toolee_robot.robots import hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from toolee_robot.perception.detection.refiner_crops import CELLS, CHANNELS, Images, MaskAt, Squares, sample_squares
+from toolee_robot.perception.detection.refiner import CELLS, CHANNELS, Images, MaskAt, Squares, sample_squares
 
 HEIGHT, WIDTH = 60, 80
 X, Y, Z, KNOWN, MASK = range(3, CHANNELS)

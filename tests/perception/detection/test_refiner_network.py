@@ -25,8 +25,14 @@ from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.detection.backbone import MASK_SIZE, paste_one
 from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.detection.passes import MAGNIFICATION
-from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, load_refiner
-from toolee_robot.perception.detection.refiner_crops import CELLS, CHANNELS
+from toolee_robot.perception.detection.refiner import (
+    CELLS,
+    CHANNELS,
+    MaskRefinement,
+    Refiner,
+    RefinerConfig,
+    load_refiner,
+)
 from toolee_robot.perception.offline.training.refiner_training import (
     VALIDATION,
     Detections,

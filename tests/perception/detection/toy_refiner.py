@@ -14,8 +14,7 @@ from torch import nn
 from tests.perception.toy_scenes import enlarged, toy_scenes
 from toolee_robot.perception.detection.inputs import DetectorConfig
 from toolee_robot.perception.detection.instances import Box, Instance
-from toolee_robot.perception.detection.refiner import Refiner, RefinerConfig
-from toolee_robot.perception.detection.refiner_crops import CELLS, CHANNELS
+from toolee_robot.perception.detection.refiner import CELLS, CHANNELS, Refiner, RefinerConfig
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.offline.dataset.scenes import SegmentationSet
 from toolee_robot.perception.offline.training.refiner_training import (

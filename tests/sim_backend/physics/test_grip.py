@@ -13,15 +13,17 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.sim_backend.physics import grip_gains
+from toolee_robot.sim_backend.physics import grip
 from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb
-from toolee_robot.sim_backend.physics.grip import TENDON_LOSS, AssistedGrip, GripLimits
-from toolee_robot.sim_backend.physics.grip_gains import (
+from toolee_robot.sim_backend.physics.grip import (
     ANGULAR_DAMPING,
     ANGULAR_STIFFNESS,
     DAMPING,
     STIFFNESS,
+    TENDON_LOSS,
+    AssistedGrip,
     GripGains,
+    GripLimits,
 )
 from toolee_robot.sim_backend.station import draw_hammer
 from toolee_robot.sim_backend.world import NORMAL
@@ -118,7 +120,7 @@ def test_a_slipping_grip_takes_energy_out() -> None:
 
 
 def test_gains_that_ignore_the_inertia_would_spin_a_light_hammer_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grip_gains, "STABILITY_NUMBER", np.inf)
+    monkeypatch.setattr(grip, "STABILITY_NUMBER", np.inf)
     energies = kinetic_energies(body_of(151), NORMAL)
     assert energies.max() > 10.0 * energies[0]
 

@@ -1,4 +1,4 @@
-"""Filters, readings of a depth camera's pixels, and effects of a colour camera; see `render.sensor_models`.
+"""Filters, readings of a depth camera's pixels, and effects of a colour camera; see `render.depth_sensors`.
 
 Images are flat arrays, (C, H, W) row after row: one index finds a value sooner than three. 8-bit values of a colour
 camera's N pixels lie in memory pixel after pixel, (N, 3); the float channels in between one after the other, (3, N).

@@ -22,8 +22,8 @@ from toolee_robot.devices.cameras.realsense import RealSenseStream, sdk
 from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Clock
-from toolee_robot.render.scene import Rendering
-from toolee_robot.render.sensor_models import Photo, measure_depth, photograph
+from toolee_robot.render.depth_sensors import Photo, measure_depth, photograph
+from toolee_robot.render.material import Rendering
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, Pictures, SoftwareRealSense
 from toolee_robot.sim_backend.options import PlacedBoard
