@@ -12,7 +12,7 @@ from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform
 from toolee_robot.robots.hands import SHADOW_HAND, HandChoice, HandModel, hand_model
-from toolee_robot.robots.tree import FLANGE_FRAME, UR10_URDF, Inertial, Link, Shape, Tree, link_mesh
+from toolee_robot.robots.tree import FLANGE_FRAME, NEARLY_MASSLESS, UR10_URDF, Inertial, Link, Shape, Tree, link_mesh
 from toolee_robot.robots.urdf import DhParameters, joint_origins, read_urdf, write_urdf
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
@@ -210,6 +210,9 @@ def robot_tree(
     shared = arm.by_name.keys() & hand.tree.by_name.keys()
     if shared:
         raise AssetError(f"arm and {hand.label} both have links named {sorted(shared)}: rename them in {hand.source}")
+    if hand.clamps:  # the mass of a mount is all that the flange carries, plates included
+        bare = (replace(k, inertial=NEARLY_MASSLESS) if k.name == FLANGE_FRAME else k for k in arm.links)
+        return Tree((*bare, *hand.tree.links))
     return Tree((*arm.links, *hand.tree.links))
 
 

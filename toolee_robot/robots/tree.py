@@ -141,6 +141,10 @@ class Inertial:
     moments: tuple[float, float, float]
 
 
+NEARLY_MASSLESS = Inertial(1e-3, np.eye(4), (1e-7, 1e-7, 1e-7))
+"""Inertia of a link without mass: an engine assumes 1 kg where there is none."""
+
+
 @dataclass(frozen=True)
 class Link:
     """A link and the joint that connects it to its parent.

@@ -19,11 +19,8 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.errors import AssetError, words_of
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform
-from toolee_robot.robots.tree import Inertial, Link, Shape, Tree
+from toolee_robot.robots.tree import NEARLY_MASSLESS, Inertial, Link, Shape, Tree
 from toolee_robot.types import ArmModel, DhCalibration
-
-_NEARLY_MASSLESS = Inertial(1e-3, np.eye(4), (1e-7, 1e-7, 1e-7))
-"""Inertia of a link without mass in the URDF."""
 
 
 def _numbers(text: str) -> Array:
@@ -134,7 +131,7 @@ def read_urdf(
         if substitute_shapes:
             visuals, collisions = visuals or collisions, collisions or visuals
         link = Link(
-            name, parent, X_parent_root, f"{name}_mount", inertial=_inertial(elements[name]) or _NEARLY_MASSLESS,
+            name, parent, X_parent_root, f"{name}_mount", inertial=_inertial(elements[name]) or NEARLY_MASSLESS,
             visuals=visuals, collisions=collisions,
         )  # fmt: skip
         if name in joints:

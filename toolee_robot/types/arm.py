@@ -230,9 +230,9 @@ class ToolMount:
     working_side: Direction
     """Direction in which the tool works, of a hammer its face's normal; at a right angle to `handle`, any length."""
     mass: Annotated[float, Kilograms(0.1, 12.5, "a UR10e carries 12.5 kg")]
-    """Mass of the whole mount, without a tool."""
+    """Mass of all that is on the flange, plates, cables and screws included, without a tool."""
     center_of_mass: NearPoint
-    """Centre of mass of the whole mount."""
+    """Its centre of mass."""
     clamp_mass: Annotated[float, Kilograms(0.01, 12.5)]
     """Mass of the part that yields together with the tool; its centre is taken to be at `position`."""
     body_size: tuple[Edge, Edge, Edge]

@@ -22,7 +22,7 @@ from toolee_robot.robots.hands.ability import ABILITY_HAND
 from toolee_robot.robots.hands.inspire import INSPIRE_RH56
 from toolee_robot.robots.hands.model import PALM, UNMOUNTED, Finger, HandModel, NominalGrasp, Phalanx, WristJoint
 from toolee_robot.robots.hands.shadow import SHADOW_HAND
-from toolee_robot.robots.tree import Inertial, Link, Shape, Tree
+from toolee_robot.robots.tree import NEARLY_MASSLESS, Inertial, Link, Shape, Tree
 from toolee_robot.runtime.device_plugins import installed, load
 from toolee_robot.types import MOUNT, HandMounting, HandWeight, ToolMount
 
@@ -170,7 +170,6 @@ HINGE = "mount_hinge"
 _BODY, _CLAMP, _FRAME = "mount_body", "mount_clamp", "mount"
 _CLAMP_SIZE = 0.04  # [m] edge of the cube as which the clamp's inertia is taken
 _FASTEST = 20.0  # [rad/s]
-_MARK = Inertial(1e-3, np.eye(4), (1e-7, 1e-7, 1e-7))  # a link without mass makes the engine assume 1 kg
 
 
 @lru_cache(maxsize=8)
@@ -211,8 +210,9 @@ def _tree(mount: ToolMount, yield_torque: float) -> Tree:
     X_flange_mount = mount.X_flange_mount
     X_flange_hinge = transform(X_flange_mount[:3, :3], mount.hinge_position)
     X_hinge_mount = inverse(X_flange_hinge) @ X_flange_mount
-    fixed = mount.mass - mount.clamp_mass - _MARK.mass
-    moment = mount.mass * np.array(mount.center_of_mass) - (mount.clamp_mass + _MARK.mass) * np.array(mount.position)
+    frame = NEARLY_MASSLESS.mass  # the flange's, and the clamp's
+    fixed = mount.mass - mount.clamp_mass - 2 * frame
+    moment = mount.mass * np.array(mount.center_of_mass) - (mount.clamp_mass + frame) * np.array(mount.position)
     body = Shape("box", mount.body_size, transform(p=mount.body_position))
     return Tree(
         (
@@ -237,7 +237,7 @@ def _tree(mount: ToolMount, yield_torque: float) -> Tree:
                 velocity=_FASTEST,
                 inertial=_box(mount.clamp_mass, X_hinge_mount[:3, 3], np.full(3, _CLAMP_SIZE)),
             ),
-            Link(_FRAME, _CLAMP, X_hinge_mount, f"{_FRAME}_fixed", inertial=_MARK),
+            Link(_FRAME, _CLAMP, X_hinge_mount, f"{_FRAME}_fixed", inertial=NEARLY_MASSLESS),
         )
     )
 
