@@ -156,7 +156,7 @@ def check_payload(state: UrState, expected: UrExpected) -> Finding:
 
 def _payload_text(payload: Payload) -> str:
     x, y, z = payload.center_of_mass * 1e3
-    return f"{payload.mass:.2f} kg at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+    return f"{payload.mass:.2f} kg at ({x:z.0f}, {y:z.0f}, {z:z.0f}) mm"
 
 
 def check_tcp(state: UrState, expected: UrExpected) -> Finding:
