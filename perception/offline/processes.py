@@ -16,7 +16,6 @@ from multiprocessing.connection import wait
 from typing import Any, Generic, ParamSpec, Self, TypeVar
 
 import cv2
-import torch
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.runtime.interrupts import SIGNALS, interrupts_held
@@ -204,6 +203,8 @@ _state: list[Any] = []
 
 
 def _begin_state(begin: Callable[[], Any]) -> None:
+    import torch  # here: a process that only renders or decodes images starts in half the time without it
+
     # One core each: threads of every process for every core of a large machine leave none of them any.
     torch.set_num_threads(1)
     cv2.setNumThreads(1)

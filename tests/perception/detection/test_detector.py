@@ -37,17 +37,18 @@ TINY = DetectorConfig(
     mask_width=16,
     working_pixels=64 * 96,
 )
-
-
-PICTURES = 4
+PICTURES, STEPS = 2, 60
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> Iterator[None]:
-    """Tiny networks: threads cost more than they save, and much more on a busy machine."""
+def _little_work() -> Iterator[None]:
+    """Tiny networks: threads cost more than they save. One tool a picture needs few regions to learn from."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    yield
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("toolee_robot.perception.offline.training.detector_training.ROIS_PER_IMAGE", 24)
+        patch.setattr("toolee_robot.perception.offline.training.detector_training.POSITIVE_ROIS", 8)
+        yield
     torch.set_num_threads(threads)
 
 
@@ -151,7 +152,16 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("run")
     torch.manual_seed(0)
     config = SegmentationTraining(
-        Path("toy"), out, max_steps=100, batch=2, lr=4e-3, warmup_steps=10, ema=0.9, augmentation=0, model=TINY
+        Path("toy"),
+        out,
+        max_steps=STEPS,
+        batch=1,
+        lr=4e-3,
+        warmup_steps=10,
+        ema=0.9,
+        augmentation=0,
+        model=TINY,
+        log_every=1,
     )
     return train(config, toy_scenes(PICTURES))
 
@@ -168,7 +178,7 @@ def test_training_lowers_the_loss_and_logs_it(trained: Path) -> None:
     assert log[-1]["loss"] < 0.75 * log[0]["loss"]
     description = json.loads((trained / "segmentation.json").read_text())
     assert description["classes"] == list(CLASSES)
-    assert description["steps"] == 100
+    assert description["steps"] == STEPS
 
 
 def test_overfit_detector_finds_the_tools_of_its_pictures(trained: Path) -> None:
@@ -229,7 +239,15 @@ def test_a_run_resumes_where_it_stopped(tmp_path: Path) -> None:
 
 def test_a_run_starts_from_exported_weights(tmp_path: Path, trained: Path) -> None:
     config = SegmentationTraining(
-        Path("toy"), tmp_path, max_steps=2, batch=4, lr=1e-6, log_every=1, model=TINY, augmentation=0, init=trained
+        Path("toy"),
+        tmp_path,
+        max_steps=2,
+        batch=PICTURES,
+        lr=1e-6,
+        log_every=1,
+        model=TINY,
+        augmentation=0,
+        init=trained,
     )
     train(config, toy_scenes(PICTURES))
     first = log_of(trained)[0]["loss"]

@@ -48,7 +48,7 @@ from toolee_robot.perception.weight_files import load_weights, save_weights
 
 pytestmark = pytest.mark.sim(seconds=30)
 
-STEPS = 150
+STEPS = 120
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -70,11 +70,14 @@ def _more_kept_aside() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def detector(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tiny detector, trained on eight toy pictures until its masks are rough."""
+    """A tiny detector, trained on four toy pictures until its masks are rough."""
     out = tmp_path_factory.mktemp("detector")
-    pictures = toy_scenes(8, height=HEIGHT // TIMES, width=WIDTH // TIMES)
-    options = {"batch": 2, "lr": 5e-3, "warmup_steps": 10, "ema": 0.9, "augmentation": 0.0, "model": TINY_DETECTOR}
-    return train_detector(SegmentationTraining(Path("toy"), out, max_steps=60, **options), pictures)  # type: ignore[arg-type]
+    pictures = toy_scenes(4, height=HEIGHT // TIMES, width=WIDTH // TIMES)
+    options = {"batch": 1, "lr": 5e-3, "warmup_steps": 10, "ema": 0.9, "augmentation": 0.0, "model": TINY_DETECTOR}
+    with pytest.MonkeyPatch.context() as patch:  # one tool a picture needs few regions to learn from
+        patch.setattr("toolee_robot.perception.offline.training.detector_training.ROIS_PER_IMAGE", 24)
+        patch.setattr("toolee_robot.perception.offline.training.detector_training.POSITIVE_ROIS", 8)
+        return train_detector(SegmentationTraining(Path("toy"), out, max_steps=60, **options), pictures)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +101,7 @@ def trained(detector: Path, data: Path, tmp_path_factory: pytest.TempPathFactory
     """The detector with its refiner beside it."""
     out = tmp_path_factory.mktemp("both")
     shutil.copytree(detector, out, dirs_exist_ok=True)
-    return train(training(data, out, detector, max_steps=STEPS, log_every=10))
+    return train(training(data, out, detector, max_steps=STEPS, batch=2, log_every=10))
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,15 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from toolee_robot.errors import NoAnswerError, ProtocolError, words_of
-from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.runtime.clock import readable
+
+if TYPE_CHECKING:
+    from toolee_robot.robots.urdf import DhParameters
 
 _CHUNK = 65536
 _SO_TIMESTAMPNS, _STAMP = 35, struct.Struct("@qq")  # Linux, socket(7); on the wall clock
@@ -377,4 +379,6 @@ def _parse(content: bytes) -> UrKinematics:
     theta, a, d, alpha = np.array(values[6:30], float).reshape(4, 6)
     if not all(np.all(np.abs(v) < _IMPLAUSIBLE) for v in (theta, a, d, alpha)):
         raise ProtocolError("the controller's kinematics are not finite, or implausible", code="protocol.implausible")
+    from toolee_robot.robots.urdf import DhParameters  # loads meshes: not in the servo process, nor in its watch
+
     return UrKinematics(tuple(values[:6]), DhParameters(d=d, a=a, alpha=alpha, theta=theta))
