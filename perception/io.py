@@ -176,7 +176,7 @@ def make_intrinsics(fx: float, fy: float, cx: float, cy: float, width: int, heig
     if wrong := camera.problems(longest=LONGEST_OF_A_PART):
         told = "; ".join(f"{name}: {text}" for name, text in wrong)
         raise UserError(
-            f"these are no intrinsics of the {width}x{height} image in pixels: {told}", code="user.intrinsics"
+            f"these are not intrinsics of the {width}x{height} image in pixels: {told}", code="user.intrinsics"
         )
     return camera
 
@@ -351,7 +351,8 @@ def _bop_image(path: Path, key: str, entry: Any, rgbs: dict[int, Path], depths: 
         raise UserError(f'{path}, image "{key}": cam_K has {len(K)} numbers, not 9', code="user.bop_camera")
     if (K[1], K[3], *K[6:]) != (0.0, 0.0, 0.0, 0.0, 1.0):
         raise UserError(
-            f'{path}, image "{key}": cam_K is no camera matrix by rows, fx 0 cx, 0 fy cy, 0 0 1', code="user.bop_camera"
+            f'{path}, image "{key}": cam_K is not a camera matrix by rows, fx 0 cx, 0 fy cy, 0 0 1',
+            code="user.bop_camera",
         )
     if not 0.0 < scale < 1.0:
         raise UserError(

@@ -292,7 +292,7 @@ def test_a_file_that_is_not_there_names_the_interview(tmp_path: Path) -> None:
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n")
     with raises(ConfigError, "config.unreadable") as caught:
         load_station(tmp_path / "picture.png")
-    assert "is no text" in str(caught.value)
+    assert "not UTF-8" in str(caught.value)
 
 
 def test_a_calibration_by_another_program_is_written_into_the_file(tmp_path: Path) -> None:

@@ -111,7 +111,7 @@ class Board:
         for length, nominal, scale in zip((along, across), self.size, scales, strict=True):
             if not _is_print(scale):
                 raise UserError(
-                    f"a scale bar of {length * 1e3:.1f} mm is no print of one of {nominal * 1e3:.0f} mm: "
+                    f"a scale bar of {length * 1e3:.1f} mm cannot be a print of one of {nominal * 1e3:.0f} mm: "
                     f"{self._other_bars(along, across)}",
                     code="user.board_bar",
                 )

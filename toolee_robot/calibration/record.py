@@ -167,12 +167,12 @@ class CalibrationRecord:
         for name in ("X_base_camera", "X_flange_board"):
             X = np.array(getattr(self, name))
             if X.shape != (4, 4) or not is_rigid(X):
-                raise ValueError(f"{name} is no rigid transform")
+                raise ValueError(f"{name} is not a rigid transform")
             if np.linalg.norm(X[:3, 3]) > FARTHEST:
                 raise ValueError(f"{name} is over {FARTHEST:g} m away")
         covariance = np.array(self.covariance)
         if covariance.shape != (6, 6) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
-            raise ValueError("covariance is no covariance of six numbers")
+            raise ValueError("covariance is not a positive definite 6 x 6 matrix")
 
     @property
     def pose(self) -> Array:
@@ -293,7 +293,7 @@ def _read_signed(path: Path, kind: type[T], what: str) -> T:
         message = f"cannot read the {what} {path} that `toolee calibrate` writes: {words_of(error)}"
         raise ConfigError(message, code="config.unreadable") from error
     if not isinstance(data, dict) or SIGNATURE not in data:
-        raise ConfigError(f"{path} is no {what}: name a file that `toolee calibrate` wrote", code="config.invalid")
+        raise ConfigError(f"{path} is not the {what}: name a file that `toolee calibrate` wrote", code="config.invalid")
     signature = data.pop(SIGNATURE)
     if signature != _signature(data):
         raise ConfigError(

@@ -146,7 +146,7 @@ def read_text(path: Path) -> str:
     try:
         return read_bytes(path, LARGEST_TEXT).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise ValueError(f"byte {error.start} is no text in UTF-8: save it in that encoding") from None
+        raise ValueError(f"not UTF-8 at byte {error.start}: save the file in that encoding") from None
 
 
 def from_json(text: str | bytes) -> Any:
@@ -203,7 +203,7 @@ def read_array(path: Path) -> NDArray[Any]:
 
 
 def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is no number of JSON")
+    raise ValueError(f"{constant} is not a number in JSON")
 
 
 def json_line(value: Any) -> str:

@@ -61,7 +61,7 @@ class Unit:
             number = float("nan")
         if not isfinite(number):
             raise ValueError(
-                f"a number is needed, {shown(value)} is none: digits, a point for decimals, no unit ({self.range})"
+                f"{shown(value)} is not a number: give digits, a point for decimals, no unit ({self.range})"
             )
         if self.low <= number <= self.high:
             return value

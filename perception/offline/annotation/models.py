@@ -64,7 +64,7 @@ class AxisModel:
         sight = angle_between(self._direction, measured.rays(tip))
         if min(sight, np.pi - sight) < END_ON:
             raise UserError(
-                "the shaft points at the camera, so that its axis does not show: leave this end out",
+                "the shaft points at the camera, so its axis does not show: leave this end out",
                 code="user.too_oblique",
             )
         pixels = self._diameter * measured.camera.fx / float(np.median(points[:, 2]))

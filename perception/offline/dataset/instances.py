@@ -147,7 +147,7 @@ def read_ply(path: Path) -> tuple[Array, NDArray[np.int64]]:
         raise AssetError(f"cannot read {path}: {words_of(error)}; delete it and generate the data set again") from error
     faces = rows["v"].astype(np.int64)
     if not np.all(np.isfinite(vertices)) or (F and (faces.min() < 0 or faces.max() >= V)):
-        raise AssetError(f"{path} is no mesh: delete it and generate the data set again")
+        raise AssetError(f"{path} is not a mesh: delete it and generate the data set again")
     return vertices, faces
 
 

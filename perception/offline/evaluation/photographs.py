@@ -98,7 +98,7 @@ def read_photographs(folder: Path, limit: int | None = None) -> list[Photograph]
         return found
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise UserError(
-            f"{path} is no set of photographs ({words_of(error)}): make one as docs/dataset.md says",
+            f"{path} is not a set of photographs ({words_of(error)}): make one as docs/dataset.md says",
             code="user.photographs",
         ) from error
 

@@ -144,7 +144,7 @@ def remember(out: Path, resume: bool, config: dict[str, Any], name: str = CONFIG
             before = dict(read_json(path))
         except (OSError, ValueError, TypeError) as error:
             raise UserError(
-                f"cannot read {path}, by which the training there was begun: give another --out, or delete it to go on "
+                f"cannot read {path}, the options of the training there: give another --out, or delete it to go on "
                 f"with these options ({words_of(error)})",
                 code="user.training_config",
             ) from error

@@ -42,8 +42,8 @@ def check_poses(Xs_base_flange: Sequence[Array], names: Sequence[str]) -> None:
     for X, name in zip(Xs_base_flange, names, strict=True):
         if X.shape != (4, 4) or not is_rigid(X, 1e-4):
             raise UserError(
-                f"pose {name}: X_base_flange is no rigid transform: give 4 x 4, row by row, rotation left and position "
-                "right",
+                f"pose {name}: X_base_flange is not a rigid transform: give 4 x 4, row by row, rotation left and "
+                "position right",
                 code="user.calibration_pose",
             )
         if np.linalg.norm(X[:3, 3]) > LARGEST_REACH:

@@ -77,7 +77,7 @@ class Recording:
             ) from error
         for path, image, shape in ((paths[0], bgr, (*size, 3)), (paths[1], depth, size)):
             if image is None or image.shape != shape:
-                raise UserError(f"{path} is no image of the recording: record again", code="user.camera_recording")
+                raise UserError(f"{path} is not an image of the recording: record again", code="user.camera_recording")
         if depth is None or bgr is None or depth.dtype != np.uint16:
             raise UserError(f"{paths[1]} has not 16 bits: record again", code="user.camera_recording")
         return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8), np.asarray(depth, np.uint16)
@@ -188,7 +188,7 @@ def open_recording(folder: Path) -> Recording:
             tuple(float(entry["stamp"]) for entry in entries),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        message = f"{folder} is no recording by `toolee camera record` ({error!r}): record again"
+        message = f"{folder} is not a recording by `toolee camera record` ({error!r}): record again"
         raise UserError(message, code="user.camera_recording") from error
 
 

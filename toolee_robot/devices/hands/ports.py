@@ -183,7 +183,7 @@ def tcp_address(path: str) -> tuple[str, int]:
     """
     host, _, number = path.removeprefix("tcp://").rpartition(":")
     if not is_tcp(path) or not host or not number.isdecimal() or int(number) > 0xFFFF:
-        raise ConfigError(f"hand.port {path!r} is no address: give tcp://HOST:PORT", code="config.hand_port")
+        raise ConfigError(f"hand.port {path!r} is not an address: give tcp://HOST:PORT", code="config.hand_port")
     return host, int(number)
 
 
