@@ -190,7 +190,7 @@ LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
     ("change", "words"),
     [
         ({"work": {"nail_lenght": 0.05}}, "work.nail_lenght: there is no such field: did you mean nail_length?"),
-        ({"work": {"nail_length": "2,2 mm"}}, "a number is needed, '2,2 mm' is none"),
+        ({"work": {"nail_length": "2,2 mm"}}, "'2,2 mm' is not a number"),
         (
             {"camera": {"device": {"driver": "realsense", "serial": 832112070123, "least_range": 0.28}}},
             "put it in quotes",

@@ -132,10 +132,10 @@ def test_a_camera_is_asked_what_its_driver_needs_and_does_not_tell(
         ("work.nail_diameter", "2.2", "user.answer", "millimetres"),
         ("camera.position", "0.95 -0.62", "user.answer", "give 3 numbers, not 2"),
         ("work.nail_diameter", "-0.002", "user.answer", "0.0005 to 0.02 m"),
-        ("work.nail_diameter", "two", "user.answer", "a number is needed"),
+        ("work.nail_diameter", "two", "user.answer", "is not a number"),
         ("frame", "base", "user.answer", "pendant_base"),
         ("person.door_closed_input", "18", "user.answer", "17"),
-        ("person.door_closed_input", "none", "user.answer", "a number is needed"),
+        ("person.door_closed_input", "none", "user.answer", "is not a number"),
     ],
 )
 def test_an_answer_that_cannot_be_is_asked_again(name: str, answer: str, code: str, words: str) -> None:
