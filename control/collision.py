@@ -53,12 +53,10 @@ class Clearance:
     Attributes:
         distance: Distance of the pair, at most FAR [m].
         pair: Names of the two bodies.
-        row: Index of the configuration in the batch.
     """
 
     distance: float
     pair: tuple[str, str]
-    row: int
 
     def __str__(self) -> str:
         return f"{self.pair[0]} and {self.pair[1]} ({self.distance * 1e3:.0f} mm)"
@@ -178,14 +176,14 @@ class CollisionWorld:
             bound[:, [g in exempt for g in self._groups]] = np.inf
         order = np.argwhere(bound < need)
         order = order[np.argsort(bound[order[:, 0], order[:, 1]])]
-        best = Clearance(need, ("nothing", "nothing"), 0)
+        best = Clearance(need, ("nothing", "nothing"))
         for row, k in order:
             if bound[row, k] >= best.distance:
                 break
             i, j = self.pairs[k]
             distance = self._distance(self.bodies[i], self.bodies[j], R[row], p[row])
             if distance < best.distance:
-                best = Clearance(distance, (self.bodies[i].name, self.bodies[j].name), int(row))
+                best = Clearance(distance, (self.bodies[i].name, self.bodies[j].name))
                 if first or distance <= 0:
                     break
         return best

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_MIN, REST_REACH, complete_depth, surface_step
+from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_REACH, complete_depth, surface_step
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
 NEAREST, FARTHEST = 0.05, 20.0
@@ -44,15 +44,6 @@ class EeCloud:
         """An empty cloud with the reason why it is not usable."""
         nothing = np.empty((0, 3))
         return cls(nothing, nothing, nothing, reason)
-
-    @property
-    def direction(self) -> Array | None:
-        """Unit vector (3,), camera frame, from the points' centroid to the rest of the tool; None if unseen."""
-        if not self.usable or len(self.rest) < REST_MIN:
-            return None
-        to_rest = np.median(self.rest, axis=0) - self.points.mean(axis=0)
-        norm = float(np.linalg.norm(to_rest))
-        return to_rest / norm if norm > 0 else None
 
     @property
     def usable(self) -> bool:

@@ -159,11 +159,6 @@ class Judge:
         """All strikes so far; the last one may still be going on."""
         return tuple(self._strikes)
 
-    @property
-    def protrusion_mm(self) -> float:
-        """Current protrusion of the nail that the tool is nearest to [mm]."""
-        return self._world.nail.protrusion * 1e3
-
     def X_hand_ee(self, stamp: float) -> Array:
         """The true pose of the EE in the hand, interpolated.
 

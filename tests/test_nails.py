@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from tests.errors import raises
 from tests.examples import examples
+from tests.nails import with_nails
 from toolee_robot.control.collision_shapes import nail_bodies, station_bodies
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import angle_between, inverse, is_rigid, transform_points
@@ -85,7 +86,7 @@ def test_nails_without_a_frame_are_refused(tmp_path: Path) -> None:
 
 def test_the_wood_moves_with_its_nails() -> None:
     work = sim_station().work
-    work = work.with_nails(NailConfig("a", (0.74, 0.10)), NailConfig("b", (0.78, 0.10)))
+    work = with_nails(work, NailConfig("a", (0.74, 0.10)), NailConfig("b", (0.78, 0.10)))
     moved = work.moved(0.01, -0.02, 0.003)
     for name in work.names:
         way = moved.only(name).X_base_nail()[:3, 3] - work.only(name).X_base_nail()[:3, 3]
@@ -119,8 +120,10 @@ def test_the_nail_is_on_the_wood_and_along_its_axis(
 
 
 def test_several_nails_lean_each_for_itself_and_stand_at_the_height_of_the_wood_there() -> None:
-    work = replace(WORK, block_size=(0.08, 0.14, 0.06), wood_rise=(0.0, 0.05), nail_lean=(0.02, 0.0)).with_nails(
-        NailConfig("left", (0.75, 0.14)), NailConfig("right", (0.75, 0.06), lean=(0.0, 0.0))
+    work = with_nails(
+        replace(WORK, block_size=(0.08, 0.14, 0.06), wood_rise=(0.0, 0.05), nail_lean=(0.02, 0.0)),
+        NailConfig("left", (0.75, 0.14)),
+        NailConfig("right", (0.75, 0.06), lean=(0.0, 0.0)),
     )
     left, right = (work.only(name) for name in ("left", "right"))
     assert left.p_base_entry[2] - right.p_base_entry[2] == pytest.approx(0.05 * 0.08)

@@ -194,7 +194,7 @@ def test_under_a_ceiling_the_torques_at_rest_have_the_other_sign(q: Array) -> No
 
 
 def _state(q: Array, felt: Array | None) -> UrState:
-    return UrState(q, np.zeros(6), np.zeros(6), np.zeros(6), None, 7, 1, 1, 3, 1, 1.0, 1.0, felt)
+    return UrState(q, np.zeros(6), np.zeros(6), np.zeros(6), None, 7, 1, 1, 3, 1, 1.0, felt)
 
 
 def _felt(q: Array, up: tuple[float, float, float]) -> Array:

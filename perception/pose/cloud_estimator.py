@@ -49,7 +49,6 @@ class PoseResult:
         usable: Whether the pose may be acted on.
         reason: "ok", or why it may not.
         hypotheses: The candidate poses before pooling.
-        modes: Masses of the candidates' modes, largest first.
         features: Input of the confidence model, see `confidence.FEATURES`; empty for estimators without one.
         ambiguous: (3,) in [0, 1]: predicted ambiguity about each axis of the EE.
     """
@@ -61,7 +60,6 @@ class PoseResult:
     usable: bool
     reason: str
     hypotheses: PoseHypotheses
-    modes: tuple[float, ...]
     features: Array
     ambiguous: Array
 

@@ -190,8 +190,8 @@ class PoseEstimator(CloudEstimator):
         probability = float(model.probability(x))
         usable = probability >= model.threshold
         reason = confidence.reason(category, x, usable)
-        X, covariance, modes = pooled.X, pooled.covariance, pooled.modes
-        return PoseResult(category, X, covariance, probability, usable, reason, hypotheses, modes, x, ambiguous)
+        X, covariance = pooled.X, pooled.covariance
+        return PoseResult(category, X, covariance, probability, usable, reason, hypotheses, x, ambiguous)
 
 
 def context_input(cloud: CanonicalCloud, visible: torch.Tensor) -> torch.Tensor:

@@ -220,11 +220,6 @@ class Nail:
         """Protrusion of the nail over the wood, along its axis [m]."""
         return self.spec.protrusion - self._joint(SLIDE)
 
-    @property
-    def depth(self) -> float:
-        """Length of the nail in the wood [m]."""
-        return self.spec.length - self.protrusion
-
     def _direction(self) -> tuple[float, float, float]:
         """Direction of the nail in `X_world_surface`, a unit vector into the wood: Rx(a) Ry(b) z."""
         a, b = self._joint(HINGE_X), self._joint(HINGE_Y)
@@ -263,11 +258,6 @@ class Nail:
     def bent(self) -> bool:
         """Whether the nail counts as bent: its lean or its head's shift was too large at some step."""
         return self.largest_shift >= BENT_SHIFT or self.largest_lean >= BENT_LEAN
-
-    @property
-    def resistance(self) -> float:
-        """Force that would drive the nail further now [N]."""
-        return resistance(self.spec, self.protrusion, self.bend_angle)
 
     def place(self, protrusion: float, bend: tuple[float, float] = (0.0, 0.0)) -> None:
         """Set the nail as if strikes had driven it so far and bent it so.

@@ -163,7 +163,7 @@ def _state(q: Array, tcp_offset: Array) -> UrState:
     """What a robot reports at q."""
     X = DhParameters.of(CONFIG.arm.model).fk(q) @ transform(p=tcp_offset[:3])
     pose = np.concatenate([X[:3, 3], Rotation.from_matrix(X[:3, :3]).as_rotvec()])
-    return UrState(q, np.zeros(6), pose, tcp_offset, None, 7, 1, 1, 3, 1, 1.0, 1.0)
+    return UrState(q, np.zeros(6), pose, tcp_offset, None, 7, 1, 1, 3, 1, 1.0)
 
 
 def _found(state: UrState, point: Array | None) -> dict[str, Finding]:

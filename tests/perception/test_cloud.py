@@ -17,7 +17,7 @@ from toolee_robot.perception.cloud import (
     trim,
     without_flying_pixels,
 )
-from toolee_robot.perception.pose.canonical import MIN_POINTS
+from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_MIN
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
 CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
@@ -150,15 +150,13 @@ def test_too_few_points_give_a_reason_instead_of_a_cloud() -> None:
     assert len(cloud.points) == 0
 
 
-def test_direction_points_to_the_rest_of_the_tool() -> None:
+def test_the_rest_of_the_tool_is_kept() -> None:
     depth = np.full((424, 512), 1.5)
     head, handle = disc(200, 150, 12), np.zeros((424, 512), bool)
     handle[195:205, 162:300] = True
     depth[head | handle] = 0.8
     with_tool = ee_cloud(frame(depth), detection(head, head | handle))
-    assert with_tool.direction is not None
-    np.testing.assert_allclose(with_tool.direction, [1, 0, 0], atol=0.05)
     assert len(with_tool.rest) > 1000
     assert (with_tool.rest[:, 0] > with_tool.points[:, 0].mean()).all()
-    assert ee_cloud(frame(depth), detection(head)).direction is None
-    assert ee_cloud(frame(depth), detection(head, head)).direction is None
+    assert len(ee_cloud(frame(depth), detection(head)).rest) == 0
+    assert len(ee_cloud(frame(depth), detection(head, head)).rest) < REST_MIN

@@ -26,9 +26,7 @@ HEAD = Category.HAMMER_HEAD
 def result(confidence: float, usable: bool = True) -> PoseResult:
     hypotheses = PoseHypotheses(np.eye(4)[None], np.zeros((1, 3)), 0.01, 0.1, 0.5)
     reason = "ok" if usable else "two poses"
-    return PoseResult(
-        HEAD, np.eye(4), np.eye(6), confidence, usable, reason, hypotheses, (1.0,), np.zeros(0), np.zeros(3)
-    )
+    return PoseResult(HEAD, np.eye(4), np.eye(6), confidence, usable, reason, hypotheses, np.zeros(0), np.zeros(3))
 
 
 @given(unit, unit, unit, unit, unit)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.nails import with_nails
 from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.bench import Log
 from toolee_robot.control.contact import ContactVerdict, Meeting
@@ -307,7 +308,7 @@ def test_a_lone_nails_wood_is_felt_towards_the_handle(angle: float, height: floa
 @given(angles, heights, st.sampled_from(["left", "middle", "right"]))
 def test_in_a_row_it_is_felt_on_wood_and_beside_the_others(angle: float, height: float, name: str) -> None:
     nails = [NailConfig("left", (0.75, 0.14)), NailConfig("middle", (0.75, 0.10)), NailConfig("right", (0.75, 0.06))]
-    row = replace(WORK, block_size=(0.08, 0.14, 0.06)).with_nails(*nails).only(name)
+    row = with_nails(replace(WORK, block_size=(0.08, 0.14, 0.06)), *nails).only(name)
     way = way_to_bare_wood(row, _towards(angle), height)
     place = (row.p_base_entry + way)[:2]
     assert way @ _towards(angle) >= -1e-9, "not away from the handle"
@@ -325,6 +326,6 @@ def test_a_nail_at_the_edge_is_felt_where_there_is_wood() -> None:
 def test_where_nails_stand_on_all_sides_it_keeps_farthest_from_them() -> None:
     around = [(0.04 * np.cos(a), 0.04 * np.sin(a)) for a in np.deg2rad([0, 90, 180, 270])]
     nails = [NailConfig(f"{k}", (0.75 + x, 0.10 + y)) for k, (x, y) in enumerate(around)]
-    work = replace(WORK, block_size=(0.14, 0.14, 0.06)).with_nails(NailConfig("middle", (0.75, 0.10)), *nails)
+    work = with_nails(replace(WORK, block_size=(0.14, 0.14, 0.06)), NailConfig("middle", (0.75, 0.10)), *nails)
     place = way_to_bare_wood(work, np.array([1.0, 0.0, 0.0]), 0.02)[:2]
     assert min(np.linalg.norm(place - np.array(one)) for one in around) > 0.028

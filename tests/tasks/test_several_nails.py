@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.nails import with_nails
 from toolee_robot.errors import DeviceError
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.truth import PerfectPerception
@@ -39,7 +40,7 @@ def _config() -> StationConfig:
     work = replace(config.work, block_size=(0.08, 0.14, 0.06))
     return replace(
         config,
-        work=work.with_nails(NailConfig("hard", (0.75, 0.12)), NailConfig("soft", (0.75, 0.08), protrusion=0.006)),
+        work=with_nails(work, NailConfig("hard", (0.75, 0.12)), NailConfig("soft", (0.75, 0.08), protrusion=0.006)),
         task=replace(config.task, max_strikes=20, min_progress=0.0005),
     )
 

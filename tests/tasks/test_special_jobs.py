@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.nails import with_nails
 from tests.rigs.job_rig import CONFIG, HOME, Bench, at_rest, grip_kept
 from tests.rigs.people import ScriptedPerception
 from tests.tasks.bench import Log, is_home
@@ -181,7 +182,7 @@ X, Y = CONFIG.work.nail_xy
 
 
 def _config(nail: NailConfig, *others: NailConfig) -> StationConfig:
-    return replace(CONFIG, work=replace(CONFIG.work, block_size=(0.14, 0.14, 0.06)).with_nails(nail, *others))
+    return replace(CONFIG, work=with_nails(replace(CONFIG.work, block_size=(0.14, 0.14, 0.06)), nail, *others))
 
 
 @pytest.mark.nightly

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.nails import with_nails
 from tests.recording import small_run
 from tests.rigs.job_rig import CONFIG, SEED
 from tests.viewer.browser import CHROMIUM, browser
@@ -188,7 +189,7 @@ def test_each_nail_sinks_along_its_own_axis(name: str) -> None:
     nails = (NailConfig("left", (0.75, 0.12)), NailConfig("right", (0.75, 0.08), lean=LEANS["right"]))
     config = replace(
         sim_station(),
-        work=replace(sim_station().work, block_size=(0.08, 0.14, 0.06), wood_rise=(0.02, 0.03)).with_nails(*nails),
+        work=with_nails(replace(sim_station().work, block_size=(0.08, 0.14, 0.06), wood_rise=(0.02, 0.03)), *nails),
     )
     history = RunHistory()
     history.nails[name] = Series()

@@ -58,11 +58,6 @@ class WoodPlane:
         """Standard deviation of the rise about its least known direction [rad]."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[1:, 1:])[-1]))
 
-    @property
-    def residual(self) -> float:
-        """Root mean square distance of the touches from the plane [m]; 0 where three determine it."""
-        return float(np.sqrt(np.mean(self.residuals**2)))
-
 
 def fit_wood(p: Array, at: Array, *, repeat: float, common: float) -> WoodPlane:
     """Fit the plane of the wood to touches, by least squares of their heights.

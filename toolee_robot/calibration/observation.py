@@ -44,11 +44,6 @@ class BoardView:
     ids: NDArray[np.int64]
     pixels: Array
 
-    def without(self, ids: frozenset[int]) -> BoardView:
-        """The view without some corners."""
-        keep = np.array([int(i) not in ids for i in self.ids], dtype=bool)
-        return BoardView(self.ids[keep], self.pixels[keep])
-
     def reprojection(self, X_camera_board: Array, board: Board, intrinsics: CameraIntrinsics) -> float:
         """Compare the corners with a pose of the board.
 
@@ -182,12 +177,10 @@ class AlignedBoard:
     Attributes:
         X_camera_board: The pose, (4, 4).
         covariance: Covariance of position [m] and rotation vector [rad], axes of the camera, (6, 6).
-        misfit: Root mean square difference of predicted and seen intensity, as a share of black to white.
     """
 
     X_camera_board: Array
     covariance: Array
-    misfit: float
 
 
 def align(image: NDArray[np.uint8], board: Board, k: CameraIntrinsics, X_camera_board: Array) -> AlignedBoard | None:
@@ -254,7 +247,7 @@ def align(image: NDArray[np.uint8], board: Board, k: CameraIntrinsics, X_camera_
     x, y, z = middle - X[:3, 3]  # the covariance of the middle's place -> that of the origin's
     J = np.eye(6)
     J[:3, 3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-    return AlignedBoard(X, J @ covariance @ J.T, misfit)
+    return AlignedBoard(X, J @ covariance @ J.T)
 
 
 def _window(board: Board, k: CameraIntrinsics, X: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

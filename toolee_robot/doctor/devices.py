@@ -163,8 +163,6 @@ class StreamSample:
     """The frames, in their order."""
     ages: tuple[float, ...]
     """Age of each when it was there [s]."""
-    duration: float
-    """How long it was listened to [s]."""
 
     @property
     def rate(self) -> float:
@@ -195,7 +193,7 @@ def sample_stream(camera: StreamedCamera, clock: Clock, duration: float) -> Stre
         stamp = frame.stamp
         frames.append(frame)
         ages.append(clock.now() - stamp)
-    return StreamSample(tuple(frames), tuple(ages), clock.now() - begin)
+    return StreamSample(tuple(frames), tuple(ages))
 
 
 def check_stream(sample: StreamSample, camera: StreamedCamera) -> Iterator[Finding]:

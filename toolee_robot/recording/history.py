@@ -20,7 +20,7 @@ from toolee_robot.recording.messages import matrix, plain
 from toolee_robot.runtime.images import decode_image
 from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.station import ONLY_NAIL, StationConfig, sim_station
-from toolee_robot.types import CameraIntrinsics, RgbdFrame
+from toolee_robot.types import CameraIntrinsics
 
 T = TypeVar("T")
 
@@ -212,11 +212,6 @@ class RunHistory:
                 f"image {index + 1} of the recording cannot be decoded{why}", code="user.recording_unreadable"
             )
         return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
-
-    def frame(self, index: int) -> RgbdFrame:
-        """A frame by its index, as the perception got it."""
-        assert self.intrinsics is not None
-        return RgbdFrame(self.rgb(index), self.depths.values[index], self.intrinsics, self.images.stamps[index])
 
     def add(self, topic: str, stamp: float, message: Any) -> None:
         """Add a message of a recording; one of an unknown topic is left out.

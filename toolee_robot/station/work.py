@@ -268,20 +268,6 @@ class WorkConfig:
         for name in self.names:
             yield name, self.only(name)
 
-    def with_nails(self, *nails: NailConfig) -> WorkConfig:
-        """Have several nails instead of those before.
-
-        Args:
-            *nails: The nails, in the order in which they are driven.
-
-        Returns:
-            The work, about the first of them.
-
-        Raises:
-            ValueError: A nail is outside of the wood, two are at one place, or a size cannot be.
-        """
-        return replace(self, nails=nails, nail_xy=nails[0].xy).only(nails[0].name)
-
     def moved(self, dx: float, dy: float, dz: float) -> WorkConfig:
         """Move the block with its nails.
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.recording.history import RunHistory, SeenEstimate, Series
+from toolee_robot.recording.history import RunHistory, Series
 from toolee_robot.sim_backend.visuals import nail_of
 from toolee_robot.station import StationConfig
 
@@ -43,7 +43,6 @@ class RunState:
         X_base_hand: Pose of the hand, (4, 4).
         X_base_tool: Believed pose of the tool, (4, 4); None while the hand does not hold it.
         X_base_ee: Believed pose of its end effector, (4, 4); None likewise.
-        in_hand: The fused estimate that was believed; None before the first.
         sunk: How far each nail has been driven, by its name [m].
         protrusion: Height over the wood of the head of the nail begun last [m].
         frame: Index of the newest frame; -1 before the first.
@@ -55,7 +54,6 @@ class RunState:
     X_base_hand: Array
     X_base_tool: Array | None
     X_base_ee: Array | None
-    in_hand: SeenEstimate | None
     sunk: Mapping[str, float]
     protrusion: float
     frame: int
@@ -106,7 +104,7 @@ class RunStates:
             X_base_ee = self._given_way((X_base_hand @ [*grip, 1.0])[:3], X_base_hand @ X_hand_ee, sunk)
         X_base_tool = None if X_base_ee is None else X_base_ee @ inverse(self._told("X_tool_ee"))
         return RunState(
-            stamp, links, X_base_hand, X_base_tool, X_base_ee, in_hand,
+            stamp, links, X_base_hand, X_base_tool, X_base_ee,
             sunk, protrusion, h.images.index(stamp), stage,
         )  # fmt: skip
 

@@ -133,11 +133,9 @@ class CustomTool(ToolShape):
 
     Attributes:
         index: Index among the custom tools of the data set.
-        record: Its description.
     """
 
     index: int
-    record: CustomToolRecord
 
     @staticmethod
     def build(record: CustomToolRecord, index: int, vertices: Array, faces: NDArray[np.int64]) -> CustomTool:
@@ -157,7 +155,7 @@ class CustomTool(ToolShape):
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         ees, handle = record.ees, record.handle
         owner = _owners(vertices[faces].mean(axis=1), ees, handle)
-        return CustomTool(record.name, parts, mesh, owner, ees, handle, index, record)
+        return CustomTool(record.name, parts, mesh, owner, ees, handle, index)
 
 
 def cut_at_parts(

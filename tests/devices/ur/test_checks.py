@@ -63,7 +63,6 @@ _report = st.builds(
         min_size=1,
     ),
     version=st.none() | st.tuples(*[st.integers(0, 30)] * 4),
-    polyscope=_text,
     model=_text,
     serial=_text,
     remote_control=st.none() | st.booleans(),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bent_nails import look_at_nails
+from tests.nails import with_nails
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.nail.appearance import Appearance, NailPose, Window
 from toolee_robot.perception.nail.change import AsSet, Change, fit_moved
@@ -83,7 +84,7 @@ def test_a_straight_nail_at_the_blocks_edge_beside_others_is_not_seen_bent(lab: 
     """In the first lab the calibration makes the next nail look nearer to where this one is believed than it is itself;
     in the second the head stands before what is behind the block."""
     nails = [NailConfig("left", (0.75, 0.14)), NailConfig("middle", (0.75, 0.10)), NailConfig("right", (0.75, 0.06))]
-    row = replace(CONFIG, work=replace(WORK, block_size=(0.08, 0.14, 0.06)).with_nails(*nails))
+    row = replace(CONFIG, work=with_nails(replace(WORK, block_size=(0.08, 0.14, 0.06)), *nails))
     driven = next(look for look in look_at_nails(lab, row) if look.kind == "straight")
     assert driven.found is not None
     assert driven.found.distance < 0.0018

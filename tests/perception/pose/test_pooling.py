@@ -177,7 +177,7 @@ def test_a_free_spin_is_the_one_of_the_hand_s_own_grasp(turn: float) -> None:
     seen = transform(R_true @ Rotation.from_euler("z", 77, degrees=True).as_matrix(), [0.0, 0.0, 0.6])
     hypotheses = PoseHypotheses(seen[None], np.zeros((0, 3)), 0.001, 0.01, 0.0)
     free = PoseResult(
-        Category.HAMMER_HEAD, seen, FREE_SPIN_VARIANCE * np.eye(6), 1.0, True, "ok", hypotheses, (1.0,),
+        Category.HAMMER_HEAD, seen, FREE_SPIN_VARIANCE * np.eye(6), 1.0, True, "ok", hypotheses,
         np.zeros(0), np.zeros(3),
     )  # fmt: skip
     held = with_hand(free, HoldingHand(transform(R_camera_hand, [0.1, 0.0, 0.6]), R_hand_tool))

@@ -192,13 +192,11 @@ class MotionSpread:
 
     Attributes:
         first: Largest rotation between two poses [rad].
-        axis: Its axis in the flange, (3,).
-        second: Largest rotation between two poses about an axis at a right angle to `axis` [rad]: the part of their
-            rotation vector there.
+        second: Largest rotation between two poses about an axis at a right angle to that one's [rad]: the part of
+            their rotation vector there.
     """
 
     first: float
-    axis: Array
     second: float
 
     @property
@@ -226,7 +224,7 @@ def motion_spread(Xs_base_flange: Sequence[Array]) -> MotionSpread:
     largest = int(np.argmax(angles))
     axis = vectors[largest] / max(angles[largest], 1e-12)
     across = vectors - np.outer(vectors @ axis, axis)
-    return MotionSpread(float(angles[largest]), axis, float(np.linalg.norm(across, axis=1).max()))
+    return MotionSpread(float(angles[largest]), float(np.linalg.norm(across, axis=1).max()))
 
 
 def check_motion(Xs_base_flange: Sequence[Array]) -> MotionSpread:

@@ -61,7 +61,6 @@ class UrState:
         robot_status_bits: RTDE's robot_status_bits.
         safety_status_bits: RTDE's safety_status_bits.
         speed_slider: Position of the speed slider, 0 to 1.
-        speed_scaling: Actual speed scaling, 0 to 1.
         accelerometer: Mean of the tool's accelerometer, (3,) [m/s^2], axes of the tool, upwards at rest; None if the
             controller does not report it.
     """
@@ -77,7 +76,6 @@ class UrState:
     robot_status_bits: int
     safety_status_bits: int
     speed_slider: float
-    speed_scaling: float
     accelerometer: Array | None = None
 
 
@@ -114,7 +112,6 @@ class UrReport:
         host: Address of the controller.
         ports: Result of connecting, by port.
         version: Version of URControl: major, minor, bugfix, build.
-        polyscope: Version of PolyScope, as the dashboard reports it.
         model: Model, as the dashboard reports it, without the e of the e-Series.
         serial: Serial number, as the dashboard reports it.
         remote_control: Whether the robot is in remote control; None on a CB3, which has no local mode.
@@ -127,7 +124,6 @@ class UrReport:
     host: str
     ports: dict[int, PortState]
     version: tuple[int, int, int, int] | None
-    polyscope: str | None
     model: str | None
     serial: str | None
     remote_control: bool | None
@@ -145,7 +141,6 @@ class UrReport:
 SCRIPT_PORTS = (PRIMARY_PORT, 30002, 30003)
 
 _QUESTIONS: tuple[Question, ...] = (
-    "PolyscopeVersion",
     "get robot model",
     "get serial number",
     "is in remote control",
@@ -160,7 +155,6 @@ _ALWAYS = (
     "robot_status_bits",
     "safety_status_bits",
     "runtime_state",
-    "speed_scaling",
     "target_speed_fraction",
 )
 _ACCELEROMETER = "actual_tool_accelerometer"
@@ -224,7 +218,6 @@ def probe(host: str, timeout: float = 3.0, listen: float = 1.0, clock: HostClock
         host=host,
         ports=ports,
         version=version,
-        polyscope=answers.get("PolyscopeVersion"),
         model=None if model is None else model.strip().upper().removesuffix("E"),
         serial=answers.get("get serial number"),
         remote_control=None if remote is None else remote.strip().lower() == "true",
@@ -287,7 +280,6 @@ def _state(values: dict[str, Value]) -> UrState:
         robot_status_bits=int(_number(values["robot_status_bits"])),
         safety_status_bits=int(_number(values["safety_status_bits"])),
         speed_slider=_number(values["target_speed_fraction"]),
-        speed_scaling=_number(values["speed_scaling"]),
     )
 
 

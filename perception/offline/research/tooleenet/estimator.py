@@ -337,7 +337,7 @@ class PaperEstimator(CloudEstimator):
         covariance = scatter(Xs, X, group, spin_observable)
         spread = np.sqrt(np.trace(covariance[:3, :3])), np.sqrt(np.trace(covariance[3:, 3:]))
         hypotheses = PoseHypotheses(Xs, points, float(spread[0]), float(spread[1]), spin_observable)
-        return PoseResult(category, X, covariance, 1.0, True, "ok", hypotheses, (1.0,), np.zeros(0), ambiguous)
+        return PoseResult(category, X, covariance, 1.0, True, "ok", hypotheses, np.zeros(0), ambiguous)
 
 
 def scatter(Xs: Array, X: Array, group: SymmetryGroup, spin_observable: float) -> Array:

@@ -244,7 +244,7 @@ def test_a_spin_that_the_samples_agree_on_is_the_hands_where_the_symmetry_label_
     np.testing.assert_allclose(np.sqrt(np.diag(R.T @ covariance[3:, 3:] @ R))[:2], 0.05, rtol=0.15)
     hypotheses = PoseHypotheses(Xs, np.zeros((1, 3)), 0.0, 0.0, 0.0)
     result = PoseResult(
-        category, X, covariance, 1.0, True, "ok", hypotheses, (1.0,), np.zeros(0), np.array([0.0, 0.0, labelled])
+        category, X, covariance, 1.0, True, "ok", hypotheses, np.zeros(0), np.array([0.0, 0.0, labelled])
     )
     hand = HoldingHand(transform(true.as_matrix() @ category.spec.R_tool_ee.T, [0.0, 0.0, 0.0]), np.eye(3))
     fixed = with_hand(result, hand)
