@@ -94,7 +94,7 @@ def plan_handover(
             return plan_transfer(robot, config, world, q_start, q[i])
         except (CollisionError, LimitError) as error:
             failure = failure or error
-    raise failure or CollisionError("no handover posture is free of collisions", code="collision.handover")
+    raise failure or CollisionError("no handover posture is free of collisions")
 
 
 def plan_views(
@@ -129,7 +129,7 @@ def plan_views(
         UserError: `count` is less than 1.
     """
     if count < 1:
-        raise UserError("at least one view is needed", code="user.view_count")
+        raise UserError("at least one view is needed")
     X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
     Xs_base_ee, q = _sample(robot, config.camera, X_flange_ee, q_start, np.random.default_rng(seed))
     if len(q) == 0:
@@ -146,8 +146,7 @@ def plan_views(
     if len(q) == 0:
         raise UnreachableError(
             "in every reachable view the hand hides the tool: by the station file the camera "
-            f"{_where(config.camera)}; correct that, or move the camera",
-            code="unreachable.views_hidden",
+            f"{_where(config.camera)}; correct that, or move the camera"
         )
     for chosen, clearance in _choices(robot, world, config.camera, Xs_base_ee, q, q_start, count):
         try:
@@ -161,8 +160,7 @@ def plan_views(
             continue
     raise CollisionError(
         f"fewer than {count} views of the tool are free of collisions and within the workspace: clear the space in "
-        "front of the camera, or move it",
-        code="collision.views",
+        "front of the camera, or move it"
     )
 
 

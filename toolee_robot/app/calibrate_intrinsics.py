@@ -68,8 +68,7 @@ class IntrinsicsJob:
             The record.
 
         Raises:
-            UserError: As `calibrate_intrinsics` and `read_views`; or the images are undistorted, or may be
-                (`user.intrinsics_undistorted`).
+            UserError: As `calibrate_intrinsics` and `read_views`; or the images are undistorted, or may be.
         """
         if (recording := recording_of(images)) is not None:
             _check_raw(str(images), recording.undistorted)
@@ -92,8 +91,7 @@ class IntrinsicsJob:
 
         Raises:
             DeviceError: The camera failed.
-            UserError: As `calibrate_intrinsics`; or the camera is a recording whose images are undistorted, or may be
-                (`user.intrinsics_undistorted`).
+            UserError: As `calibrate_intrinsics`; or the camera is a recording whose images are undistorted, or may be.
         """
         board, clock = SHEETS[self.sheet].board.measured(*bars), HostClock()
         with open_camera(camera, clock, check_intrinsics=False) as opened:
@@ -168,8 +166,7 @@ class IntrinsicsJob:
                 )
             elif clock.now() - last > PATIENCE:
                 raise UserError(
-                    f"no new view within {PATIENCE:.0f} s ({offered}). Hold the board in front of the camera",
-                    code="user.board_not_held",
+                    f"no new view within {PATIENCE:.0f} s ({offered}). Hold the board in front of the camera"
                 )
 
     def _solve(self, views: list[BoardView], board: Board, size: tuple[int, int], serial: str) -> IntrinsicsRecord:
@@ -192,8 +189,7 @@ def _check_raw(what: str, undistorted: bool | None) -> None:
     remedy = "" if undistorted else ". If they are not, add `undistorted: false` to its recording.json"
     raise UserError(
         f"{what} is a recording by `toolee camera record`, {known}. Let --station take them from the camera itself, "
-        f"or give --images as the lens gives them{remedy}",
-        code="user.intrinsics_undistorted",
+        f"or give --images as the lens gives them{remedy}"
     )
 
 

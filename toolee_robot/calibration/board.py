@@ -50,11 +50,10 @@ class Board:
         if self.columns < 3 or self.rows < 3 or not 1e-3 < self.square < 1.0:
             raise UserError(
                 f"a board of {self.columns} x {self.rows} squares of {self.square} m: give 3 x 3 squares or more, and "
-                "metres",
-                code="user.board",
+                "metres"
             )
         if self.dictionary not in DICTIONARIES:
-            raise UserError(f"dictionary {self.dictionary!r}: give one of {', '.join(DICTIONARIES)}", code="user.board")
+            raise UserError(f"dictionary {self.dictionary!r}: give one of {', '.join(DICTIONARIES)}")
 
     @property
     def size(self) -> tuple[float, float]:

@@ -256,8 +256,8 @@ def see_nail(
         The nail.
 
     Raises:
-        UserError: The board is not seen (`user.board_not_seen`), or so that its tilt is ambiguous
-            (`user.board_ambiguous`); it has another size (`user.board_size`), or lies on no upright block's top
+        UserError: The board is not seen (`user.board_not_seen`), or so that its tilt is ambiguous; it has another size
+            (`user.board_size`), or lies on no upright block's top
             (`user.wood_tilted`).
     """
     view = find_board(rgb, board)

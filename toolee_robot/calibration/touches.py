@@ -223,14 +223,13 @@ def see_board(camera: KnownCamera, board: Board, view: BoardView, image: NDArray
         The board.
 
     Raises:
-        UserError: It is seen so that its tilt is ambiguous (`user.board_ambiguous`).
+        UserError: It is seen so that its tilt is ambiguous.
     """
     X_camera_board, ratio = camera_board(view, board, camera.intrinsics)
     if ratio < AMBIGUOUS:
         raise UserError(
             "two tilts of the board explain the image almost equally. Lay it nearer to the camera, or turn it so "
-            "that the camera sees it more from the side",
-            code="user.board_ambiguous",
+            "that the camera sees it more from the side"
         )
     reprojection = view.reprojection(X_camera_board, board, camera.intrinsics)
     # Of an image with more noise than the calibration's had, the image itself tells; two numbers a corner, six unknown.

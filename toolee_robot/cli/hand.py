@@ -206,8 +206,7 @@ def _clearing(hand: Hand) -> Callable[[], None]:
     if not isinstance(hand, ClearsFaults):
         raise UserError(
             "this hand's driver cannot clear faults. Read `toolee hand state`, remove the cause, and power-cycle "
-            "the hand if the fault stays",
-            code="user.no_clear_faults",
+            "the hand if the fault stays"
         )
     return hand.clear_faults
 
@@ -218,8 +217,7 @@ def _clear_faults(hand: Hand) -> None:
     if fault := hand.state(_MAX_AGE).fault:
         raise DeviceError(
             f"the hand still has a fault ({fault}). Let a hot hand cool down, remove what blocks a finger, then "
-            "clear again. If a motor has failed, ask the hand's maker",
-            code="device.hand_fault_left",
+            "clear again. If a motor has failed, ask the hand's maker"
         )
 
 

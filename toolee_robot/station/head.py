@@ -32,7 +32,7 @@ def is_current(data: Any, path: Path) -> bool:
         Whether it is; False for a file that names no version.
 
     Raises:
-        ConfigError: It is of the version before (`config.version_old`), or of one that this program does not know
+        ConfigError: It is of the version before, or of one that this program does not know
             (`config.version_unknown`).
     """
     told = data.get(VERSION_FIELD) if isinstance(data, dict) else None
@@ -42,8 +42,7 @@ def is_current(data: Any, path: Path) -> bool:
     where = f" ({lines})" if lines else ""
     if told == BEFORE:
         raise ConfigError(
-            f"{path} is a station file of version {BEFORE}{where}: run `toolee station upgrade {path}` once",
-            code="config.version_old",
+            f"{path} is a station file of version {BEFORE}{where}: run `toolee station upgrade {path}` once"
         )
     raise ConfigError(
         f"{path}: {VERSION_FIELD} {told!r} is unknown{where}: this program reads version {VERSION}. Upgrade version "
@@ -60,14 +59,13 @@ def check_current(data: Any, path: Path) -> None:
         path: The file, for the error.
 
     Raises:
-        ConfigError: It names none or an older one (`config.version_old`), or an unknown one
+        ConfigError: It names none or an older one, or an unknown one
             (`config.version_unknown`).
     """
     if not is_current(data, path):
         raise ConfigError(
             f"{path} names no version. Begin it with `{VERSION_FIELD}: {VERSION}`; `toolee station check {path}` "
-            "lists what else it needs",
-            code="config.version_old",
+            "lists what else it needs"
         )
 
 

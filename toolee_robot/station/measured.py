@@ -67,7 +67,7 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
         The validated configuration, its positions in `base`; its calibration is None where the file gives none.
 
     Raises:
-        ConfigError: As `load_station`, or the file is of an older version (`config.version_old`), or leaves out what
+        ConfigError: As `load_station`, or the file is of an older version, or leaves out what
             must be measured (`config.unmeasured`), or gives a size in another unit (`config.invalid`); the message
             names it and its line, or that of its section; or the tool is outside of its cylinders
             (`config.tool_envelope`).

@@ -58,7 +58,7 @@ def read_measured(station: Path) -> dict[str, Any]:
         Sections with their fields, the positions in `base`; empty where nothing was measured.
 
     Raises:
-        ConfigError: The file cannot be read, or holds what no program writes (`config.measured`).
+        ConfigError: The file cannot be read, or holds what no program writes.
     """
     path = measured_path(station)
     if not path.is_file():
@@ -66,7 +66,7 @@ def read_measured(station: Path) -> dict[str, Any]:
     data = read_yaml(path, "file of measured values") or {}
     measured = {name: value for name, value in data.items() if name != FRAME} if isinstance(data, dict) else {"": data}
     if wrong := [*_wrong(measured, path)]:
-        raise ConfigError(f"{path} was changed by hand: {'; '.join(wrong)}", code="config.measured")
+        raise ConfigError(f"{path} was changed by hand: {'; '.join(wrong)}")
     return measured
 
 

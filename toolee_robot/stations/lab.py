@@ -171,8 +171,8 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
     Raises:
         ConfigError: A field is missing (`config.station_lacks`), and the message names every one, such as `arm.host`;
             or the camera is a recording (`config.recorded_camera`); or, for a job, the calibration is too old or of
-            another camera than the file's (`config.calibration`), or the camera measures no depth at any view
-            (`config.camera_range`), or strikes would push what does not yield into the wood (`config.rigid_strike`);
+            another camera than the file's (`config.calibration`), or the camera measures no depth at any view, or
+            strikes would push what does not yield into the wood (`config.rigid_strike`);
             or the arm's base is tilted (`config.mounting_tilted`).
     """
     wanted: dict[str, object] = {
@@ -207,8 +207,7 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         raise ConfigError(
             f"camera.device.least_range {device.least_range:g} m: the camera is too near to every view of "
             f"{purpose}, {DISTANCE[0]:.2f} to {DISTANCE[1]:.2f} m from it. Use a smaller depth image, which sees "
-            "nearer things (camera.width, camera.height, intrinsics and least_range), or another camera",
-            code="config.camera_range",
+            "nearer things (camera.width, camera.height, intrinsics and least_range), or another camera"
         )
     if device.driver == RECORDED:
         raise ConfigError(

@@ -102,7 +102,7 @@ def measure(frame: RgbdFrame, end: ClickedEnd) -> Measurements:
             f"{protocol.label}: measure with a caliper and enter the {protocol.caliper}", code="user.caliper_missing"
         )
     if end.caliper_mm is not None and not 0.5 <= end.caliper_mm <= 150.0:
-        raise UserError(f"caliper: {end.caliper_mm:g} mm is not a plausible {protocol.caliper}", code="user.caliper")
+        raise UserError(f"caliper: {end.caliper_mm:g} mm is not a plausible {protocol.caliper}")
     # What a click at an edge shows beside the tool is told by the depth of the surface.
     surface = [sample_depth(frame, (c.u, c.v)).z for c in end.of(Role.SURFACE)]
     reach = protocol.category.spec.radius

@@ -68,7 +68,7 @@ class AiroStream:
             NoAnswerError: The camera is closed, or the toolkit failed.
         """
         if self._camera is None:
-            raise NoAnswerError("the camera is closed: open it again", code="no_answer.camera")
+            raise NoAnswerError("the camera is closed: open it again")
         try:
             self._camera.grab_images()
             stamp = time.monotonic()

@@ -220,9 +220,7 @@ class StreamedCamera:
         except TooleeError as error:
             self._fail(error)
         except Exception as error:  # noqa: BLE001  # whatever a maker's library raises: the reader must hear of it
-            self._fail(
-                NoAnswerError(f"the camera's driver failed: {words_of(error)}: open it again", code="no_answer.camera")
-            )
+            self._fail(NoAnswerError(f"the camera's driver failed: {words_of(error)}: open it again"))
 
     def _fail(self, error: TooleeError) -> None:
         with self._news:

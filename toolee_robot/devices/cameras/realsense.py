@@ -202,8 +202,7 @@ class RealSenseStream:
         if color.get_frame_timestamp_domain() != depth.get_frame_timestamp_domain():
             raise NotReadyError(
                 "the RealSense stamps colour and depth by different clocks: update its firmware, and on Linux the "
-                "kernel's uvcvideo patch for metadata",
-                code="not_ready.camera_clocks",
+                "kernel's uvcvideo patch for metadata"
             )
         apart = 1e-3 * (color.get_timestamp() - depth.get_timestamp())
         if abs(apart) > 0.5 / self._mode.fps:

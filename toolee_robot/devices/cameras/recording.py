@@ -269,7 +269,7 @@ class RecordedStream:
         """
         recording = self._recording
         if recording is None:
-            raise NoAnswerError("the recording is closed: open it again", code="no_answer.camera")
+            raise NoAnswerError("the recording is closed: open it again")
         if self._next == len(recording.stamps):
             self._clock.sleep(timeout)
             return None
