@@ -39,7 +39,6 @@ _state = st.builds(
     robot_status_bits=_bits,
     safety_status_bits=_bits,
     speed_slider=_any,
-    speed_scaling=_any,
 )
 _quality = st.builds(
     RtdeQuality,
