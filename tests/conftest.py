@@ -10,7 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from toolee_robot.runtime.latency_monitor import STALL_LIMIT, CpuKeepalive, LatencyMonitor
+from tests.stalls import STALL_LIMIT
+from toolee_robot.runtime.latency_monitor import CpuKeepalive, LatencyMonitor
 
 pytest_plugins = ("tests.plugins.tiers",)
 FINE = ("tests/benchmarks/test_scripts.py",)

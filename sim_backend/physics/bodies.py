@@ -240,7 +240,9 @@ class ToolBody:
             axes[:, 0] *= -1
         self.X_tool_inertial = transform(axes, tool.center_of_mass)
         self._X_inertial_tool = inverse(self.X_tool_inertial)
-        self._X_tool_ee = tool.ee(Category.HAMMER_HEAD).X_tool_ee if _is_hammer(tool) else np.eye(4)
+        self._X_tool_ee = (
+            tool.ee(Category.HAMMER_HEAD).X_tool_ee if Category.HAMMER_HEAD in tool.categories else np.eye(4)
+        )
         self._place: tuple[object, object] | None = None
         self._pose = self._ee_pose = np.eye(4)
         self.body = self._load(self._X_inertial_tool, moments)
@@ -298,7 +300,3 @@ class ToolBody:
             self._place = place
             self._pose = pose_matrix(*place).dot(self._X_inertial_tool)
             self._ee_pose = self._pose.dot(self._X_tool_ee)
-
-
-def _is_hammer(tool: Tool) -> bool:
-    return Category.HAMMER_HEAD in tool.categories

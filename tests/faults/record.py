@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from tests.stalls import STALL_LIMIT
 from toolee_robot.errors import DeviceError, TooleeError
-from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
+from toolee_robot.runtime.latency_monitor import LatencyMonitor
 
 ATTEMPTS = 3
 """Largest number of measurements of a row."""

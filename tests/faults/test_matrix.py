@@ -16,11 +16,11 @@ from tests.faults.rows.commands import into_itself, into_the_table
 from tests.rigs.joints_path import RESOLUTION, braking_time
 from tests.rigs.setting import GAIN, LOOKAHEAD, Setting
 from tests.rigs.strikes import Swing, plan_swing
+from tests.stalls import STALL_LIMIT
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.control.supervisor_checks import check_clear, check_limits
 from toolee_robot.errors import CollisionError, LinkLostError, TooleeError
 from toolee_robot.frames import Array
-from toolee_robot.runtime.latency_monitor import STALL_LIMIT
 from toolee_robot.sim_backend.ur_controller.profile import CB3, ProfileName
 from toolee_robot.types import ArmModel, Trajectory
 

@@ -117,7 +117,7 @@ class Generate(JsonOption):
 
         custom_tools = self.custom_tools()
         spec = self.spec(custom_tools)
-        workers = _cores() if self.workers is None else self.workers
+        workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers
         console = self.console
         began = time.monotonic()
         counts: list[int] = []
@@ -223,10 +223,6 @@ COMMANDS = {
         "validate": Validate,
     }
 }
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _shape_table(found: dict[str, Any]) -> Table:

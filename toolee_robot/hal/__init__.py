@@ -18,8 +18,7 @@ from toolee_robot.hal.arm import (
     MotionWatch,
 )
 from toolee_robot.hal.device import ClearsFaults, Clock, Device, Hand, HandState, KeepsCourse, RgbdCamera
-from toolee_robot.hal.person import CLEAR_TIME, Person, wait_until_clear
-from toolee_robot.hal.station import Station
+from toolee_robot.hal.station import CLEAR_TIME, Person, Station, wait_until_clear
 
 __all__ = [
     "CLEAR_TIME",

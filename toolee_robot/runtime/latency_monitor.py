@@ -180,9 +180,6 @@ PRIORITY: Final = 60
 stalls of the machine."""
 STALL: Final = 0.005
 """Least duration of a counted stall [s]."""
-STALL_LIMIT: Final = 0.02
-"""Duration above which a stall excuses a failure, which is then tried again and reported [s]. It is below the driver's
-tightest bound, 24 ms for the age of a UR10's data (three readings at 125 Hz)."""
 ORPHAN_CHECK: Final = 0.5
 """Time between two looks at whether the process that started the monitor is still there [s]."""
 
