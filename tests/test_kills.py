@@ -11,6 +11,8 @@ import multiprocessing
 import os
 import random
 import signal
+import subprocess
+import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
@@ -231,12 +233,14 @@ class Trials(Long):
     words = ("trials", "plan.yaml", "--out", "out", "--jobs", "2", "--json")
 
     def prepare(self, folder: Path) -> None:
-        (folder / "plan.yaml").write_text("name: A\nfirst_seed: 101\ntrials: 2\narms: [no_correction]\nerrors: exact\n")
+        Job().prepare(folder)
+        plan = {"name": "A", "first_seed": 101, "trials": 2, "arms": ["perfect_perception"], "errors": "exact"}
+        (folder / "plan.yaml").write_text(yaml.safe_dump(plan | {"where": {"config": "short.yaml"}}))
 
     def check(self, ended: Ended) -> None:
         plan = load_plan(ended.folder / "plan.yaml")
         done = read_results(plan, ended.folder / "out")[0]
-        assert ended.said.count("no_correction, seed 10") <= len(done), "what is told is on the disk"
+        assert ended.said.count("perfect_perception, seed 10") <= len(done), "what is told is on the disk"
         assert ended.code != 0 or len(done) == 2
         for record in done:
             assert (ended.folder / record.figures["run_folder"] / "summary.json").is_file()
@@ -312,6 +316,22 @@ def test_kills_at_200_random_moments_lose_nothing_and_leave_nothing_running(kind
     command.prepare(folder)
     assert command.run(folder).code in command.codes
     _kill(command, NIGHTLY[kind], time.monotonic() - began, tmp_path, command.result(folder))
+
+
+@pytest.mark.parametrize("kill", [signal.SIGINT, pytest.param(signal.SIGHUP, marks=pytest.mark.nightly)])
+def test_a_terminals_interrupt_while_the_jobs_of_trials_are_imported(kill: signal.Signals, tmp_path: Path) -> None:
+    """It reaches the server of the jobs, too, which has imported nothing yet."""
+    command = Trials()
+    command.prepare(tmp_path)
+    words = [sys.executable, "-c", "from toolee_robot.cli import main; main()", *command.words]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(words, cwd=tmp_path, start_new_session=True, stdout=pipe, stderr=pipe, text=True) as process:
+        _until(lambda: len(_running(tmp_path)) > len(_running(tmp_path, b"forkserver")), "there is a server")
+        os.killpg(process.pid, kill)
+        told, said = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, json.loads(told)["error"]["code"]) == (130, "interrupted")
+    assert [line for line in said.splitlines() if not line.startswith("A  plan")] == ["Interrupted."]
+    assert not _running(tmp_path)
 
 
 def _kill(command: Long, kills: int, seconds: float, parent: Path, whole: object = None) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
-import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
@@ -18,7 +16,7 @@ from typing import Any, Generic, ParamSpec, Self, TypeVar
 import cv2
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.runtime.interrupts import SIGNALS, interrupts_held
+from toolee_robot.runtime.interrupts import interrupts_blocked
 from toolee_robot.runtime.process_environment import ONE_THREAD, environment
 
 P = ParamSpec("P")
@@ -68,7 +66,7 @@ class WorkerPool(ProcessPoolExecutor):
             The future of the call's result.
         """
         # A worker that is interrupted while it holds a queue's lock would block the pool.
-        with _interrupts_blocked():  # a process inherits the signal mask
+        with interrupts_blocked():  # a process inherits the signal mask
             return super().submit(function, *args, **kwargs)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -76,21 +74,10 @@ class WorkerPool(ProcessPoolExecutor):
         if kind is None:
             self.shutdown(cancel_futures=True)
             return
-        with _interrupts_blocked():
+        with interrupts_blocked():
             for worker in list((self._processes or {}).values()):  # kill_workers() of Python 3.14
                 worker.kill()
             self.shutdown(cancel_futures=True)
-
-
-@contextlib.contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Context in which interrupts are deferred to its end; a process that is started in it never gets one."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    try:
-        with interrupts_held():  # one that another thread receives
-            yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(initializer: Callable[..., object] | None, initargs: tuple[object, ...]) -> None:

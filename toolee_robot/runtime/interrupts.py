@@ -25,6 +25,7 @@ def raise_interrupts() -> None:
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     sys.unraisablehook = _unraisable
 
 
@@ -57,6 +58,21 @@ def interrupts_held(*, forget: bool = False) -> Iterator[None]:
             signal.signal(number, before[number])
         if came and not forget:
             signal.raise_signal(came[0])
+
+
+@contextmanager
+def interrupts_blocked() -> Iterator[None]:
+    """Context in which interrupts are deferred to its end; a process that is started in it never gets one."""
+    from multiprocessing.resource_tracker import ensure_running
+
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        with interrupts_held():  # one that another thread receives
+            ensure_running()  # what the first process starts, too; it unblocks two of them
+            signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+            yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:

@@ -26,7 +26,7 @@ from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.runtime.interrupts import raise_interrupts
+from toolee_robot.runtime.interrupts import interrupts_blocked, raise_interrupts
 from toolee_robot.runtime.process_environment import ONE_THREAD, environment
 from toolee_robot.trials.plan import Trial, TrialPlan
 from toolee_robot.trials.results import Happened, Record, Results
@@ -61,7 +61,8 @@ def run_apart(spec: JobSpec, out: Path) -> dict[str, Any]:
         said = Path(scratch) / "said"
         figures, told = _CONTEXT.Pipe(duplex=False)
         process = _CONTEXT.Process(target=_do, args=(Path.cwd(), spec, out, told, said))
-        with _starting, environment(ONE_THREAD):  # the first start begins the server, whose environment all jobs get
+        # The first start begins the server: all jobs get its environment, and a terminal's Ctrl-C must not meet it.
+        with _starting, environment(ONE_THREAD), interrupts_blocked():
             process.start()
         told.close()  # so that the pipe ends with the job
         _running.add(process)
@@ -93,11 +94,11 @@ def _do(folder: Path, spec: JobSpec, out: Path, told: Connection, said: Path) ->
     from toolee_robot.app.job import run_job
 
     Thread(target=_end_with_parent, daemon=True).start()
-    raise_interrupts()  # SIGTERM stops the arm, as Ctrl-C does
     with said.open("wb") as file:
         for stream in (sys.stdout, sys.stderr):
             os.dup2(file.fileno(), stream.fileno())
     os.chdir(folder)
+    raise_interrupts()  # SIGTERM stops the arm, as Ctrl-C does
     try:
         job = run_job(spec, out)
     except TooleeError as error:
