@@ -23,6 +23,8 @@ def print_poses(frame: RgbdFrame, perception: ToolPerception) -> int:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 4:
+        sys.exit(__doc__)
     rgb, depth, intrinsics = sys.argv[1:]
     frame = read_frame(Path(rgb), Path(depth), intrinsics, depth_scale=0.001)  # a depth image in millimetres
     sys.exit(0 if print_poses(frame, ToolPerception.load()) else 1)

@@ -46,3 +46,7 @@ class HandLine:
     def close(self) -> None:
         """Release the port."""
         self._serial.close()
+
+
+if __name__ == "__main__":
+    print(__doc__)

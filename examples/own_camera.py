@@ -48,3 +48,7 @@ class OwnCameraStream:
 def open_stream(config: CameraConfig, device: CameraDevice, clock: Clock) -> CameraStream:
     """What the entry point names. config, device: of the station file; clock: the station's."""
     raise NotImplementedError("connect the maker's library here, and return OwnCameraStream(grab, device.serial)")
+
+
+if __name__ == "__main__":
+    print(__doc__)

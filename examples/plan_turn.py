@@ -54,3 +54,7 @@ def turns(
             per_radian = np.concatenate([linear, np.broadcast_to(axis, linear.shape)], axis=1)
             qd = solve(J, per_radian) * profile.v[:, None]
             yield Trajectory(profile.times, q, qd, np.gradient(qd, profile.times, axis=0))
+
+
+if __name__ == "__main__":
+    print(__doc__)

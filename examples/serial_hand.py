@@ -55,3 +55,7 @@ class SerialHand:
                 self.stop()
                 raise DeviceError(f"the hand did not finish within {timeout:.1f} s; it keeps what it holds")
             self._clock.sleep(PERIOD)
+
+
+if __name__ == "__main__":
+    print(__doc__)

@@ -61,3 +61,7 @@ class TurnScrew:
             hands.append(inverse(self.config.camera.X_base_camera) @ self.robot.fk(m.q, m.q_hand)[1])
             seen.append(self.perception.estimate(self.station.camera.read(), HoldingHand(hands[-1], R_hand_tool)))
         return held.moved(self.perception.fuse(seen, hands, Category.SCREWDRIVER_HEAD).X_hand_ee)
+
+
+if __name__ == "__main__":
+    print(__doc__)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from tests.errors import raises
 from toolee_robot.app.job import JobSpec, run_job
 from toolee_robot.app.perceivers import AlteredPoses, job_perceiver
-from toolee_robot.app.simulated import Rehearsal, Simulated
+from toolee_robot.app.simulated import Rehearsal, Simulated, simulated_station
 from toolee_robot.app.sources import Lab, Opened, Source, Tell
 from toolee_robot.app.variant import Variant
 from toolee_robot.end_effectors import CATEGORIES, Category
@@ -26,7 +26,7 @@ from toolee_robot.errors import DeviceError, StaleDataError, TooleeError, UserEr
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
-from toolee_robot.station import StationConfig, load_lab_station, sim_station
+from toolee_robot.station import SIMULATED_CALIBRATION, StationConfig, load_lab_station, sim_station
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.types import (
     CameraError,
@@ -137,6 +137,14 @@ def test_a_seed_and_a_real_time_factor_are_within_bounds() -> None:
     with raises(UserError, code="user.real_time_factor"):
         Rehearsal(lab, LAB, 0, factor=1.5)
     assert Rehearsal(lab, LAB, 0).real_time_factor == 0.25
+
+
+@pytest.mark.sim(seconds=10)
+def test_a_simulation_ignores_a_real_calibration_and_says_so() -> None:
+    said: list[str] = []
+    station = simulated_station(LAB, tell=said.append)
+    assert (station.calibration, len(said)) == (SIMULATED_CALIBRATION, 1)
+    assert f"ignores the calibration in {LAB}" in said[0]
 
 
 @pytest.mark.sim(seconds=10)

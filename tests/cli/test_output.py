@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -45,9 +46,12 @@ def test_a_file_that_cannot_be_written_leaves_nothing_and_says_so(tmp_path: Path
     with raises(UserError, code="user.not_writable"):
         write_atomic(tmp_path / "none" / "a.txt", b"1")
     (tmp_path / "folder").mkdir()
-    with raises(UserError, code="user.not_writable"):
-        write_atomic(tmp_path / "folder", b"1")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.txt", "folder"]
+    os.mkfifo(tmp_path / "pipe")  # a device, such as /dev/full, would be replaced as well, by root
+    for name in ("folder", "pipe"):
+        with raises(UserError, code="user.not_writable"):
+            write_atomic(tmp_path / name, b"1")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.txt", "folder", "pipe"]
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_a_run_appears_whole_or_not_at_all(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -152,6 +153,14 @@ def test_every_strike_tilts_by_no_more_than_the_pose_and_the_drift_in_the_hand_e
         assert tilt.degrees <= corrected.record["pose_error_deg"] + PLANNED_DEG + tilt.drift_deg
     for tilt in later:
         assert tilt.degrees <= WITHIN_95 * np.hypot(tilt.sigma_deg, tilt.drift_deg)
+
+
+def test_what_the_robot_measured_and_what_is_true_are_told_apart(corrected: _Job) -> None:
+    measured, true = corrected.err.split("true values, known to the simulation only")
+    for told, figure in ((measured, "measured_protrusion_mm"), (true, "protrusion_mm")):
+        assert re.findall(r"nail over the wood +(\S+) mm", told) == [f"{corrected.record[figure]:.1f}"]
+    assert "pose error" in true
+    assert "pose error" not in measured
 
 
 def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -69,6 +70,20 @@ def test_the_lines_of_the_readme_run_as_they_stand(
     monkeypatch.chdir(ROOT)
     exec(next(text for path, text in blocks("python") if path.name == "README.md"), {})
     assert Category.HAMMER_HEAD in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", [path.stem for path in ROOT.glob("examples/[a-z]*.py") if path.stem != "new_hammer"])
+def test_every_example_says_what_it_does(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", [name])
+    try:
+        said = runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")["__doc__"]
+    except SystemExit as stop:
+        said = stop.code
+        print(said)
+    assert said
+    assert capsys.readouterr().out == f"{said}\n"
 
 
 def test_the_own_camera_is_a_camera_of_the_project() -> None:

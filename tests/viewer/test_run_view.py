@@ -142,6 +142,12 @@ def test_the_page_asks_no_other_computer_and_answers_none() -> None:
         named = urllib.request.Request(page.address, headers={"Host": "elsewhere.example"})
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(named)
+        data = re.findall(r"http://[\d.:]+", page.address)[1]
+        for origin, allowed in (("http://evil.example", None), (page.address.partition("/?")[0],) * 2):
+            headers = {"Origin": origin, "Access-Control-Request-Method": "POST"}
+            asked = urllib.request.Request(f"{data}/x", method="OPTIONS", headers=headers)
+            with urllib.request.urlopen(asked) as answer:
+                assert answer.headers["Access-Control-Allow-Origin"] == allowed
     finally:
         page.close()
     with pytest.raises(urllib.error.URLError, match="refused"):

@@ -349,6 +349,13 @@ def half_a_turn_apart(place: Array, expected: Array) -> bool:
     return not camera_is_elsewhere(HALF_TURN[:3, :3] @ place, expected)
 
 
+HALF_A_TURN = (
+    "they differ by half a turn about the base's z. Either poses of the flange are in the other base, or positions of "
+    "the station file: correct `frame` in that file (joint angles have no frame)"
+)
+"""What a person reads then."""
+
+
 def axes_swapped(place: Array, expected: Array) -> bool:
     """Tell whether swapped numbers explain that a camera is elsewhere.
 

@@ -32,7 +32,7 @@ class Estimate(JsonOption):
 
     Example: toolee estimate --rgb 7.png --depth 7d.png --depth-scale 0.001 --intrinsics 365.5,365.5,254.9,205.4
 
-    Example: toolee estimate --bop scene/000001 --json
+    Example: toolee estimate --bop examples/frame --json
 
     Poses are in the camera's OpenCV frame (x right, y down, z forward), in metres; docs/concepts/frames.md defines the
     four end-effector frames. Exit code 0: at least one usable pose; 1: none, with the reason; 2: invalid input.

@@ -41,6 +41,9 @@ def written_whole(path: Path) -> Iterator[Path]:
     """
     scratch = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
+        if path.exists() and not path.is_file():
+            why = "it is a folder or a device"
+            raise UserError(f"cannot write {path}: {why}. Choose another place", code="user.not_writable")
         try:
             yield scratch
             scratch.replace(path)

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from toolee_robot.calibration.record import (
+    HALF_A_TURN,
     CalibrationRecord,
     axes_swapped,
     camera_is_elsewhere,
@@ -204,9 +205,7 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], field: str
     calibrated, typed = (_told(p, frame) for p in (place, by_file))
     if half_a_turn_apart(place, by_file):
         raise ConfigError(
-            f"{path}: the calibrated camera, {calibrated} m in {frame}, and {field}, {typed} m, differ by half a "
-            "turn about the base's z. The file's `frame` names the other base, or its positions are in the other "
-            "base",
+            f"{path}: the calibrated camera, {calibrated} m in {frame}, and {field}, {typed} m: {HALF_A_TURN}",
             code="config.calibration_half_turn",
         )
     off = float(np.linalg.norm(place - by_file))

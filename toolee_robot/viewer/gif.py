@@ -12,13 +12,13 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
-from toolee_robot.errors import UserError, words_of
 from toolee_robot.frames import frame_from_axes, transform
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.mcap_file import read_tool_model
 from toolee_robot.render.material import Body, Environment, Light, Material, Scene, finish, linear
 from toolee_robot.render.mesh import Mesh, box
 from toolee_robot.render.renderer import render
+from toolee_robot.runtime.files import written_whole
 from toolee_robot.sim_backend.visuals import BodyId
 from toolee_robot.station import StationConfig
 from toolee_robot.types import CameraIntrinsics
@@ -61,16 +61,10 @@ def write_gif(path: Path, drawn: Iterable[Picture]) -> None:
     Raises:
         UserError: The file cannot be written.
     """
-    beside = path.with_name(f".{path.name}.partial")
-    try:
+    with written_whole(path) as beside:
         beside.touch()  # before the drawing, which takes a while
         first, *others = [Image.fromarray(picture).quantize(128) for picture in drawn]
         first.save(beside, "GIF", save_all=True, append_images=others, duration=round(1e3 / RATE), loop=0)
-        beside.rename(path)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {words_of(error)}") from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _drawn(

@@ -20,6 +20,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
+from toolee_robot.end_effectors import label_of
 from toolee_robot.errors import TooleeError, UserError, words_of
 from toolee_robot.perception.offline.training.options import TrainingOptions
 from toolee_robot.perception.precision import torch_device
@@ -246,10 +247,13 @@ class TrainingRun(ABC):
         if not self.distributed.first:
             return
         entry = {"step": self.step, "minutes": round(self.elapsed / 60, 4), **_rounded(values)}
-        line = json.dumps(entry)
-        print(f"{self.name}: {line}", flush=True)
+        short = {key: value for key, value in entry.items() if not isinstance(value, dict)}
+        print(f"{self.name}: {json.dumps(short)}", flush=True)
+        for key, table in entry.items():
+            if isinstance(table, dict):
+                print(f"  {label_of(key)}: {json.dumps(table.get('average', table))}", flush=True)
         with (self.out / self.log_name).open("a") as file:
-            file.write(line + "\n")
+            file.write(json.dumps(entry) + "\n")
         self.scalars.add(self.step, values, self.tag)
         if "event" not in values:
             self.log.append(entry)

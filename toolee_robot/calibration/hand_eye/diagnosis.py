@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.hand_eye.refinement import Refined
 from toolee_robot.calibration.hand_eye.reprojection import closed_form
-from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart
+from toolee_robot.calibration.record import HALF_A_TURN, axes_swapped, camera_is_elsewhere, half_a_turn_apart
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, is_rigid, transform
 from toolee_robot.types import CameraIntrinsics
@@ -132,10 +132,8 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
         return
     if half_a_turn_apart(place, expected):
         raise UserError(
-            f"the camera comes out at {_text(place)} m in base_link, and the station file has it at {_text(expected)} "
-            "m: half a turn about the base's z. Either poses of the flange are in the pendant's Base: say so in their "
-            "file with `frame: pendant_base` (joint angles have no frame). Or the station file's `frame` names the "
-            "other base",
+            f"the calibrated camera, {_text(place)} m in base_link, and the station file's, {_text(expected)} m: "
+            f"{HALF_A_TURN}",
             code="user.calibration_half_turn",
         )
     off = float(np.linalg.norm(place - expected))

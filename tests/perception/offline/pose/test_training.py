@@ -208,6 +208,7 @@ def test_training_writes_weights_that_load_to_the_same_network(
     trained: Path,
     samples: SurfaceSamples,
     hands: Float32,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     card = json.loads((trained / "pose.json").read_text())
     assert card["report"]["steps"] > 0
@@ -218,8 +219,13 @@ def test_training_writes_weights_that_load_to_the_same_network(
     (shard,) = trained.glob("pose-*.safetensors")
     before = shard.read_bytes()
     trainer = Trainer(trained, small(0.03), (samples, samples), hands, CPU, network=TINY)
+    capsys.readouterr()
     trainer.run()
     assert shard.read_bytes() == before
+    assert shard.stat().st_mode == (trained / "pose.json").stat().st_mode, "others may read it"
+    said = capsys.readouterr().out.splitlines()
+    assert any('"finished"' in line for line in said)
+    assert all(len(line) < 300 for line in said), "the tables are in the log"
     checkpoint = trained / trainer.checkpoint_path.name
     sound = checkpoint.read_bytes()
     for damaged in (b"", sound[: len(sound) // 2], bytes(len(sound))):
