@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA, draw_session, picture
 from tests.devices.cameras.test_recording import say_undistorted, toy_recording
+from tests.errors import raises
 from toolee_robot.calibration.observation import find_board
-from toolee_robot.calibration.record import read_record, write_record
+from toolee_robot.calibration.record import SIGNATURE, read_record, write_record, write_signed
 from toolee_robot.calibration.touches import see_corner
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError, UserError
@@ -60,6 +61,19 @@ def test_a_record_that_was_altered_is_refused(calibrated: Path, tmp_path: Path) 
     with pytest.raises(ConfigError) as error:
         read_record(tmp_path / "camera.json")
     assert error.value.code == "config.calibration_altered"
+
+
+def test_a_signed_record_of_a_camera_that_cannot_be_is_refused(calibrated: Path, tmp_path: Path) -> None:
+    data = json.loads((calibrated / "camera.json").read_text())
+    del data[SIGNATURE]
+    for x, words in ((1e308, "away"), (100.0, "away"), (0.5, "")):
+        data["X_base_camera"][0][3] = x
+        write_signed(tmp_path / "camera.json", data)
+        if words:
+            with raises(ConfigError, code="config.invalid") as refused:
+                read_record(tmp_path / "camera.json")
+            assert words in str(refused.value)
+    assert read_record(tmp_path / "camera.json").pose[0, 3] == 0.5
 
 
 def _station(folder: Path, calibrated: Path, more: str = "") -> Path:
