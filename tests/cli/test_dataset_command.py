@@ -18,7 +18,7 @@ from PIL import Image
 
 from toolee_robot.cli.app import run
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=20)
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,8 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.station import load_station, sim_station
 from toolee_robot.types import ArmModel
 
+pytestmark = pytest.mark.usefixtures("networks_once")
+
 _TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
 _HOST, _SERIAL = "127.0.0.48", "20185500001"
 _LAB = f"""
@@ -62,7 +64,7 @@ def _doctor(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, dict[s
     return code, json.loads(captured.out.splitlines()[-1]), captured.err
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, record, said = _doctor(capsys, "--out", str(tmp_path / "runs"))
     assert code == 0, said
@@ -72,7 +74,7 @@ def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_
     assert not (tmp_path / "runs").exists(), "a look leaves nothing behind"
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,7 +94,7 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     assert (after["q"], after["uploads"]) == (before["q"], before["uploads"])
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 @pytest.mark.usefixtures("robot")
 def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -109,7 +111,7 @@ def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
     assert f"toolee doctor --config {path} --inputs" in found["person"]["remedy"]
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 @pytest.mark.parametrize(("turned", "level"), [(False, "ok"), (True, "fail")])
 def test_a_point_that_was_read_in_the_other_frame_is_found(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str], turned: bool, level: str
@@ -136,7 +138,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch, keyboard: int) -> int:
     return keyboard
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 @pytest.mark.parametrize(
     ("turned", "code", "expected_text"),
     [
@@ -163,7 +165,7 @@ def test_at_a_terminal_the_jogged_point_is_asked_for_and_compared(
     assert expected_text in said
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 @pytest.mark.usefixtures("robot")
 @pytest.mark.parametrize("answer", [b"\n", pytest.param(b"\x04", marks=pytest.mark.nightly)])
 def test_who_skips_the_question_has_the_yellow_line(
@@ -176,7 +178,7 @@ def test_who_skips_the_question_has_the_yellow_line(
     assert "the frames were not compared with the pendant" in said
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 @pytest.mark.usefixtures("robot", "terminal")
 @pytest.mark.parametrize(
     "args",
@@ -194,7 +196,7 @@ def test_nobody_is_asked_without_need(lab: str, capsys: pytest.CaptureFixture[st
     assert "in millimetres?" not in captured.out + captured.err
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 @pytest.mark.usefixtures("robot")
 def test_nobody_is_asked_where_the_question_is_not_seen_or_there_is_no_keyboard(
     lab: str, capsys: pytest.CaptureFixture[str], keyboard: int, monkeypatch: pytest.MonkeyPatch
@@ -208,7 +210,7 @@ def test_nobody_is_asked_where_the_question_is_not_seen_or_there_is_no_keyboard(
     assert "in millimetres?" not in capsys.readouterr().out
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -225,7 +227,7 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     assert "Not ready:" in said
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 def test_a_base_that_does_not_stand_as_the_file_says_is_felt(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -242,7 +244,7 @@ def test_a_base_that_does_not_stand_as_the_file_says_is_felt(
     assert "correct arm.up" in found["remedy"]
 
 
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 def test_a_tilted_base_is_looked_at_without_what_needs_an_upright_one(
     robot: ControllerProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -261,7 +263,7 @@ def test_a_tilted_base_is_looked_at_without_what_needs_an_upright_one(
 
 
 @pytest.mark.nightly
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
     code, record, said = _doctor(capsys, "--robot-host", "127.0.0.49")
     assert code == 1
@@ -344,7 +346,7 @@ def test_bad_input_is_exit_2(args: list[str], expected_text: str, capsys: pytest
 
 
 @pytest.mark.nightly
-@pytest.mark.sim
+@pytest.mark.sim(seconds=40)
 def test_the_stations_own_hand_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (Path(__file__).parents[2] / "examples" / "inspire.yaml").read_text()
     with InspireEmulator() as emulator:

@@ -19,7 +19,7 @@ from toolee_robot.perception.io import bop_images
 from toolee_robot.perception.offline.dataset.records import Example
 from toolee_robot.perception.offline.synthesis.example import Series, make_example, render_example
 
-pytestmark = pytest.mark.sim
+pytestmark = [pytest.mark.sim, pytest.mark.usefixtures("networks_once")]
 
 _HEAD = CATEGORIES.index(Category.HAMMER_HEAD) + 1
 _STATION = 1

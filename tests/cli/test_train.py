@@ -23,7 +23,7 @@ from toolee_robot.perception.offline.training.options import remember
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.types import CameraIntrinsics
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=15)
 
 
 @pytest.fixture(scope="module")

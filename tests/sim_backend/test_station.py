@@ -20,7 +20,7 @@ from toolee_robot.station import sim_station
 from toolee_robot.tools import ToolKind, make_tool, split
 from toolee_robot.types import Payload
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=15)
 
 CONFIG = sim_station()
 # The palm faces the person, fingers down.

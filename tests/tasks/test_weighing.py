@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.errors import raises
+from tests.examples import examples
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control import RobotModel
 from toolee_robot.end_effectors import Category
@@ -33,7 +34,7 @@ from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.tasks.hammering.weighing import since_empty
 from toolee_robot.types import ArmModel, Payload
 
-pytestmark = pytest.mark.sim(seconds=60)
+pytestmark = pytest.mark.sim(seconds=120)
 
 UNKNOWN = ToolData("old hammer", None, None, None, None, None)
 SEED = 100
@@ -314,7 +315,7 @@ def test_without_a_look_an_unknown_face_is_not_struck_with() -> None:
         HammeringTask(simulation.station, None, config, measured_grasp(UNKNOWN, config))
 
 
-@settings(max_examples=60, deadline=None)
+@examples(10)
 @given(seed=st.integers(0, 10**6))
 def test_every_simulated_hammer_is_where_an_unknown_one_may_be(seed: int) -> None:
     face = draw_hammer(np.random.default_rng([seed, 10])).ee(Category.HAMMER_HEAD).X_tool_ee

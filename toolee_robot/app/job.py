@@ -15,7 +15,6 @@ from toolee_robot.app.sources import JobObserver, Opened, Source
 from toolee_robot.app.variant import Variant
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError, UserError
-from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.recording import PICTURE, RECORDING
 from toolee_robot.recording.mcap_file import tool_model
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
@@ -134,11 +133,16 @@ class JobSpec:
     @property
     def facts(self) -> dict[str, Any]:
         """What its records say of the variant."""
+        paper = None
+        if self.paper_weights is not None:
+            from toolee_robot.perception.weight_files import weights_hash
+
+            paper = weights_hash(self.paper_weights)
         return {
             "correction": self.variant.corrects,
             "perfect_perception": self.variant.perfect,
             "ablation": self.variant.ablation,
-            "paper_weights": None if self.paper_weights is None else weights_hash(self.paper_weights),
+            "paper_weights": paper,
         }
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,11 +15,12 @@ from toolee_robot.app.variant import Variant
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform, transform_points
-from toolee_robot.perception import ToolPerception
-from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.types import CameraError, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+
+if TYPE_CHECKING:
+    from toolee_robot.perception import ToolPerception
 
 SURFACE = 20_000
 """Number of points on the tool's surface that a registration uses."""
@@ -97,8 +99,11 @@ def job_networks(paper_weights: Path | None = None, device: str = "cpu") -> Tool
         AssetError: Weights are missing or unreadable.
         UserError: The weights are for clouds of whole tools; code `user.paper_column`.
     """
+    from toolee_robot.perception import ToolPerception  # here: a job without networks begins in half the time
+
     if paper_weights is None:
         return ToolPerception.load(device=device)
+    from toolee_robot.perception.detection.segmenter import Segmenter
     from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 
     return ToolPerception(Segmenter.load(device=device), PaperEstimator.load_for_job(paper_weights, device))

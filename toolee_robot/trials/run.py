@@ -35,7 +35,12 @@ from toolee_robot.trials.tasks import Job, Task, check_paper_weights, run_task, 
 if TYPE_CHECKING:
     from toolee_robot.app.job import JobSpec
 
-PRELOADED = ["toolee_robot.app.job", "toolee_robot.app.simulated", "toolee_robot.stations.simulated"]
+PRELOADED = [
+    "toolee_robot.app.job",
+    "toolee_robot.app.simulated",
+    "toolee_robot.stations.simulated",
+    "toolee_robot.perception.pipeline",
+]
 """Modules that import what a job needs."""
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(PRELOADED)

@@ -32,7 +32,7 @@ from toolee_robot.perception.offline.dataset.validate import validate
 from toolee_robot.perception.offline.synthesis.generate import generate
 from toolee_robot.runtime.files import sha256
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=15)
 
 SPEC = DatasetSpec("hard", size=6, seed=11, test_share=0.3, scene_size=2)
 KILLED = """

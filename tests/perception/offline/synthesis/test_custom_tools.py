@@ -27,7 +27,7 @@ from toolee_robot.perception.offline.dataset.spec import catalogue_of
 from toolee_robot.perception.offline.evaluation.examples import ee_shape
 from toolee_robot.perception.offline.synthesis.custom_tool_reader import MOST_FACES, read_custom_tools
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=15)
 
 HANDLE, FACE, LENGTH = 14.0, 18.0, 250.0
 

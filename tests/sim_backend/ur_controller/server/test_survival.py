@@ -16,7 +16,7 @@ from toolee_robot.errors import UserError
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import packet
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.realtime(light=True)
 
 HOST = "127.0.0.67"
 PORTS = {"dashboard": 29999, "primary": 30001, "secondary": 30002, "realtime": 30003, "rtde": 30004, "faults": 30020}
