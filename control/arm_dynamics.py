@@ -85,6 +85,18 @@ class ArmDynamics:
             tau[i], by_q[i], by_qd[i], by_qdd[i] = data.tau, data.dtau_dq, data.dtau_dv, _symmetric(data.M)
         return tau, by_q, by_qd, by_qdd
 
+    def momentum_maps(self, q: Array) -> Array:
+        """Compute the maps of joint velocities to the momentum of arm, hand and tool.
+
+        Args:
+            q: Joint positions, (N, 6) [rad].
+
+        Returns:
+            The maps, (N, 3, 6) [kg m]; the momentum is in `base`.
+        """
+        maps = np.stack([pin.jacobianCenterOfMass(self.model, self._data, row) for row in q])
+        return np.asarray(self._data.mass[0] * maps)
+
     def at_rest(self, q: Array) -> tuple[Array, Array]:
         """Compute the inertia, (6, 6) [kg m^2], and the gravity's torques, (6,) [Nm], at joint positions q, (6,)."""
         M = _symmetric(pin.crba(self.model, self._data, q))

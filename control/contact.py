@@ -32,11 +32,13 @@ class ExpectedContact:
 
     Attributes:
         q: Joint positions at the contact, (6,) [rad].
-        direction: Direction of the tool's motion, a unit vector in `base`, (3,).
+        place: Where the face's centre is then, in `base`, (3,) [m].
+        direction: Direction of the face's motion, a unit vector in `base`, (3,).
         time: Time of the contact on the trajectory [s].
     """
 
     q: Array
+    place: Array
     direction: Array
     time: float
 
@@ -64,7 +66,7 @@ class ContactVerdict:
 def judge_contact(
     report: MotionReport, expected: ExpectedContact, arm: ArmKinematics, config: SupervisorConfig
 ) -> ContactVerdict:
-    """Compare the measured joint positions at the contact with the expected ones, along the strike's direction.
+    """Compare the place of the face at the contact with the expected one, along the strike's direction.
 
     Args:
         report: The executed strike.
@@ -77,8 +79,9 @@ def judge_contact(
     """
     if report.contact is None:
         return ContactVerdict(Meeting.NONE, float("nan"))
-    place, met = arm.fk(np.stack([expected.q, report.contact.q]))[:, :3, 3]
-    before = float(expected.direction @ (place - met))
+    X_base_flange, X_base_met = arm.fk(np.stack([expected.q, report.contact.q]))
+    met = (X_base_met @ inverse(X_base_flange) @ np.append(expected.place, 1.0))[:3]
+    before = float(expected.direction @ (expected.place - met))
     if before > config.early_contact:
         return ContactVerdict(Meeting.EARLY, before)
     return ContactVerdict(Meeting.LATE if before < -config.late_contact else Meeting.EXPECTED, before)

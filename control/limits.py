@@ -129,7 +129,7 @@ def check_trajectory(
     slack = TOLERANCE * (arm.upper - arm.lower)
     _within("position", "rad", q, arm.lower - slack, arm.upper + slack, t)
     _within("velocity", "rad/s", qd, -velocity * (1 + TOLERANCE), velocity * (1 + TOLERANCE), t)
-    top = np.full(6, limits.acceleration * (1 + TOLERANCE))
+    top = np.asarray(limits.acceleration) * (1 + TOLERANCE)
     _within("acceleration", "rad/s^2", qdd, -top, top, t)
     _no_step(trajectory, velocity, limits.jerk * (1 + TOLERANCE))
     _within(

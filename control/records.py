@@ -20,12 +20,12 @@ class StrikePlan:
         q_contact: Joint positions at the expected contact of face and nail, (6,) [rad].
         approach: Transfer from the arm's present position to `q_standoff`.
         strike: Motion from rest at `q_standoff` through the contact to standstill.
-        contact_time: Time of the expected contact on `strike` [s]; braking begins there.
+        contact_time: Time of the expected contact on `strike` [s].
         speed: Planned speed of the face at the contact [m/s].
         wanted_speed: Requested speed of the face at the contact [m/s].
         attainable_speed: Speed that the joints' velocity limits alone would allow at the contact [m/s].
-        run_up: Length of the straight run-up [m].
-        brake_length: Distance beyond the contact in which the face stops [m].
+        run_up: Height of the face over the contact at the start of the strike [m].
+        brake_length: Largest distance of the commanded face beyond the contact [m].
         clearance: Closest pair of bodies during the strike.
         margin: Least distance to a joint's position limit [rad].
         X_base_ee_contact: Pose of the end effector at the contact in `base`, (4, 4); equals the nail's pose up to the
@@ -52,7 +52,8 @@ class StrikePlan:
     @property
     def expected_contact(self) -> ExpectedContact:
         """Where face and nail should meet."""
-        return ExpectedContact(self.q_contact, self.X_base_ee_contact[:3, 2], self.contact_time)
+        X = self.X_base_ee_contact
+        return ExpectedContact(self.q_contact, X[:3, 3], X[:3, 2], self.contact_time)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@
     arm.execute(trajectory)                          # HANDOVER: slow, a person holds the hold-to-run switch
     arm.mode = Mode.UNATTENDED                       # refused while a person is in reach
     arm.permit_swings(timeout=30.0)                  # a person confirms that strikes may begin
-    report, verdict = arm.swing(strike, guard, ExpectedContact(q_contact, direction, contact_time))
+    report, verdict = arm.swing(strike, guard, plan.expected_contact)
 
 It rejects commands and never clips them. It is ordinary software and does not replace the robot's own safety system.
 """

@@ -34,13 +34,11 @@ class PathLimits:
     Attributes:
         speed: Largest speed [m/s].
         acceleration: Largest acceleration [m/s^2].
-        brake: Largest deceleration [m/s^2].
         jerk: Largest jerk [m/s^3].
     """
 
     speed: float
     acceleration: float
-    brake: float
     jerk: float
 
 
@@ -131,12 +129,12 @@ class Line:
             wanted: Largest speed [m/s].
 
         Returns:
-            Largest speed [m/s], acceleration and deceleration [m/s^2] and jerk [m/s^3] along the line.
+            Largest speed [m/s], acceleration [m/s^2] and jerk [m/s^3] along the line.
         """
         first, second = (np.maximum(np.abs(d), 1e-9) for d in self.derivatives(q))
         speed = min(wanted, float(np.min(velocity / first)), float(np.sqrt(np.min(0.5 * acceleration / second))))
         top = float(np.min((acceleration - second * speed**2) / first))
-        return PathLimits(speed, top, top, 0.5 * jerk / float(np.max(first)))
+        return PathLimits(speed, top, 0.5 * jerk / float(np.max(first)))
 
 
 def line_derivatives(arm: ArmKinematics, q: Array, direction: Array) -> tuple[Array, Array]:
@@ -160,54 +158,8 @@ def line_derivatives(arm: ArmKinematics, q: Array, direction: Array) -> tuple[Ar
     return first, second
 
 
-def strike_limits(
-    s: Array, first: Array, second: Array, velocity: Array, acceleration: float, jerk: float, wanted: float
-) -> PathLimits:
-    """Find the highest speed at s = 0 that the joints allow for a strike along a line.
-
-    The ramp fills the whole run-up, so v^2 grows about linearly along it, and falls linearly while braking. The joint
-    acceleration is the signed sum q' a + q'' v^2. 40 % of the jerk are reserved for the terms in q'' and q'''.
-
-    Args:
-        s: Positions from the start of the run-up (negative) to the deepest point of braking, (M,) [m].
-        first: dq/ds at s, (M, 6) [rad/m].
-        second: d2q/ds2 at s, (M, 6) [rad/m^2].
-        velocity: Velocity limits of the joints, (6,) [rad/s].
-        acceleration: Acceleration limit of every joint [rad/s^2].
-        jerk: Jerk limit of every joint [rad/s^3].
-        wanted: Largest speed [m/s].
-
-    Returns:
-        Limits of the motion; speed 0 where no strike is possible.
-    """
-    run_up, deepest = -float(s[0]), float(s[-1])
-    up = s <= 0
-    acceleration = 0.97 * acceleration
-    slope = np.maximum(np.abs(first), 1e-9)
-    j = 0.6 * jerk / float(np.max(slope))
-    fastest = min(wanted, float(np.min(velocity / slope)))
-    v = fastest * np.linspace(1.0, 0.1, 46)
-    # The acceleration whose ramp is as long as the run-up: v / a + a / j = 2 L / v.
-    duration = 2 * run_up / v
-    inside = (j * duration) ** 2 - 4 * j * v
-    a = 1.01 * 0.5 * (j * duration - np.sqrt(np.maximum(inside, 0.0)))
-    share = np.where(up, (s + run_up) / run_up, 1 - s / max(deepest, 1e-9))
-    centripetal = second * (v**2)[:, None, None] * np.clip(1.05 * share, 0, 1)[:, None]
-    driven = first * a[:, None, None]
-    worst = np.maximum(np.abs(driven + centripetal), np.maximum(np.abs(driven), np.abs(centripetal)))
-    possible = (inside > 0) & np.all(worst[:, up] <= acceleration, axis=(1, 2))
-    # Braking: q'' v^2 adds to -q' a where they have opposite signs.
-    against = np.where(first * centripetal < 0, np.abs(centripetal), 0.0)
-    brake = np.min((acceleration - against[:, ~up]) / slope[~up], axis=(1, 2))
-    possible &= brake > 0.5
-    if not np.any(possible):
-        return PathLimits(0.0, 0.5, 0.5, j)
-    best = int(np.argmax(possible))
-    return PathLimits(float(v[best]), float(a[best]), float(brake[best]), j)
-
-
-LOWERING_SPEED = 0.5
-"""Largest speed of the way down to where a guarded touch begins [m/s]."""
+LOWERING_SPEED, HIGHEST_TOUCH = 0.5, 0.20
+"""Largest speed [m/s] and length [m] of the straight way down to where a guarded touch begins."""
 HIGHEST_RISE, RISE_STEP = 0.10, 0.005
 """How far a tool rises from among bodies at most, and in which steps it is tried [m]."""
 
@@ -231,7 +183,7 @@ def plan_over_nail(
     Raises:
         PlanningError: As `plan_transfer` and `plan_straight`.
     """
-    line, high = _line_of(robot, plan), min(plan.run_up, config.strike.run_up)
+    line, high = _line_of(robot, plan), min(plan.run_up, HIGHEST_TOUCH)
     lower = _travel(line, config, -high, -before, LOWERING_SPEED)
     approach = concatenate(plan_transfer(robot, config, world, q_start, lower.q[0]), lower)
     check_trajectory(approach, robot.arm, config.arm, config.scene, world)
@@ -315,7 +267,7 @@ def _travel(
     """Build a motion along the line from rest to rest, with the limits of transfers or a share of a strike's."""
     arm = config.arm
     scale = arm.transfer_velocity_scale if share is None else share
-    acceleration = arm.transfer_acceleration if share is None else share * arm.acceleration
+    acceleration = arm.transfer_acceleration if share is None else share * min(arm.acceleration)
     q = line.q(np.linspace(start, end, 9))
     limits = line.travel_limits(q, scale * np.asarray(arm.velocity), acceleration, arm.jerk, speed)
     return line.timed(travel_profile(start, end, limits.speed, limits.acceleration, limits.jerk))

@@ -6,7 +6,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from ruckig import ControlInterface, InputParameter, Result, Ruckig
+from ruckig import InputParameter, Result, Ruckig
 from ruckig import Trajectory as RuckigTrajectory
 
 from toolee_robot.errors import LimitError
@@ -32,71 +32,6 @@ class PathProfile:
     s: Array
     v: Array
     a: Array
-
-
-def ramp_length(speed: Array | float, acceleration: Array | float, jerk: Array | float) -> Array:
-    """Compute the length of the jerk-limited ramp between rest and a speed, which is also the braking length.
-
-    Args:
-        speed: Speed [m/s].
-        acceleration: Largest acceleration [m/s^2].
-        jerk: Largest jerk [m/s^3].
-
-    Returns:
-        Length of the ramp [m].
-    """
-    speed, acceleration, jerk = np.asarray(speed), np.asarray(acceleration), np.asarray(jerk)
-    trapezoid = speed / acceleration + acceleration / jerk
-    triangle = 2 * np.sqrt(speed / jerk)
-    return 0.5 * speed * np.where(speed * jerk >= acceleration**2, trapezoid, triangle)
-
-
-def run_up_profile(length: float, speed: float, acceleration: float, jerk: float) -> PathProfile:
-    """Compute the motion from rest at s = -length to `speed` with zero acceleration at s = 0, never moving backwards.
-
-    Args:
-        length: Length of the run-up [m].
-        speed: Speed at its end [m/s].
-        acceleration: Largest acceleration [m/s^2].
-        jerk: Largest jerk [m/s^3].
-
-    Returns:
-        The sampled motion.
-
-    Raises:
-        LimitError: The run-up is too short for the speed.
-    """
-    parameters = _parameters(1, [speed], [acceleration], [jerk])
-    parameters.current_position, parameters.target_position = [-length], [0.0]
-    parameters.target_velocity = [speed]
-    trajectory = _calculate(parameters)
-    extrema = trajectory.position_extrema[0]
-    if extrema.min < -length - 1e-6 or extrema.max > 1e-6:
-        raise LimitError(
-            f"a run-up of {length:.3f} m is too short for {speed:.2f} m/s at {acceleration:.1f} m/s^2 and "
-            f"{jerk:.0f} m/s^3: the ramp alone takes {float(ramp_length(speed, acceleration, jerk)):.3f} m",
-            code="limit.run_up",
-        )
-    return _path_samples(trajectory)
-
-
-def brake_profile(speed: float, acceleration: float, jerk: float, s: float = 0.0) -> PathProfile:
-    """Compute the motion from a speed to rest, as fast as the limits allow.
-
-    Args:
-        speed: Initial speed [m/s].
-        acceleration: Largest deceleration [m/s^2].
-        jerk: Largest jerk [m/s^3].
-        s: Initial position along the path [m].
-
-    Returns:
-        The sampled motion.
-    """
-    parameters = _parameters(1, [speed + 1e-6], [acceleration], [jerk])
-    parameters.control_interface = ControlInterface.Velocity
-    parameters.current_position, parameters.current_velocity = [s], [speed]
-    parameters.target_velocity = [0.0]
-    return _path_samples(_calculate(parameters))
 
 
 def travel_profile(start: float, end: float, speed: float, acceleration: float, jerk: float) -> PathProfile:

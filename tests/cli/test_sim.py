@@ -296,6 +296,7 @@ def test_a_nail_of_fifty_millimetres_needs_no_pilot_hole(tmp_path: Path, model: 
     plans = [decision.data for _, decision in history.decisions if decision.name == "plan"]
     assert plans
     assert max(plan["brake_length"] for plan in plans) <= deepest
+    assert job.record["deepest_mm"] <= 1e3 * deepest + 0.1, "of the commands that were sent"
 
 
 @pytest.mark.nightly

@@ -132,7 +132,7 @@ def test_enter_gives_the_answer_that_is_offered_and_an_answer_can_be_taken_back(
     back = _new(path, ["192.168.1.10", "<"])
     assert "Nothing new" in back.stdout
     assert path.read_text() == template(said)
-    told = _new(path, ["192.168.1.10", "", ""])
+    told = _new(path, ["192.168.1.10", "", "", ""])
     assert told.returncode == 0, told.stdout
     assert "(Enter: 0.4)" in told.stdout
     assert "with defaults: scene.obstacles, arm.acceleration, supervisor.unattended_speed." in told.stdout

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.control.test_swing import RATED, torques
+from tests.control.test_strike import RATED, torques
 from tests.errors import raises
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, merge, plan_strike, protrusion, slip
 from toolee_robot.control.arm_dynamics import StrikeLoad, strike_load

@@ -25,6 +25,7 @@ from toolee_robot.control import (
 from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.limits import carried_speed
 from toolee_robot.control.motion.trajectory_checks import START_TOLERANCE
+from toolee_robot.control.planning.straight import Line
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import (
     CollisionError,
@@ -213,7 +214,9 @@ def test_a_way_through_something_is_refused_though_its_ends_are_free(
 
 def test_only_the_tool_and_only_at_work_may_touch_the_block(desk: Desk, plan: StrikePlan) -> None:
     desk.supervisor.mode = Mode.UNATTENDED
-    into = joint_move(plan.strike.q[0], plan.strike.q[-1], np.full(6, 0.2), np.full(6, 3.0), np.full(6, 30.0))
+    line = Line.through(desk.world.robot.ik, plan.q_contact, plan.X_base_ee_contact[:3, 2])
+    start, end = line.q(np.array([-0.05, 0.06]))
+    into = joint_move(start, end, np.full(6, 0.2), np.full(6, 3.0), np.full(6, 30.0))
     desk.arm.q = into.q[0].copy()
     refused(desk, CollisionError, lambda: desk.supervisor.execute(into), "collision.motion")
     desk.supervisor.execute(into, at_work=True)

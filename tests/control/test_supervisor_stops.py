@@ -184,13 +184,17 @@ def test_a_fault_latches_until_a_person_resets(desk: Desk, fault: type[MotionFau
         (0.7, Meeting.EARLY),
         (0.9, Meeting.EARLY),
         (0.985, Meeting.EXPECTED),
-        (1.03, Meeting.EXPECTED),
-        (1.2, Meeting.LATE),
+        (1.01, Meeting.EXPECTED),
+        (1.1, Meeting.LATE),
         (None, Meeting.NONE),
     ],
 )
 def test_a_contact_is_judged_by_its_place(desk: Desk, plan: StrikePlan, share: float | None, meeting: Meeting) -> None:
-    """1.2 m/s for 0.33 s: a share of 0.01 is some 4 mm."""
+    """0.9 m/s for 0.33 s: a share of 0.01 is some 3 mm. No strike goes deeper than 20 mm; here beyond 8 mm is late."""
+    supervisor = replace(desk.config.supervisor, late_contact=0.008)
+    desk.supervisor = Supervisor(
+        desk.arm, desk.person, desk.world.robot, replace(desk.config, supervisor=supervisor), lambda: desk.world
+    )
     desk.ready_to_swing(plan)
     desk.arm.meets = None if share is None else share * plan.contact_time / plan.strike.duration
     _, verdict = desk.supervisor.swing(plan.strike, GUARD, plan.expected_contact)
@@ -339,7 +343,7 @@ def check_driven(q: Array, robot: RobotModel, config: StationConfig, world: Coll
     assert np.all(np.isfinite(q))
     assert np.all((q > robot.arm.lower - 0.02) & (q < robot.arm.upper + 0.02))
     assert np.all(np.abs(np.diff(q, axis=0)) * rate <= 1.02 * np.array(limits.velocity))
-    assert np.abs(np.diff(q, 2, axis=0)).max() * rate**2 <= 1.05 * max(limits.acceleration, STOP_ACCELERATION)
+    assert np.abs(np.diff(q, 2, axis=0)).max() * rate**2 <= 1.05 * max(*limits.acceleration, STOP_ACCELERATION)
     assert np.abs(np.diff(q, 3, axis=0)).max() * rate**3 <= 1.05 * max(limits.jerk, STOP_JERK)
     p = robot.arm.fk(q)[:, :3, 3]
     assert np.all(

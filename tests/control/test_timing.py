@@ -6,17 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.control.desk import TOOL
 from tests.control.test_path_stop import GRASP, HELD, OVER_THE_NAIL
 from tests.errors import raises
-from tests.examples import examples
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, check_trajectory, plan_strike
 from toolee_robot.control.arm_dynamics import ArmDynamics
-from toolee_robot.control.planning.timing import brake_profile, concatenate, joint_move, ramp_length, run_up_profile
+from toolee_robot.control.planning.timing import concatenate, joint_move
 from toolee_robot.errors import LimitError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import profile
@@ -24,27 +21,6 @@ from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 from toolee_robot.sim_backend.ur_controller.robot.servoj import LaggingServoJ
 from toolee_robot.station import SceneConfig, ServoConfig, StationConfig, sim_station
 from toolee_robot.types import ArmModel, Trajectory
-
-
-@given(speed=st.floats(0.3, 1.5), acceleration=st.floats(3, 12), jerk=st.floats(60, 400))
-@examples(40)
-def test_run_up_arrives_at_speed_without_backing_up(speed: float, acceleration: float, jerk: float) -> None:
-    length = 1.05 * float(ramp_length(speed, acceleration, jerk))
-    profile = run_up_profile(length, speed, acceleration, jerk)
-    assert profile.s[0] == pytest.approx(-length)
-    assert profile.s[-1] == pytest.approx(0, abs=1e-9)
-    assert profile.v[-1] == pytest.approx(speed)
-    assert profile.a[-1] == pytest.approx(0, abs=1e-6)
-    assert np.all(np.diff(profile.s) > -1e-9)
-    assert np.max(np.abs(profile.a)) <= acceleration + 1e-6
-    brake = brake_profile(speed, acceleration, jerk)
-    assert brake.v[-1] == pytest.approx(0, abs=1e-9)
-    assert brake.s[-1] == pytest.approx(ramp_length(speed, acceleration, jerk), rel=1e-3)
-
-
-def test_a_run_up_that_is_too_short_is_refused() -> None:
-    with raises(LimitError, code="limit.run_up"):
-        run_up_profile(0.05, 1.0, 8.0, 150.0)
 
 
 def test_joint_move_is_straight_and_within_limits() -> None:
@@ -165,7 +141,7 @@ def test_a_sharp_servo_bears_no_gap_and_the_default_one_twenty_milliseconds(
     struck: tuple[ArmModel, StrikePlan, ArmDynamics],
 ) -> None:
     assert worst_share(struck, SHARP, 0.0) < 0.92
-    assert worst_share(struck, SHARP, 0.024) > 1.2, "3 cycles of a CB3, 12 of an e-Series: the controller stops it"
+    assert worst_share(struck, SHARP, 0.024) > 1.0, "3 cycles of a CB3, 12 of an e-Series: the controller stops it"
     for gap in (0.006, 0.02):
         assert worst_share(struck, DEFAULTS, gap) < 0.92
     assert worst_share(struck, DEFAULTS, 0.04) < 1.0, "above 1 the controller stops it"

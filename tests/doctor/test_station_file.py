@@ -19,7 +19,6 @@ from toolee_robot.station import (
     NailConfig,
     PersonConfig,
     StationConfig,
-    load_station,
     sim_station,
 )
 from toolee_robot.types import ArmModel
@@ -114,15 +113,6 @@ def test_what_was_typed_in_the_other_frame_of_the_base_is_behind_the_arm(
     assert finding.level is (Level.OK if behind is None else Level.WARN)
     assert (behind or "") in finding.message
     assert remedy in finding.remedy
-
-
-def test_a_hand_without_a_wrist_needs_strikes_that_turn_back() -> None:
-    """Its arm would go on by some 90 mm behind the contact, and nothing gives way."""
-    config = load_station(Path(__file__).parents[2] / "examples" / "inspire.yaml")
-    assert "strike.deepest" not in {f.name for f in check_limits(config)}
-    found = {f.name: f for f in check_limits(replace(config, strike=replace(config.strike, deepest=None)))}
-    assert found["strike.deepest"].level is Level.FAIL
-    assert "0.01 m" in found["strike.deepest"].remedy
 
 
 @pytest.mark.parametrize(

@@ -123,8 +123,8 @@ def test_the_yield_torque_is_the_station_s() -> None:
     assert RobotModel.of_station(replace(sim_station(), hand=soft)).description.hand.yield_torque == 2.0
 
 
-def test_a_strike_is_slower_where_less_yields(config: StationConfig, mount: ToolMount) -> None:
-    """The arm goes on behind the contact; what yields must cover that way."""
+def test_a_strike_turns_back_within_what_yields(config: StationConfig, mount: ToolMount) -> None:
+    """A servo that lags takes the arm to the command's deepest place; what yields must cover that way."""
     tool = make_tool(kinds_of(Family.HAMMERS)[0], 3)
 
     def speed(travel: float) -> tuple[float, float, float]:
@@ -136,13 +136,13 @@ def test_a_strike_is_slower_where_less_yields(config: StationConfig, mount: Tool
         plan = plan_strike(robot, own, world, *state, tool=grasp.swung)
         return plan.speed, plan.brake_length, yield_length(robot, REST, robot.X_flange_hand(REST) @ X_hand_ee)
 
-    fast, brake, reach = speed(0.8)
-    assert brake < reach
-    slower, brake, reach = speed(0.8 * 0.8 * brake / reach)
+    fast, deepest, reach = speed(0.8)
+    assert deepest <= config.strike.deepest < reach
+    slower, deepest, reach = speed(0.8 * 0.5 * deepest / reach)
     assert slower < 0.9 * fast
-    assert brake < reach
-    with raises(LimitError, "limit.yield_travel"):
-        speed(0.02)
+    assert deepest <= reach < config.strike.deepest
+    with raises(LimitError, "limit.swing"):
+        speed(0.002)
 
 
 @pytest.mark.sim

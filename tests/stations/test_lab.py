@@ -90,16 +90,6 @@ def test_an_old_calibration_and_one_of_another_camera_are_refused_before_anythin
         check_purpose(other, Purpose.CALIBRATION)
 
 
-def test_a_hand_without_a_wrist_strikes_only_as_deep_as_the_file_says(config: StationConfig) -> None:
-    rigid = _with_hand(config, "inspire", port="/dev/ttyUSB0")
-    pressing = replace(rigid, strike=replace(rigid.strike, deepest=None))
-    with raises(ConfigError, "config.rigid_strike") as caught:
-        LabStation(pressing, print)
-    assert "strike.deepest" in str(caught.value)
-    check_purpose(pressing, Purpose.CALIBRATION)
-    check_purpose(replace(pressing, strike=replace(rigid.strike, deepest=0.01)))
-
-
 @pytest.mark.parametrize("purpose", list(Purpose))
 def test_a_recording_is_no_camera_of_a_station(config: StationConfig, purpose: Purpose) -> None:
     with raises(ConfigError, "config.recorded_camera"):

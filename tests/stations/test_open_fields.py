@@ -54,16 +54,6 @@ def test_a_field_that_is_taken_out_is_on_one_line(taken: tuple[str, ...]) -> Non
     assert all("my lab.yaml'" in line for line in new if "--station" in line), "a command that can be copied"
 
 
-def test_a_hand_without_a_wrist_needs_the_place_where_a_strike_turns_back() -> None:
-    """A default would let the arm go on into a hand that cannot give way."""
-    lab = yaml.safe_load(LAB.read_text())
-    assert not any("deepest" in entry.names for entry in open_fields(lab, FILE)), "a mount yields"
-    lab["hand"] = {"model": "inspire_rh56"}
-    (entry,) = (entry for entry in open_fields(lab, FILE) if "deepest" in entry.names)
-    assert (entry.section, entry.note, entry.typed) == ("strike", "", True), "a job is not without it"
-    assert "strike.deepest" not in {q.name for q in open_questions({"hand": {"model": "shadow_right"}})}
-
-
 def test_the_command_for_the_intrinsics_names_the_mode() -> None:
     lab = yaml.safe_load(LAB.read_text())
     del lab["camera"]["fx"], lab["camera"]["height"]

@@ -72,6 +72,7 @@ def job_figures(ran: Ran, facts: Mapping[str, Any]) -> dict[str, Any]:
         "measured_protrusion_mm": measured,
         "largest_impulse": _largest(strike.load.impulse for strike in strikes),
         "largest_flange_force": _largest(strike.peak_force for strike in strikes),
+        "deepest_mm": _largest(1e3 * strike.deepest for strike in strikes),
         "largest_torque_share": _largest(strike.load.torque_share for strike in strikes),
         "nail": None if truth is None else truth.outcome,
         "nails": [_nail_figures(nail, verdict) for nail in result.nails],

@@ -359,7 +359,7 @@ def _show(console: Console, robot: BringUp, what: str, trajectory: Trajectory) -
     console.print(
         f"flange from: {_place_text(Xs[0])}\nflange to:   {_place_text(Xs[-1])}\n"
         f"over {float(np.sum(moved)) * 1e3:.0f} mm in {trajectory.duration:.1f} s, at {speed:.3f} m/s at most "
-        f"(caps: {max(arm.velocity):g} rad/s, {arm.acceleration:g} rad/s²)",
+        f"(caps: {max(arm.velocity):g} rad/s, {max(arm.acceleration):g} rad/s²)",
         soft_wrap=True,
     )
 

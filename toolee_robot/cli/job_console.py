@@ -260,6 +260,7 @@ def _load(f: Mapping[str, Any]) -> Rows:
     return [
         ("load at the flange", f"at most {_figure(f['largest_impulse'], ' N s')}, {f['largest_flange_force']:.0f} N"),
         ("load of a joint", f"at most {100 * f['largest_torque_share']:.0f} % of its largest torque"),
+        ("deepest command", f"{f['deepest_mm']:.0f} mm behind the contact"),
     ]
 
 

@@ -54,9 +54,6 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
     yield from (fail("limits", message, "change it in the station file") for message in wrong)
     if not wrong:
         yield ok("limits", f"within the {arm.model}'s; {load:.1f} kg of {payload:.1f} kg payload")
-    if model.hand.yielding is None and config.strike.deepest is None:
-        message = f"the {model.hand.label} has no compliant wrist, and the arm moves on behind the contact"
-        yield fail("strike.deepest", message, "give strike.deepest, 0.01 m: every strike then turns back there")
     if supervisor.handover_speed > REDUCED_SPEED:
         message = f"handovers at up to {supervisor.handover_speed} m/s"
         remedy = f"ISO 10218-1 allows {REDUCED_SPEED} m/s near a person: lower supervisor.handover_speed"

@@ -34,15 +34,10 @@ class StrikeConfig:
 
     __pydantic_config__ = STRICT
     speed: Annotated[float, MetresPerSecond(0.05, 3.0, "hammers of a UR10 reach 2")]
-    """Wanted speed of the face at the contact. The hand needs about 90 mm to stop from 1.2 m/s and 140 mm from 1.5
-    m/s.
-    """
-    run_up: Annotated[float, Metres(0.01, 0.6, "half of a UR10's reach")] = 0.20
-    """Length of the straight run-up to the nail."""
-    deepest: Annotated[float, Metres(0.001, 0.15)] | None = None
-    """Largest distance of the commanded face beyond the contact, where a swing turns back. A deeper one permits a
-    faster swing. Rigid hand or mount: 0.01 for the first strikes, then 0.02. Compliant wrist: up to 0.1. Null: a
-    straight strike that brakes after the contact, only for a wrist that yields by about 90 mm at 1.2 m/s.
+    """Wanted speed of the face at the contact. A strike is slower if a limit requires it."""
+    deepest: Annotated[float, Metres(0.001, 0.15)] = 0.020
+    """Largest distance of the commanded face beyond the contact, where every strike turns back. A lagging servo reaches
+    it, too. Give 0.01 for the first strikes on a robot. A compliant wrist bears up to 0.1, and the strike is faster.
     """
     touch_speed: Annotated[float, MetresPerSecond(0.002, 0.1)] = 0.03
     """Speed of the touch that measures where the face meets the nail."""
@@ -67,8 +62,8 @@ class TaskConfig:
     """Thresholds with which the hammering job decides to continue, to look at the tool again, or to end."""
 
     __pydantic_config__ = STRICT
-    max_strikes: Annotated[int, Number(1, 1000)] = 40
-    """Number of strikes after which the job gives up."""
+    max_strikes: Annotated[int, Number(1, 1000)] = 150
+    """Number of strikes after which the job gives up; sooner if by the forecast they will not do."""
     flush_protrusion: Annotated[float, Metres(0.0001, 0.01)] = 0.001
     """Largest height of the nail's head above the wood that counts as flush."""
     min_progress: Annotated[float, Metres(0.00001, 0.01)] = 0.0002
@@ -106,6 +101,9 @@ class SupervisorConfig:
     unattended_speed: Annotated[float, MetresPerSecond(0.05, 3.0, "hammers of a UR10 reach 2")] = 1.5
     """Largest speed of flange and tool in UNATTENDED mode, with nobody in reach: a common safety setting of UR
     arms."""
+    momentum: Annotated[float, Unit("kg m/s", 1.0, 150.0, "a UR's least restricted limit is 100")] = 25.0
+    """Largest momentum of arm, hand and tool in a strike: below the limit of the robot's safety configuration, above
+    which it stops itself. PolyScope's usual preset has 25."""
     tracking_error: Annotated[float, Radians(0.001, 0.5)] = 0.05
     """Largest deviation of a measured joint from its command; see `MotionWatch`."""
     data_cycles: Annotated[float, Unit("cycles", 1.0, 50.0)] = 3.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array
-from toolee_robot.station.schema import STRICT, JointSpeeds
+from toolee_robot.station.schema import STRICT, JointAccelerations, JointSpeeds
 from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandEfforts, HandMounting, HandWeight, ToolMount
 from toolee_robot.types.units import (
     Direction,
@@ -65,8 +65,8 @@ class ArmLimits:
     """
     velocity: JointSpeeds = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
     """Largest velocity of each joint, base to wrist 3."""
-    acceleration: Annotated[float, RadiansPerSecond2(0.5, 100.0, "the large joints' torques give some 30")] = 15.0
-    """Largest acceleration of every joint in a strike."""
+    acceleration: JointAccelerations = (15.0, 15.0, 15.0, 15.0, 15.0, 15.0)
+    """Largest acceleration of each joint in a strike, base to wrist 3."""
     jerk: Annotated[float, RadiansPerSecond3(10.0, 20_000.0)] = 500.0
     """Largest jerk of every joint."""
     stop_acceleration: Annotated[float, RadiansPerSecond2(0.5, 100.0)] = 15.0

@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from pydantic import ConfigDict, Field
 
 from toolee_robot.runtime.yaml_files import name_in_file
-from toolee_robot.types.units import Metres, Number, Radians, RadiansPerSecond, Unit
+from toolee_robot.types.units import Metres, Number, Radians, RadiansPerSecond, RadiansPerSecond2, Unit
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 """Pydantic configuration of every record: an unknown field, NaN or infinity is an error."""
@@ -32,6 +32,11 @@ JointAngles = tuple[JointAngle, JointAngle, JointAngle, JointAngle, JointAngle, 
 JointSpeed = Annotated[float, RadiansPerSecond(0.01, 3.5, "data sheet of the UR10: 2.09 and 3.14")]
 JointSpeeds = tuple[JointSpeed, JointSpeed, JointSpeed, JointSpeed, JointSpeed, JointSpeed]
 """Of the six joints, base to wrist 3."""
+JointAcceleration = Annotated[float, RadiansPerSecond2(0.5, 100.0, "the large joints' torques give some 30")]
+JointAccelerations = tuple[
+    JointAcceleration, JointAcceleration, JointAcceleration, JointAcceleration, JointAcceleration, JointAcceleration
+]
+"""Likewise."""
 Shank = Annotated[float, Metres(0.0005, 0.02, "nails are 0.8 to 8 mm thick")]
 ShankLength = Annotated[float, Metres(0.005, 0.4)]
 NailHead = Annotated[float, Metres(0.0005, 0.05)]

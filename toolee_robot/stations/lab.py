@@ -25,7 +25,7 @@ from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import ConfigError, NotReadyError
 from toolee_robot.hal import Person, Station
-from toolee_robot.robots import MOUNT, hand_model
+from toolee_robot.robots import MOUNT
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import StationConfig, ToolData, check_upright
 from toolee_robot.stations.camera import RECORDED, open_camera
@@ -171,8 +171,7 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
     Raises:
         ConfigError: A field is missing (`config.station_lacks`), and the message names every one, such as `arm.host`;
             or the camera is a recording (`config.recorded_camera`); or, for a job, the calibration is too old or of
-            another camera than the file's (`config.calibration`), or the camera measures no depth at any view, or
-            strikes would push what does not yield into the wood (`config.rigid_strike`);
+            another camera than the file's (`config.calibration`), or the camera measures no depth at any view;
             or the arm's base is tilted (`config.mounting_tilted`).
     """
     wanted: dict[str, object] = {
@@ -193,12 +192,6 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         raise ConfigError(
             f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/first_nail.md",
             code="config.station_lacks",
-        )
-    if purpose is Purpose.JOB and config.strike.deepest is None and (hand := hand_model(config.hand)).yielding is None:
-        raise ConfigError(
-            f"strike.deepest is missing, and the {hand.label} has no compliant wrist, while a straight strike moves "
-            "on behind the contact. Give 0.01 m, where every strike then turns back",
-            code="config.rigid_strike",
         )
     check_upright(config.arm, str(purpose))
     device, calibration = config.camera.device, config.calibration

@@ -179,6 +179,7 @@ OFFERED: Mapping[str, str] = {
     "work.block_turn": "0",
     "camera.distortion": NONE,
     "strike.speed": "0.4",  # of the first strikes on a robot, docs/how-to/first_nail.md
+    "strike.deepest": "0.01",  # likewise
 }
 """The answer that Enter gives, of fields of which most labs have the same."""
 UNASKED = ("scene.obstacles", "arm.acceleration", "supervisor.unattended_speed")
@@ -267,9 +268,7 @@ def _names(data: dict[str, Any]) -> Iterator[str]:
     yield from ("work.block_xy", "work.block_turn")
     for section in ("person", "tool", "tool_envelope"):
         yield from _all_of(section)
-    yield "strike.speed"
-    if known is not None and known.yielding is None:
-        yield "strike.deepest"
+    yield from ("strike.speed", "strike.deepest")
 
 
 def _all_of(section: str) -> Iterator[str]:

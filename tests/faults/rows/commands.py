@@ -85,13 +85,13 @@ def velocity_step(q: Array) -> Trajectory:
 
 def acceleration_step(swing: Swing, q: Array) -> Trajectory:
     """Make a motion with twice the acceleration limit."""
-    most = swing.config.arm.acceleration
+    most = max(swing.config.arm.acceleration)
     return _integrated(q, np.concatenate([np.zeros(5), np.full(5, 2 * most), np.full(5, -2 * most), np.zeros(5)]))
 
 
 def jerk_step(swing: Swing, q: Array) -> Trajectory:
     """Make a motion that alternates between the acceleration limits without exceeding them."""
-    most = 0.8 * swing.config.arm.acceleration
+    most = 0.8 * min(swing.config.arm.acceleration)
     return _integrated(q, np.concatenate([np.zeros(4), np.tile([most, most, -most, -most], 6), np.zeros(4)]))
 
 

@@ -228,7 +228,7 @@ def test_the_supervisor_itself_refuses_what_is_over_the_caps() -> None:
 def test_caps_only_lower_the_limits_of_a_station() -> None:
     slower = replace(STATION, arm=replace(STATION.arm, velocity=(0.05,) * 6, transfer_acceleration=0.5))
     arm = Caps(100.0, 1000.0).apply(slower).arm
-    assert (arm.velocity, arm.transfer_acceleration, arm.acceleration) == ((0.05,) * 6, 0.5, 0.5)
+    assert (arm.velocity, arm.transfer_acceleration, arm.acceleration) == ((0.05,) * 6, 0.5, (0.5,) * 6)
     assert arm.stop_acceleration == STATION.arm.stop_acceleration
     assert Caps(100.0, 1000.0).apply(STATION).arm.transfer_velocity_scale == STATION.arm.transfer_velocity_scale
     assert Caps().apply(STATION).arm.stop_acceleration == ACCELERATION

@@ -85,7 +85,7 @@ def lag_motion(q: Array, joint: int, speed: float, limits: ArmLimits) -> LagMoti
     if not speed > 0:
         raise UserError(f"a speed of {speed} rad/s: give a positive number")
     top = MARGIN * min(speed, limits.velocity[joint - 1])
-    acceleration, jerk = MARGIN * limits.acceleration, MARGIN * limits.jerk
+    acceleration, jerk = MARGIN * min(limits.acceleration), MARGIN * limits.jerk
     rest = np.zeros((3, round(REST / SAMPLE_PERIOD)))
     wave, step, size = _sine(top, acceleration, jerk), *_step(top, acceleration, jerk)
     x = np.hstack([rest, wave, rest, step, _held(rest, size), _back(step, size), rest])

@@ -79,13 +79,13 @@ class Caps:
         arm = config.arm
         velocity = np.minimum(arm.velocity, self.speed)
         transfer = float(np.min(arm.transfer_velocity_scale * np.asarray(arm.velocity) / velocity))
-        acceleration = min(arm.acceleration, arm.transfer_acceleration, self.acceleration)
+        acceleration = min(*arm.acceleration, arm.transfer_acceleration, self.acceleration)
         stop = min(arm.stop_acceleration, max(self.acceleration, self.speed / RAMP))
         a, b, c, d, e, f = velocity.tolist()
         limits = replace(
             arm,
             velocity=(a, b, c, d, e, f),
-            acceleration=acceleration,
+            acceleration=(acceleration,) * 6,
             jerk=min(arm.jerk, acceleration / RAMP),
             stop_acceleration=stop,
             transfer_velocity_scale=min(1.0, transfer),

@@ -75,6 +75,7 @@ class Strike:
         number: Number of the strike on its nail, from 1.
         stamp: Time of the contact, or of the end of the motion without one, on the station's clock [s].
         speed: Planned speed of the face at the contact [m/s].
+        deepest: Largest distance of the face beyond the expected contact, by the commands that were sent [m].
         peak_force: Largest sensed force at the flange [N].
         meeting: How the strike met the nail.
         load: What the strike asked of the arm.
@@ -85,6 +86,7 @@ class Strike:
     number: int
     stamp: float
     speed: float
+    deepest: float
     peak_force: float
     meeting: Meeting
     load: StrikeLoad

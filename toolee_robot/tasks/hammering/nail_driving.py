@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.control.contact import ContactVerdict, Meeting
+from toolee_robot.control.planning.straight import HIGHEST_TOUCH
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import inverse
 from toolee_robot.station import StationConfig
@@ -32,8 +33,9 @@ LET_IN = "the nail went deep into very soft wood: check it"
 """What else may have become of a nail that is not where it should be after strikes."""
 BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
-MAX_STRIKES_TOLD = 100
-"""Most further strikes that a person is told would do."""
+STRIKES_BEFORE_GIVING_UP, LEAST_SHARE = 10, 0.5
+"""Number of strikes after which the forecast may end the job, and the share of its further strikes that must be over
+`task.max_strikes` for that: a forecast is good to a factor of two."""
 FLUSH_PROGRESS = 0.0005
 """Largest progress of a strike on a flush nail [m]."""
 
@@ -136,16 +138,23 @@ class NailDriving:
         sure = forecast.finished and height <= SURE_SHARE * task.flush_protrusion
         done = course.flush > 2 or (course.flush == 2 and course.progress < FLUSH_PROGRESS)
         done = done or (course.flush > 0 and sure)
-        out_of_strikes = len(self.strikes) >= task.max_strikes
+        struck = len(self.strikes)
+        known = struck >= STRIKES_BEFORE_GIVING_UP and not forecast.unmeasured and math.isfinite(forecast.left)
+        out_of_strikes = struck >= task.max_strikes or (
+            known and struck + LEAST_SHARE * forecast.left > task.max_strikes
+        )
         surely = not self._gauge.noisy or height <= SURE_SHARE_IN_NOISE * task.flush_protrusion
         if done and (surely or course.home or out_of_strikes):
             return self._flush(f"the head stands {height * 1e3:.1f} mm over the wood")
         course.home = done
         if out_of_strikes:
-            end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
-            if 0 < forecast.left < MAX_STRIKES_TOLD:
+            end = f"after {struck} strikes the head stands {height * 1e3:.1f} mm over the wood"
+            if 0 < forecast.left < np.inf:
                 more = math.ceil(1.2 * forecast.left)
-                end += f"; it still moves, and about {more} more strikes would do: raise task.max_strikes"
+                end += (
+                    f"; it still moves, and about {more} more strikes would do: raise task.max_strikes "
+                    f"({task.max_strikes}), or permit faster strikes (arm.acceleration, strike.deepest)"
+                )
             return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if course.flush else end
         # No further strike after one that brought the arm too near to a stop of its own.
         if self.strikes and (excess := self.strikes[-1].load.excess(self._config.strike)):
@@ -305,7 +314,7 @@ class NailDriving:
             load = self._striking.load(report)
             measure = self._measure_after(plan, verdict, home=home, overload=bool(load.excess(self._config.strike)))
             looks = self._look_due(held, held.strikes)
-            above = CLEAR if measure or looks else min(plan.run_up, self._config.strike.run_up)
+            above = CLEAR if measure or looks else min(plan.run_up, HIGHEST_TOUCH)
             self._striking.retract(plan, above, held)
         height = None
         try:
@@ -338,7 +347,7 @@ class NailDriving:
             with self._motions.stages(Stage.TOUCH):
                 if self._striking.leans:
                     self._gauge.go_over(self._striking.plan_touch(before, held), held)
-                elif self._config.strike.deepest is not None:  # after a swing the face is no longer square to the nail
+                else:  # after a strike the face is no longer square to the nail
                     self._gauge.go_over(plan, held)
                 # With a corrected face pose, a head that is no longer there after a strike means a bent nail.
                 missed = Outcome.BENT if met and self._look_at is not None else Outcome.NAIL_MISSED

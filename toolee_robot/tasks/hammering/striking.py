@@ -7,8 +7,6 @@ import numpy as np
 from toolee_robot.control.arm_dynamics import StrikeLoad, strike_load
 from toolee_robot.control.contact import ContactVerdict
 from toolee_robot.control.planning.strike import plan_strike
-from toolee_robot.control.planning.swing import plan_swing
-from toolee_robot.control.planning.swing_problem import SwingLimits
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse
 from toolee_robot.hal import MotionReport
@@ -89,14 +87,10 @@ class Striking:
         return frame_from_axes(z=-self._config.work.wood_normal, x=X_base_nail[:3, 0], p=X_base_nail[:3, 3])
 
     def _plan(self, X_base_nail: Array, held: HeldTool) -> StrikePlan:
-        motions, deepest = self._motions, self._config.strike.deepest
+        motions = self._motions
         motions.rise_from_among_nails(held)
         state = motions.world(held), motions.q, motions.q_hand, held.X_hand_ee
-        if deepest is None:
-            plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=held.payload)
-        else:
-            limits = SwingLimits(held.payload, deepest)
-            plan = plan_swing(self._robot, self._config, *state, X_base_nail, limits=limits)
+        plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=held.payload)
         motions.observer.planned(motions.station.clock.now(), plan)
         return plan
 
@@ -167,6 +161,11 @@ class Striking:
         stamp = report.stamps[-1] if report.contact is None else report.contact.stamp
         if report.contact is not None:
             self._motions.observer.contact(stamp, force, plan.X_base_ee_contact)
-        strike = Strike(len(self.done) + 1, float(stamp), plan.speed, force, verdict.meeting, load, height)
+        X_flange_ee = inverse(self._robot.arm.fk(plan.q_contact)) @ plan.X_base_ee_contact
+        faces = (self._robot.arm.fk(report.q_commanded) @ X_flange_ee)[:, :3, 3]
+        deepest = float(np.max((faces - plan.X_base_ee_contact[:3, 3]) @ plan.X_base_ee_contact[:3, 2]))
+        strike = Strike(
+            len(self.done) + 1, float(stamp), plan.speed, deepest, force, verdict.meeting, load=load, protrusion=height
+        )
         self.done.append(strike)
         self._motions.observer.strike(strike)
