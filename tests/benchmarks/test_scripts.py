@@ -8,6 +8,7 @@ import re
 import pytest
 
 from benchmarks.servo import run
+from toolee_robot.types import ArmModel
 
 
 @pytest.mark.nightly
