@@ -239,7 +239,8 @@ def plan_straight(
         length: Length of the motion [m]; negative against the direction.
         direction: Direction in `base`; up by default.
         speed: Largest speed [m/s].
-        share: Largest velocity and acceleration of the joints as a share of a strike's; those of transfers if None.
+        share: Largest velocity and acceleration of the joints as a share of a strike's, where that is more than those
+            of transfers; None for those.
 
     Returns:
         The trajectory, checked for collisions and limits, at rest at both ends.
@@ -266,8 +267,9 @@ def _travel(
 ) -> Trajectory:
     """Build a motion along the line from rest to rest, with the limits of transfers or a share of a strike's."""
     arm = config.arm
-    scale = arm.transfer_velocity_scale if share is None else share
-    acceleration = arm.transfer_acceleration if share is None else share * min(arm.acceleration)
+    scale, acceleration = arm.transfer_velocity_scale, arm.transfer_acceleration
+    if share is not None:
+        scale, acceleration = max(scale, share), max(acceleration, share * min(arm.acceleration))
     q = line.q(np.linspace(start, end, 9))
     limits = line.travel_limits(q, scale * np.asarray(arm.velocity), acceleration, arm.jerk, speed)
     return line.timed(travel_profile(start, end, limits.speed, limits.acceleration, limits.jerk))

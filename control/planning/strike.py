@@ -10,13 +10,21 @@ import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control.arm_dynamics import TORQUE_SHARE, ArmDynamics
-from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
+from toolee_robot.control.collision import BESIDE_NAILS, BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.collision_shapes import TOOL_JOINT
 from toolee_robot.control.contact import yield_length
 from toolee_robot.control.correction import Candidates, candidates, rank
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.straight import HIGHEST_TOUCH, Line
-from toolee_robot.control.planning.swing_problem import Face, SwingProblem, decelerations, fastest, sampled_within
+from toolee_robot.control.planning.swing_problem import (
+    LATERAL,
+    SLOPE,
+    Face,
+    SwingProblem,
+    decelerations,
+    fastest,
+    sampled_within,
+)
 from toolee_robot.control.planning.swing_spline import spline_for
 from toolee_robot.control.planning.transfer import NEED, STEP, plan_transfer
 from toolee_robot.control.records import StrikePlan
@@ -35,6 +43,11 @@ SHORTLIST = 6
 """Number of contacts of one branch through which a swing may be planned."""
 ENOUGH, MOST = 2, 5
 """Number of swings of which the fastest is taken; more, up to MOST, while none can be reached on a straight way."""
+TRIES = 16
+"""Number of contacts without a swing after which no further one is tried."""
+CONE_ERROR, HEIGHT = 0.001, 0.02
+"""By how much the face may be outside of its cone before the contact, between the knots of the spline, and up to
+which height over the nail that is looked at [m]."""
 
 
 def plan_strike(
@@ -82,7 +95,7 @@ def plan_strike(
         raise UserError("X_hand_ee and X_base_nail must be finite rigid 4x4 transforms", code="user.not_rigid")
     # From within an obstacle no swing can begin, whatever its contact.
     world.check(q_start, 1e-6, "the start of the transfer")
-    wanted = config.strike.speed if speed is None else speed
+    wanted = min(config.strike.speed if speed is None else speed, config.supervisor.unattended_speed)
     swing = _Swing(robot, config, world, q_hand, X_hand_ee, X_base_nail, tool, wanted)
     failure: PlanningError | None = None
     found: list[_Solved] = []
@@ -90,14 +103,16 @@ def plan_strike(
     contacts = swing.contacts(q_start)
     more = True
     while more or found:
-        more = False
+        more, failing = False, 0
         for branch, theta, q_contact in contacts:
             if branch in blocked:
                 continue
             try:
                 found.append(swing.solve(branch, theta, q_contact, q_start))
             except (UnreachableError, LimitError, CollisionError) as error:
-                failure = failure or error
+                failure, failing = failure or error, failing + 1
+                if failing == TRIES:
+                    break
                 continue
             best = max(found, key=_value)
             more = len(found) == MOST or ((len(found) >= ENOUGH or best.speed >= 0.99 * wanted) and best.direct)
@@ -109,7 +124,7 @@ def plan_strike(
             try:
                 approach = plan_transfer(robot, config, world, q_start, solved.strike.q[0])
             except (UnreachableError, LimitError, CollisionError) as error:
-                failure = failure or error
+                failure = error  # a swing without a way to it says more than a contact without a swing
                 blocked.add(solved.branch)
                 continue
             return swing.plan(solved, approach, wanted, began)
@@ -166,6 +181,7 @@ class _Swing:
         self._dynamics = ArmDynamics(robot, q_hand, X_hand_ee, tool)
         self._torque = TORQUE_SHARE * np.array(ARM_DATA[config.arm.model].torque)
         self._deepest = min(config.strike.deepest, yield_length(robot, q_hand, self._X_flange_ee))
+        self._least = min(MIN_SPEED, 0.9 * wanted)
         self._momentum = MOMENTUM_SHARE * config.supervisor.momentum
         points = [body.spheres[:, :3] for body in world.bodies if body.joint == TOOL_JOINT]
         self._carried = np.concatenate([*points, robot.arm.X_joint6_flange[None, :3, 3]])
@@ -203,7 +219,7 @@ class _Swing:
                 yield branch, float(found.theta[i]), found.q[i]
         if nearest is None:
             raise LimitError(
-                f"from {MIN_SPEED} m/s the arm cannot turn a tool of {self._tool.mass:.2f} kg back within "
+                f"from {self._least:.2f} m/s the arm cannot turn a tool of {self._tool.mass:.2f} kg back within "
                 f"{self._deepest * 1e3:.0f} mm of this nail: move the block nearer, or use a lighter hammer",
                 code="limit.swing",
             )
@@ -216,12 +232,12 @@ class _Swing:
 
     def _score(self, found: Candidates, near: Array) -> Array:
         """Kinematic rank plus the speed from which the arm can turn back in time, as a share of the wanted one."""
-        top = min(self._wanted, self._config.supervisor.unattended_speed)
+        top = self._wanted
         score = rank(found, top, near)
         most = np.asarray(self._config.arm.acceleration)
         slow = decelerations(self._face, self._dynamics, found.q, most, self._torque)
         possible = np.minimum(np.sqrt(2 * np.maximum(slow, 0.0) * self._deepest) / top, 1.0)
-        return np.where(possible * top > MIN_SPEED, score + 6.0 * possible, 0.0)
+        return np.where(possible * top > self._least, score + 6.0 * possible, 0.0)
 
     def solve(self, branch: int, theta: float, q_contact: Array, q_start: Array) -> _Solved:
         """Find the swing through one contact, and check it.
@@ -245,7 +261,7 @@ class _Swing:
             spline=self._spline,
             q_contact=q_contact,
             carried=self._carried,
-            wanted=min(self._wanted, config.supervisor.unattended_speed),
+            wanted=self._wanted,
             velocity=np.asarray(config.arm.velocity),
             acceleration=np.asarray(config.arm.acceleration),
             jerk=config.arm.jerk,
@@ -258,14 +274,20 @@ class _Swing:
         strike, contact = sampled_within(problem, world, x)
         J = self._face.place(q_contact[None])[1][0]
         speed = float(J[2] @ strike.qd[contact])
-        if speed < MIN_SPEED:
+        if speed < self._least:
             raise LimitError(
                 f"a swing at this nail reaches no more than {speed:.2f} m/s: move the block nearer to the middle of "
                 "the arm's reach, or permit a deeper place beyond the contact",
                 code="limit.swing_speed",
             )
-        beyond = self._face.place(strike.q)[0][:, 2]
+        place = self._face.place(strike.q)[0]
+        beyond, beside = place[:, 2], np.max(np.abs(place[:, :2]), axis=1)
         deepest = float(np.max(beyond[contact:]))
+        before = slice(0, contact)
+        if np.max(beyond[before]) > 1e-5 or np.any(
+            (beyond[before] > -HEIGHT) & (beside[before] > LATERAL + CONE_ERROR - SLOPE * beyond[before])
+        ):
+            raise LimitError("the swing does not come down on the nail along its axis", code="limit.swing")
         if deepest > self._deepest:
             raise LimitError(f"the swing turns back only {deepest * 1e3:.1f} mm beyond the contact", code="limit.swing")
         self._check_clear(strike, contact)
@@ -283,6 +305,7 @@ class _Swing:
         need = self._config.strike.clearance
         self._world.check(strike.q[: contact + 1 : 4], need, "the swing", RUN_UP_EXEMPT)
         self._world.check(strike.q[contact + 1 :: 4], need, "turning back after the strike", BRAKE_EXEMPT)
+        self._world.check(strike.q[contact + 1 :: 4], 0.0, "turning back beside a nail", BRAKE_EXEMPT - BESIDE_NAILS)
 
     def plan(self, solved: _Solved, approach: Trajectory, wanted: float, began: float) -> StrikePlan:
         """Describe a swing.

@@ -19,7 +19,7 @@ from toolee_robot.frames import Array
 from toolee_robot.recording.messages import matrix, plain
 from toolee_robot.runtime.images import decode_image
 from toolee_robot.runtime.yaml_files import to_record
-from toolee_robot.station import ONLY_NAIL, StationConfig, sim_station
+from toolee_robot.station import ONLY_NAIL, StationConfig, for_each_joint, sim_station
 from toolee_robot.types import CameraIntrinsics
 
 T = TypeVar("T")
@@ -195,7 +195,9 @@ class RunHistory:
                 "the recording holds no station: only a job's recording can be shown", code="user.no_station_recorded"
             )
         recorded = _completed(json.loads(self.attachments["station.json"]), plain(asdict(sim_station())))
-        return to_record(recorded, Path("station.json"), StationConfig, "station")
+        if isinstance(strike := recorded.get("strike"), dict) and strike.get("deepest") is None:
+            del strike["deepest"]  # of a straight strike, which older versions had
+        return to_record(for_each_joint(recorded), Path("station.json"), StationConfig, "station")
 
     def rgb(self, index: int) -> NDArray[np.uint8]:
         """A colour image, (H, W, 3), by its index.

@@ -34,7 +34,15 @@ from toolee_robot.station.robot import (
     gravity_below,
     servo_lag,
 )
-from toolee_robot.station.station import JobSetup, StationConfig, load_station, read_station, sim_station, with_setup
+from toolee_robot.station.station import (
+    JobSetup,
+    StationConfig,
+    for_each_joint,
+    load_station,
+    read_station,
+    sim_station,
+    with_setup,
+)
 from toolee_robot.station.work import ONLY_NAIL, NailConfig, WorkConfig
 
 __all__ = [
@@ -65,6 +73,7 @@ __all__ = [
     "WorkConfig",
     "check_current",
     "check_upright",
+    "for_each_joint",
     "given_by_intrinsics",
     "given_by_nails",
     "given_by_pose",

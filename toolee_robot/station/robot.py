@@ -69,8 +69,10 @@ class ArmLimits:
     """Largest acceleration of each joint in a strike, base to wrist 3."""
     jerk: Annotated[float, RadiansPerSecond3(10.0, 20_000.0)] = 500.0
     """Largest jerk of every joint."""
-    stop_acceleration: Annotated[float, RadiansPerSecond2(0.5, 100.0)] = 15.0
-    """Largest acceleration of every joint while braking after a contact or a stop."""
+    stop_acceleration: Annotated[float, RadiansPerSecond2(0.5, 150.0)] = 20.0
+    """Largest acceleration of every joint while braking after a contact or a stop. At least 4/3 of the largest one in
+    `acceleration`: a swing turns its joints about, and a stop needs room beside that.
+    """
     stop_jerk: Annotated[float, RadiansPerSecond3(10.0, 20_000.0)] = 1500.0
     """Largest jerk of every joint while braking after a contact or a stop."""
     transfer_velocity_scale: Annotated[float, Number(0.01, 1.0, "a share")] = 0.5

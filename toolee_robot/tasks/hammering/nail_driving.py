@@ -36,6 +36,8 @@ BLIND_MISSES = 3
 STRIKES_BEFORE_GIVING_UP, LEAST_SHARE = 10, 0.5
 """Number of strikes after which the forecast may end the job, and the share of its further strikes that must be over
 `task.max_strikes` for that: a forecast is good to a factor of two."""
+MOST_TOLD = 3.0
+"""Further strikes that a person is told would do, at most, in those that were permitted."""
 FLUSH_PROGRESS = 0.0005
 """Largest progress of a strike on a flush nail [m]."""
 
@@ -149,7 +151,7 @@ class NailDriving:
         course.home = done
         if out_of_strikes:
             end = f"after {struck} strikes the head stands {height * 1e3:.1f} mm over the wood"
-            if 0 < forecast.left < np.inf:
+            if 0 < forecast.left < MOST_TOLD * task.max_strikes:
                 more = math.ceil(1.2 * forecast.left)
                 end += (
                     f"; it still moves, and about {more} more strikes would do: raise task.max_strikes "
@@ -314,10 +316,11 @@ class NailDriving:
             load = self._striking.load(report)
             measure = self._measure_after(plan, verdict, home=home, overload=bool(load.excess(self._config.strike)))
             looks = self._look_due(held, held.strikes)
-            above = CLEAR if measure or looks else min(plan.run_up, HIGHEST_TOUCH)
-            self._striking.retract(plan, above, held)
         height = None
         try:
+            with self._motions.stages(Stage.STRIKE):
+                above = CLEAR if measure or looks else min(plan.run_up, HIGHEST_TOUCH)
+                self._striking.retract(plan, above, held)
             if verdict.meeting is Meeting.EARLY:
                 raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not at the point of the strike")
             if measure:
