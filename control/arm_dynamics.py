@@ -37,18 +37,19 @@ class ArmDynamics:
         self._data = self.model.createData()
 
     @classmethod
-    def with_payload(cls, robot: RobotModel, q_hand: Array, payload: Payload) -> Self:
+    def with_payload(cls, robot: RobotModel, q_hand: Array, payload: Payload | None) -> Self:
         """Dynamics of the arm with its hand and, as a point mass, what the payload has besides.
 
         Args:
             robot: Kinematic model of arm and hand.
             q_hand: Joint positions at which the hand is locked, (n,) [rad].
-            payload: What the flange carries, hand and tool together, in the flange's frame.
+            payload: What the flange carries, hand and tool together, in the flange's frame; None for the hand alone.
 
         Returns:
             The dynamics.
         """
         hand = robot.description.hand_payload(q_hand)
+        payload = hand if payload is None else payload
         mass = max(payload.mass - hand.mass, 0.0)
         moment = payload.mass * payload.center_of_mass - hand.mass * hand.center_of_mass
         tool = Payload(mass, moment / mass if mass > 1e-6 else np.zeros(3))
@@ -96,6 +97,10 @@ class ArmDynamics:
         """
         maps = np.stack([pin.jacobianCenterOfMass(self.model, self._data, row) for row in q])
         return np.asarray(self._data.mass[0] * maps)
+
+    def momentum(self, q: Array, qd: Array) -> Array:
+        """Compute the size of the momentum of arm, hand and tool, (N,) [kg m/s], at q and qd, (N, 6) each."""
+        return np.asarray(np.linalg.norm(np.einsum("nij,nj->ni", self.momentum_maps(q), qd), axis=1))
 
     def at_rest(self, q: Array) -> tuple[Array, Array]:
         """Compute the inertia, (6, 6) [kg m^2], and the gravity's torques, (6,) [Nm], at joint positions q, (6,)."""
@@ -183,23 +188,8 @@ def permitted_braking(dynamics: ArmDynamics, trajectory: Trajectory, torque: Arr
     return np.stack(permitted, axis=1)
 
 
-def bound_stop(
-    trajectory: Trajectory, robot: RobotModel, model: ArmModel, q_hand: Array, payload: Payload | None
-) -> Trajectory:
-    """Bound the stops on a motion by TORQUE_SHARE of the joints' torques.
-
-    Args:
-        trajectory: The motion.
-        robot: Kinematic model of arm and hand.
-        model: Model of the arm.
-        q_hand: Joint positions of the hand, wrist first, (n,) [rad].
-        payload: What the flange carries, hand and tool together; None for the hand alone.
-
-    Returns:
-        The motion, with its permitted braking.
-    """
-    carried = robot.description.hand_payload(q_hand) if payload is None else payload
-    dynamics = ArmDynamics.with_payload(robot, q_hand, carried)
+def bound_stop(trajectory: Trajectory, dynamics: ArmDynamics, model: ArmModel) -> Trajectory:
+    """Bound the stops on a motion by TORQUE_SHARE of the joints' torques; its permitted braking is filled in."""
     torque = TORQUE_SHARE * np.array(ARM_DATA[model].torque)
     return replace(trajectory, braking=permitted_braking(dynamics, trajectory, torque))
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Self
 
-from toolee_robot.control.arm_dynamics import bound_stop
+from toolee_robot.control.arm_dynamics import ArmDynamics, bound_stop
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT, CollisionWorld
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, judge_contact
 from toolee_robot.control.limits import Mode
@@ -25,6 +25,7 @@ from toolee_robot.control.supervisor_checks import (
     Watcher,
     check_clear,
     check_limits,
+    check_momentum,
     check_place,
     check_ready,
     check_speed,
@@ -284,7 +285,9 @@ class Supervisor:
     ) -> MotionReport:
         config = self._config.supervisor
         watch = watch or MotionWatch(config.tracking_error, config.data_cycles, config.overruns)
-        trajectory = bound_stop(trajectory, self._robot, self._config.arm.model, world.q_hand, self._payload)
+        dynamics = ArmDynamics.with_payload(self._robot, world.q_hand, self._payload)
+        check_momentum(trajectory, dynamics, config.momentum)
+        trajectory = bound_stop(trajectory, dynamics, self._config.arm.model)
         try:
             with Watcher(self._reason_to_stop, self._arm.stop, UNKNOWN_OCCUPANCY) as person:
                 report = self._arm.execute(trajectory, guard, watch)

@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from toolee_robot.control.arm_dynamics import ArmDynamics
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.limits import Mode, carried_speed, check_trajectory
 from toolee_robot.control.robot_model import RobotModel
@@ -68,6 +69,26 @@ def check_speed(trajectory: Trajectory, world: CollisionWorld, speed: float, mod
             f"hand or tool would move at {np.max(fastest):.2f} m/s at {trajectory.times[np.argmax(fastest)]:.2f} s, "
             f"{speed:.2f} m/s are allowed in {mode} mode: nothing is sent; plan a slower motion",
             code="limit.speed",
+        )
+
+
+def check_momentum(trajectory: Trajectory, dynamics: ArmDynamics, most: float) -> None:
+    """Check the momentum of arm, hand and tool, above which the robot would stop itself.
+
+    Args:
+        trajectory: The trajectory.
+        dynamics: Dynamics of arm, hand and tool.
+        most: Largest permitted momentum [kg m/s].
+
+    Raises:
+        LimitError: It is exceeded; code `limit.momentum`.
+    """
+    largest = float(np.max(dynamics.momentum(trajectory.q, trajectory.qd)))
+    if largest > most:
+        raise LimitError(
+            f"arm, hand and tool would have a momentum of {largest:.1f} kg m/s, supervisor.momentum allows {most:g}: "
+            "nothing is sent; plan a slower motion",
+            code="limit.momentum",
         )
 
 

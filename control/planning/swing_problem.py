@@ -337,8 +337,7 @@ def sampled_within(problem: SwingProblem, world: CollisionWorld, x: Array) -> tu
     """
     trajectory, contact = _sampled(problem.spline, problem.q_contact, x, 1.0)
     fastest = float(np.max(carried_speed(trajectory, world)))
-    momentum = np.einsum("nij,nj->ni", problem.dynamics.momentum_maps(trajectory.q), trajectory.qd)
-    heaviest = float(np.max(np.linalg.norm(momentum, axis=1)))
+    heaviest = float(np.max(problem.dynamics.momentum(trajectory.q, trajectory.qd)))
     torque = float(np.sqrt(np.max(torque_use(problem.dynamics, trajectory, problem.torque))))
     slower = max(torque, fastest / (0.998 * problem.speed), heaviest / problem.momentum)
     if slower <= 1.0:

@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.rigs.people import People
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
-from toolee_robot.control.arm_dynamics import bound_stop
+from toolee_robot.control.arm_dynamics import ArmDynamics, bound_stop
 from toolee_robot.frames import inverse
 from toolee_robot.hal import Hand, HandState, MotionReport, Person, RgbdCamera, Station
 from toolee_robot.robots import SHADOW_HAND
@@ -150,7 +150,7 @@ class Bench:
         """The strike as the supervisor sends it: with stops that keep the joints' torques with the held hammer."""
         grasp, q_hand = self.true_grasp, self.sim.station.hand.state().joints.q
         payload = self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com)
-        return bound_stop(strike, self._robot, CONFIG.arm.model, q_hand, payload)
+        return bound_stop(strike, ArmDynamics.with_payload(self._robot, q_hand, payload), CONFIG.arm.model)
 
     def reset(self) -> None:
         """Restore the saved state, with new devices and people."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from tests.rigs.joints_path import PATIENT
 from tests.rigs.setting import Setting
-from toolee_robot.control.arm_dynamics import bound_stop
+from toolee_robot.control.arm_dynamics import ArmDynamics, bound_stop
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.records import StrikePlan
@@ -55,7 +55,7 @@ def plan_swing(model: ArmModel) -> Swing:
     world = CollisionWorld(robot, config, q_hand, X_hand_ee)
     home = np.asarray(config.scene.home)
     plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail(), tool=swung)
-    strike = bound_stop(plan.strike, robot, model, q_hand, None)
+    strike = bound_stop(plan.strike, ArmDynamics.with_payload(robot, q_hand, None), model)
     return Swing(config, robot, world, q_hand, X_hand_ee, swung, plan, strike)
 
 

@@ -187,8 +187,8 @@ def check_calibration(
     return ok("calibration", message)
 
 
-SLOWER = 0.9
-"""Share of the wanted speed below which a strike is reported as slow."""
+SLOW = 0.5
+"""Speed below which a strike is reported as slow [m/s]: at 0.6 a nail takes some 30 strikes (docs/concepts/swing.md)."""
 
 
 def check_reach(config: StationConfig) -> Iterator[Finding]:
@@ -235,7 +235,7 @@ def _views(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array,
 def _strikes(
     name: str, robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[tuple[Array, Payload]]
 ) -> Finding:
-    X_base_nail, wanted = config.work.X_base_nail(), config.strike.speed
+    X_base_nail = config.work.X_base_nail()
     speeds: list[float] = []
     failures: list[Finding] = []
     for X_hand_ee, tool in grips:
@@ -253,6 +253,6 @@ def _strikes(
     message = f"{len(speeds)} of {len(grips)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
     if failures:
         return warn(name, f"{message}; with another, {failures[0].message}", failures[0].remedy)
-    if min(speeds) < SLOWER * wanted:
-        return warn(name, f"{message}; {wanted} m/s were wanted", "move the nail, or lower strike.speed")
+    if min(speeds) < min(SLOW, config.strike.speed):
+        return warn(name, f"{message}: a nail will take many strikes", "move the nail, or permit arm.acceleration")
     return ok(name, message)

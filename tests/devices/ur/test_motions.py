@@ -20,7 +20,7 @@ from tests.errors import raises
 from tests.sim_backend.kinematics import line
 from tests.stand_in import HOME, PATIENT, SERVO, held, patient, stand_in
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.arm_dynamics import bound_stop
+from toolee_robot.control.arm_dynamics import ArmDynamics, bound_stop
 from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.errors import ProtectiveStopError
@@ -95,7 +95,7 @@ def test_a_stop_within_the_torques_is_no_reason_to_stop_for_the_controller(
     arm: UnsupervisedUrArm, controller: ControllerProcess, plan: StrikePlan, robot: RobotModel
 ) -> None:
     payload = robot.payload(GRASP, HELD, HAMMER.mass, HAMMER.center_of_mass)
-    strike = bound_stop(plan.strike, robot, ArmModel.UR10, GRASP, payload)
+    strike = bound_stop(plan.strike, ArmDynamics.with_payload(robot, GRASP, payload), ArmModel.UR10)
     report = stopped_at_the_contact(arm, strike, plan)
     assert report.outcome is MotionOutcome.STOPPED
     assert report.commands == len(report.stamps)

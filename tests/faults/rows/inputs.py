@@ -17,7 +17,7 @@ from tests.faults.rows.released_stops import travel
 from tests.rigs.driver_rig import Rig
 from tests.rigs.joints_path import PATIENT
 from tests.rigs.panel import TWO_CONTACTS, later
-from toolee_robot.control.arm_dynamics import bound_stop
+from toolee_robot.control.arm_dynamics import ArmDynamics, bound_stop
 from toolee_robot.control.limits import Mode, slowed_to
 from toolee_robot.control.supervisor import Supervisor
 from toolee_robot.devices.person import PERIOD, DigitalInputPerson
@@ -321,7 +321,7 @@ def _slow(rig: Rig) -> Trajectory:
     start = rig.strike.q[0]
     way = good(planned, start, AWAY * (start - rig.strike.q[-1]))
     way = slowed_to(way, planned.world, config.supervisor.handover_speed)
-    return bound_stop(way, planned.robot, config.arm.model, planned.q_hand, None)
+    return bound_stop(way, ArmDynamics.with_payload(planned.robot, planned.q_hand, None), config.arm.model)
 
 
 def _motions(rig: Rig, person: Person) -> Motions:
