@@ -47,6 +47,12 @@ def test_a_subset_of_the_fields_is_enough(tmp_path: Path) -> None:
     assert config.camera == sim_station().camera
 
 
+def test_one_acceleration_is_that_of_every_joint(tmp_path: Path) -> None:
+    assert load_station(_write(tmp_path, "arm: {acceleration: 4.0}")).arm.acceleration == (4.0,) * 6
+    each = load_station(_write(tmp_path, "arm: {acceleration: [5, 5, 10, 15, 15, 15]}")).arm.acceleration
+    assert each == (5.0, 5.0, 10.0, 15.0, 15.0, 15.0)
+
+
 def test_the_servo_is_universal_robots_own_until_the_file_says_otherwise(tmp_path: Path) -> None:
     assert (sim_station().servo.gain, sim_station().servo.lookahead) == (300.0, 0.1)
     servo = load_station(_write(tmp_path, "servo: {gain: 1200, lookahead: 0.03, lag: 0.034}\n")).servo
@@ -90,6 +96,10 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
         ("calibration: {measured_on: '2026-05-20'}", "calibration"),
         ("supervisor: {unattended_speed: 0}", "supervisor.unattended_speed"),
         ("strike: {speed: 1.6}", "supervisor.unattended_speed"),
+        ("strike: {deepest: null}", "strike.deepest"),
+        ("arm: {acceleration: [15, 15, 15]}", "arm.acceleration"),
+        ("arm: {acceleration: true}", "arm.acceleration"),
+        ("arm: {acceleration: 40}", "stop_acceleration is 20 rad/s²"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, expected_text: str) -> None:

@@ -211,6 +211,18 @@ def test_a_lower_limit_of_the_momentum_makes_a_slower_strike(
     assert speed(8.0) < 0.95 * speed(100.0)
 
 
+def test_each_joint_keeps_its_own_acceleration_and_a_gentle_strike_is_planned_too(
+    robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array, q_hand: Array, X_hand_ee: Array
+) -> None:
+    nail, limits = config.work.X_base_nail(), (5.0, 5.0, 8.0, 15.0, 15.0, 12.0)
+    uneven = replace(config, arm=replace(config.arm, acceleration=limits))
+    plan = plan_strike(robot, uneven, world, home, q_hand, X_hand_ee, nail, tool=TOOL)
+    check_plan(robot, uneven, plan, q_hand, X_hand_ee, nail)
+    assert np.all(np.max(np.abs(plan.strike.qdd), axis=0) <= np.array(limits) * 1.001)
+    gentle = plan_strike(robot, config, world, home, q_hand, X_hand_ee, nail, tool=TOOL, speed=0.25)
+    assert gentle.speed == pytest.approx(0.25, rel=0.02)
+
+
 def test_a_wall_in_the_way_and_a_broken_pose_are_refused(
     robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array, q_hand: Array, X_hand_ee: Array
 ) -> None:

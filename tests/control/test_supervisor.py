@@ -61,6 +61,12 @@ def test_it_is_an_arm_and_a_good_motion_passes_unchanged(desk: Desk) -> None:
     )
 
 
+def test_what_the_robot_would_stop_for_its_momentum_is_refused(desk: Desk, robot: RobotModel) -> None:
+    careful = replace(desk.config, supervisor=replace(desk.config.supervisor, momentum=1.0))
+    supervisor = Supervisor(desk.arm, desk.person, robot, careful, lambda: desk.world)
+    refused(desk, LimitError, lambda: supervisor.execute(desk.slow()), "limit.momentum")
+
+
 def test_a_strike_passes_as_planned_once_it_is_permitted(desk: Desk, plan: StrikePlan) -> None:
     desk.ready_to_swing(plan)
     desk.arm.meets = plan.contact_time / plan.strike.duration
