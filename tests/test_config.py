@@ -96,7 +96,6 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
         ("calibration: {measured_on: '2026-05-20'}", "calibration"),
         ("supervisor: {unattended_speed: 0}", "supervisor.unattended_speed"),
         ("strike: {speed: 1.6}", "supervisor.unattended_speed"),
-        ("strike: {deepest: null}", "strike.deepest"),
         ("arm: {acceleration: [15, 15, 15]}", "arm.acceleration"),
         ("arm: {acceleration: true}", "arm.acceleration"),
         ("arm: {acceleration: 40}", "stop_acceleration is 20 rad/s²"),
