@@ -76,8 +76,8 @@ def stop_on_path(
         trajectory: The running trajectory of n joints, with the braking that the torques permit.
         start: Time on the trajectory at which the stop begins [s].
         period: Time between two samples of the stop [s].
-        acceleration: Acceleration limit of every joint [rad/s^2]. On a swing it is kept if it is 4/3 of the swing's own,
-            and else exceeded for some 30 ms.
+        acceleration: Acceleration limit of every joint [rad/s^2]. On a swing it is kept if it is 4/3 of the swing's
+            own, and else exceeded for some 30 ms.
         jerk: Jerk limit of every joint [rad/s^3]; exceeded where the trajectory exceeds it, and by up to 70 % for some
             milliseconds where a swing turns a joint about.
         state: Progress of another stop that this one continues, instead of `start`.

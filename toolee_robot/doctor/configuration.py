@@ -188,7 +188,7 @@ def check_calibration(
 
 
 SLOW = 0.5
-"""Speed below which a strike is reported as slow [m/s]: at 0.6 a nail takes some 30 strikes (docs/concepts/swing.md)."""
+"""Speed below which a strike is reported as slow [m/s]: such a strike has less than half of the default's energy."""
 
 
 def check_reach(config: StationConfig) -> Iterator[Finding]:
