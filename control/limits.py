@@ -63,7 +63,11 @@ def slowed_to(trajectory: Trajectory, world: CollisionWorld, speed: float) -> Tr
     Returns:
         The slowed trajectory on the same path, or the given one if it is slow enough.
     """
-    slower = float(np.max(carried_speed(trajectory, world))) / (0.99 * speed)
+    return slowed_by(trajectory, float(np.max(carried_speed(trajectory, world))) / (0.99 * speed))
+
+
+def slowed_by(trajectory: Trajectory, slower: float) -> Trajectory:
+    """The trajectory in so many times its time, or itself where that is less than 1."""
     if slower <= 1.0:
         return trajectory
     return replace(

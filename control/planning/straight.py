@@ -267,7 +267,7 @@ def _travel(
 ) -> Trajectory:
     """Build a motion along the line from rest to rest, with the limits of transfers or a share of a strike's."""
     arm = config.arm
-    scale, acceleration = arm.transfer_velocity_scale, arm.transfer_acceleration
+    scale, acceleration = arm.transfer_velocity_scale, min(arm.transfer_acceleration, *arm.acceleration)
     if share is not None:
         scale, acceleration = max(scale, share), max(acceleration, share * min(arm.acceleration))
     q = line.q(np.linspace(start, end, 9))

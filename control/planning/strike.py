@@ -303,9 +303,9 @@ class _Swing:
     def _check_clear(self, strike: Trajectory, contact: int) -> None:
         """Raise CollisionError if bodies come too near."""
         need = self._config.strike.clearance
-        self._world.check(strike.q[: contact + 1 : 4], need, "the swing", RUN_UP_EXEMPT)
-        self._world.check(strike.q[contact + 1 :: 4], need, "turning back after the strike", BRAKE_EXEMPT)
-        self._world.check(strike.q[contact + 1 :: 4], 0.0, "turning back beside a nail", BRAKE_EXEMPT - BESIDE_NAILS)
+        self._world.check(strike.q[contact::-2], need, "the swing", RUN_UP_EXEMPT)
+        self._world.check(strike.q[contact + 1 :: 2], need, "turning back after the strike", BRAKE_EXEMPT)
+        self._world.check(strike.q[contact + 1 :: 2], 0.0, "turning back beside a nail", BRAKE_EXEMPT - BESIDE_NAILS)
 
     def plan(self, solved: _Solved, approach: Trajectory, wanted: float, began: float) -> StrikePlan:
         """Describe a swing.
@@ -323,8 +323,8 @@ class _Swing:
         q_contact = strike.q[contact]
         J = self._face.place(q_contact[None])[1][0]
         nearest = (
-            self._world.closest(strike.q[: contact + 1 : 4], FAR, RUN_UP_EXEMPT),
-            self._world.closest(strike.q[contact + 1 :: 4], FAR, BRAKE_EXEMPT),
+            self._world.closest(strike.q[contact::-2], FAR, RUN_UP_EXEMPT),
+            self._world.closest(strike.q[contact + 1 :: 2], FAR, BRAKE_EXEMPT),
         )
         return StrikePlan(
             theta=solved.theta,

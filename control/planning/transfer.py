@@ -62,7 +62,7 @@ def plan_transfer(
     path = _path(robot, config, way, q_start, q_goal, seed)
     limits = config.arm
     velocity = limits.transfer_velocity_scale * np.asarray(limits.velocity)
-    acceleration = np.full(6, limits.transfer_acceleration)
+    acceleration = np.minimum(limits.transfer_acceleration, limits.acceleration)
     jerk = np.minimum(limits.jerk, 10 * acceleration)
     moves = [joint_move(a, b, velocity, acceleration, jerk) for a, b in itertools.pairwise(path)]
     trajectory = concatenate(*moves)

@@ -26,7 +26,7 @@ from toolee_robot.recording.reading import read_history
 pytestmark = pytest.mark.sim(seconds=150)
 
 PLANNED_DEG = 0.1
-"""Tilt of a straight strike with the true pose: 0.01 to 0.05 deg are measured."""
+"""Tilt of a strike with the true pose: 0.01 to 0.05 deg are measured."""
 WITHIN_95 = 2.45
 """95 % of the directions that err about two axes err by less than this many standard deviations of either."""
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -143,7 +143,7 @@ def test_the_corrected_job_is_as_accurate_as_measured(corrected: _Job) -> None:
 
 
 def test_every_strike_tilts_by_no_more_than_the_pose_and_the_drift_in_the_hand_explain(corrected: _Job) -> None:
-    """A straight strike is planned square: what is left is the error of the look before it, and the drift since."""
+    """A strike is planned square: what is left is the error of the look before it, and the drift since."""
     tilts = _tilts(corrected.folder)
     first = [t for t in tilts if t.look == 0]
     later = [t for t in tilts if t.look > 0]

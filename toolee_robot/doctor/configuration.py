@@ -253,6 +253,6 @@ def _strikes(
     message = f"{len(speeds)} of {len(grips)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
     if failures:
         return warn(name, f"{message}; with another, {failures[0].message}", failures[0].remedy)
-    if min(speeds) < min(SLOW, config.strike.speed):
-        return warn(name, f"{message}: a nail will take many strikes", "move the nail, or permit arm.acceleration")
+    if min(speeds) < min(SLOW, 0.9 * config.strike.speed):
+        return warn(name, f"{message}: a nail will take many strikes", "move the nail, or raise arm.acceleration")
     return ok(name, message)

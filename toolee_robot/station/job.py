@@ -102,7 +102,7 @@ class SupervisorConfig:
     """Largest speed of flange and tool in UNATTENDED mode, with nobody in reach: a common safety setting of UR
     arms."""
     momentum: Annotated[float, Unit("kg m/s", 1.0, 150.0, "a UR's least restricted limit is 100")] = 25.0
-    """Largest momentum of arm, hand and tool in a strike: below the limit of the robot's safety configuration, above
+    """Largest momentum of arm, hand and tool: below the limit of the robot's safety configuration, above
     which it stops itself. PolyScope's usual preset has 25."""
     tracking_error: Annotated[float, Radians(0.001, 0.5)] = 0.05
     """Largest deviation of a measured joint from its command; see `MotionWatch`."""

@@ -8,10 +8,11 @@ from contextlib import contextmanager, nullcontext, suppress
 import numpy as np
 from numpy.typing import ArrayLike
 
+from toolee_robot.control.arm_dynamics import ArmDynamics
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.collision_shapes import Body
 from toolee_robot.control.contact import ContactVerdict
-from toolee_robot.control.limits import Mode, slowed_to
+from toolee_robot.control.limits import Mode, slowed_by, slowed_to
 from toolee_robot.control.motion.contact_force import strike_guard
 from toolee_robot.control.motion.touch_force import wrenches_at_rest
 from toolee_robot.control.planning.straight import plan_straight, rise_to_clear
@@ -153,7 +154,7 @@ class Motions:
         *,
         at_work: bool = False,
     ) -> MotionReport:
-        """Execute a trajectory; the arm brakes at once when the hand doubts its grip or reports a fault.
+        """Execute a trajectory, slowed down to the robot's momentum; the arm brakes when the hand doubts its grip.
 
         In HANDOVER mode the person first takes the hold-to-run switch anew.
 
@@ -174,6 +175,9 @@ class Motions:
             DeviceError: The hand reports a fault or does not answer, or the arm was stopped.
             TooleeError: What `Supervisor.execute` raises.
         """
+        dynamics = ArmDynamics.with_payload(self.robot, self.q_hand, self.payload)
+        momentum = float(np.max(dynamics.momentum(trajectory.q, trajectory.qd)))
+        trajectory = slowed_by(trajectory, momentum / (0.99 * self.config.supervisor.momentum))
         with self._watched(name, held) as hand:
             report = self.arm.execute(trajectory, guard, at_work=at_work)
         self._done(name, report, hand)

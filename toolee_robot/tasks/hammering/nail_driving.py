@@ -157,6 +157,8 @@ class NailDriving:
                     f"; it still moves, and about {more} more strikes would do: raise task.max_strikes "
                     f"({task.max_strikes}), or permit faster strikes (arm.acceleration, strike.deepest)"
                 )
+            elif struck < task.max_strikes:
+                end += f", and by the forecast far more than {task.max_strikes} would be needed: permit faster strikes"
             return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if course.flush else end
         # No further strike after one that brought the arm too near to a stop of its own.
         if self.strikes and (excess := self.strikes[-1].load.excess(self._config.strike)):
@@ -296,7 +298,7 @@ class NailDriving:
     ) -> tuple[float | None, HeldTool]:
         """Strike a nail that protrudes by `before` [m], as far as is known.
 
-        The strike is recorded in every case.
+        A strike that was executed is recorded, whatever comes after it.
 
         Args:
             plan: The strike.

@@ -14,6 +14,7 @@ from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.outcome import Strike
+from toolee_robot.tasks.hammering.nail_gauge import CLEAR
 
 RETRACT_SPEED, RETRACT_SHARE = 0.8, 0.5
 """Largest speed of the way up after a strike, with nobody in reach [m/s], and share of a strike's velocities and
@@ -113,13 +114,13 @@ class Striking:
         return motions.swing("strike", plan, held)
 
     def retract(self, plan: StrikePlan, above: float, held: HeldTool) -> None:
-        """Move straight out along the nail's axis from where a strike ended.
+        """Move straight out along the nail's axis from where a strike ended, by CLEAR at least.
 
         The strike may have been stopped above the nail by an obstacle: never down.
 
         Args:
             plan: The strike.
-            above: Height over the nail [m].
+            above: Height over the nail, which is at least reached [m].
             held: What the hand holds.
 
         Raises:
@@ -129,7 +130,7 @@ class Striking:
         X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
         out = self._config.work.nail_axis
         below = float((plan.X_base_ee_contact - X_base_ee)[:3, 3] @ out)
-        up = above + max(below, 0.0)
+        up = max(above + below, CLEAR)
         self._motions.straight("up", out, up, held, speed=RETRACT_SPEED, share=RETRACT_SHARE)
 
     def load(self, report: MotionReport) -> StrikeLoad:
