@@ -39,6 +39,7 @@ from toolee_robot.types import InHandEstimate
 
 HISTORY_PERIOD = 1 / 240  # [s] between recorded poses
 STRIKE_SPEED = 0.15  # [m/s] approach speed above which a contact is a strike, not a touch
+ALONG = 0.7  # share of the face's speed along the nail's axis below which what meets nothing passes by
 REARM_GAP = 0.010  # [m] distance to which the face must retract from the head before the next strike
 MISS_DEPTH = 0.003  # [m] below the head's top at which a face without contact has missed
 FACE_DEPTH = 0.003  # [m] along the face's normal within which a contact lies on the face, its rim or its crown
@@ -62,7 +63,7 @@ class Judge:
         self._strikes: list[StrikeTruth] = []
         self._open = False  # the last of the strikes is still going on
         self._armed = False
-        self._approach_speed = 0.0  # [m/s], and the protrusion [m], before the contact
+        self._approach_speed = self._face_speed = 0.0  # [m/s] along the nail's axis and in all; before the contact
         self._protrusion_before = world.nail.protrusion
 
     def after_step(self) -> None:
@@ -99,7 +100,8 @@ class Judge:
             )
         elif self._armed and (struck_by is not StruckBy.NOTHING or gap < -MISS_DEPTH):
             self._armed = False
-            if self._approach_speed >= STRIKE_SPEED:
+            passes = struck_by is StruckBy.NOTHING and self._approach_speed < ALONG * self._face_speed
+            if self._approach_speed >= STRIKE_SPEED and not passes:
                 self._begin(now, force, struck_by, X_base_ee, X_base_nail)
         else:
             self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
@@ -134,7 +136,9 @@ class Judge:
         self._protrusion_before = world.nail.protrusion
         p_com = pb.getBasePositionAndOrientation(world.tool_body, physicsClientId=world.client)[0]
         v, w = pb.getBaseVelocity(world.tool_body, physicsClientId=world.client)
-        return float((np.array(v) + cross(w, X_base_ee[:3, 3] - np.array(p_com))).dot(X_base_nail[:3, 2]))
+        face = np.array(v) + cross(w, X_base_ee[:3, 3] - np.array(p_com))
+        self._face_speed = float(np.sqrt(face.dot(face)))
+        return float(face.dot(X_base_nail[:3, 2]))
 
     def _contact(self, X_base_ee: Array) -> tuple[float, StruckBy]:
         """Sum of the normal forces [N] of tool on nail in the last step, and what met the nail's head."""

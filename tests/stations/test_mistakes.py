@@ -109,7 +109,7 @@ def _depth_in_millimetres(folder: Path) -> list[str]:
         (_other_print, "Measure the scale bars of the print again"),
         (_swapped_poses, "They fit with x and y swapped"),
         (_swapped_camera, "the board on another robot; or x and y are swapped there"),
-        (_turned_camera, "the station file's `frame` names the other base"),
+        (_turned_camera, "differ by half a turn about the base's z"),
         (_depth_in_millimetres, "so depth_unit is wrong"),
     ],
 )

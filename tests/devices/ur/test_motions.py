@@ -35,7 +35,8 @@ pytestmark = pytest.mark.realtime
 
 HOST = "127.0.0.95"
 FACTOR = 0.5
-CONFIG = sim_station()
+CONFIG = replace(sim_station(), strike=replace(sim_station().strike, deepest=0.1))
+"""The fastest strikes ask for the most torque."""
 HAMMER = Payload(1.5, np.array([0.06, 0.0, -0.05]))
 
 

@@ -104,14 +104,14 @@ def out_of_workspace(swing: Swing, q: Array) -> Trajectory:
 def into_the_table(swing: Swing, q: Array) -> Trajectory:
     """Make a motion of the shoulder, backwards, that ends with the upper arm in the table."""
     change = np.zeros(6)
-    change[1] = -2.2
+    change[1] = -1.9 * np.sign(q[2])
     return good(swing, q, change)
 
 
 def into_itself(swing: Swing, q: Array) -> Trajectory:
-    """Make a motion of wrist 1 that bends the hand into the forearm, within the workspace."""
+    """Make a motion of wrist 2 that bends the hand into the forearm, within the workspace."""
     change = np.zeros(6)
-    change[3] = 2.2
+    change[4] = 2.0 * np.sign(q[4])
     return good(swing, q, change)
 
 
