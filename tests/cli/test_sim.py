@@ -135,7 +135,7 @@ def test_the_whole_job_ends_with_the_nail_flush(corrected: _Job) -> None:
 
 
 def test_the_corrected_job_is_as_accurate_as_measured(corrected: _Job) -> None:
-    """Twice the 0.81 mm and 0.22 deg of `toolee sim hammer --seed 101 --errors exact`; strikes add little to the pose."""
+    """Twice the 0.81 mm and 0.22° that `toolee sim hammer --seed 101 --errors exact` gave; strikes add little."""
     record = corrected.record
     assert 0.0 < record["pose_error_mm"] <= 1.62
     assert 0.0 < record["pose_error_deg"] <= 0.44
