@@ -99,7 +99,15 @@ class ArmDynamics:
         return np.asarray(self._data.mass[0] * maps)
 
     def momentum(self, q: Array, qd: Array) -> Array:
-        """Compute the size of the momentum of arm, hand and tool, (N,) [kg m/s], at q and qd, (N, 6) each."""
+        """Compute the size of the momentum of arm, hand and tool.
+
+        Args:
+            q: Joint positions, (N, 6) [rad].
+            qd: Joint velocities, (N, 6) [rad/s].
+
+        Returns:
+            The momentum, (N,) [kg m/s].
+        """
         return np.asarray(np.linalg.norm(np.einsum("nij,nj->ni", self.momentum_maps(q), qd), axis=1))
 
     def at_rest(self, q: Array) -> tuple[Array, Array]:
@@ -189,7 +197,16 @@ def permitted_braking(dynamics: ArmDynamics, trajectory: Trajectory, torque: Arr
 
 
 def bound_stop(trajectory: Trajectory, dynamics: ArmDynamics, model: ArmModel) -> Trajectory:
-    """Bound the stops on a motion by TORQUE_SHARE of the joints' torques; its permitted braking is filled in."""
+    """Bound the stops on a motion by TORQUE_SHARE of the joints' torques.
+
+    Args:
+        trajectory: The motion.
+        dynamics: Dynamics of arm, hand and tool.
+        model: Model of the arm.
+
+    Returns:
+        The motion, with its permitted braking.
+    """
     torque = TORQUE_SHARE * np.array(ARM_DATA[model].torque)
     return replace(trajectory, braking=permitted_braking(dynamics, trajectory, torque))
 

@@ -67,7 +67,15 @@ def slowed_to(trajectory: Trajectory, world: CollisionWorld, speed: float) -> Tr
 
 
 def slowed_by(trajectory: Trajectory, slower: float) -> Trajectory:
-    """The trajectory in so many times its time, or itself where that is less than 1."""
+    """Stretch a trajectory in time.
+
+    Args:
+        trajectory: The trajectory.
+        slower: In how many times its time it is to be run.
+
+    Returns:
+        The slowed trajectory on the same path, or the given one where `slower` is 1 or less.
+    """
     if slower <= 1.0:
         return trajectory
     return replace(
