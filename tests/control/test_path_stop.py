@@ -30,7 +30,7 @@ PERIODS = (1 / 125, 1 / 500)
 OWN = 1 / 3
 """Times the step of a trajectory's samples and its own jerk: what cubic interpolation between them adds to the
 acceleration, where the jerk switches between two samples. The stop keeps the limits by itself."""
-TURNING = 1.75
+TURNING = 1.3
 """Share of the jerk limit that a stop on a swing may take for a cycle or two, where joints turn about."""
 FINE = 1e-4
 """[s] Step of samples between which interpolation adds next to nothing."""
@@ -290,6 +290,8 @@ def test_the_permitted_braking_takes_the_torque_and_no_more(
     still, planned = permitted_braking(loaded, strike, torque).T
     i = 1 + round(row * (len(strike.times) - 3))
     q, qd, qdd = strike.q[i], strike.qd[i], strike.qdd[i]
+    # The swing is planned for a lighter tool: with a heavy one it may itself take more than the torques.
+    assume(np.all(np.abs(loaded.torques(q[None], qd[None], qdd[None])) <= torque))
     e = qd / np.linalg.norm(qd)
     P = qdd - (e @ qdd) * e
 
