@@ -14,7 +14,7 @@ from toolee_robot.app.variant import Variant
 from toolee_robot.errors import TooleeError
 from toolee_robot.trials import TrialPlan, run_trials, write_report
 from toolee_robot.trials.plan import InRehearsal, InSimulation
-from toolee_robot.trials.statistics import of_arm, share
+from toolee_robot.trials.results import of_arm, share
 
 
 def main(first_seed: int = 100, trials: int = 20, jobs: int = 1, baseline: bool = True, exact: bool = False,

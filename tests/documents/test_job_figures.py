@@ -14,8 +14,7 @@ import pytest
 from tests.documents.blocks import ROOT
 from toolee_robot.app.variant import Variant
 from toolee_robot.trials import Record, TrialPlan, load_plan
-from toolee_robot.trials.results import read_results_file
-from toolee_robot.trials.statistics import compare, of_arm, share
+from toolee_robot.trials.results import compare, of_arm, read_results_file, share
 
 pytestmark = pytest.mark.sim(seconds=10)
 

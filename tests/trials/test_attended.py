@@ -19,8 +19,7 @@ from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.station import ToolData, load_lab_station
 from toolee_robot.trials import Record, Trial, TrialPlan, lead_trials, load_plan, run_trials, write_report
 from toolee_robot.trials.plan import InRehearsal, InSimulation, NailSizes, OnRobot
-from toolee_robot.trials.results import Event, Happened, read_results
-from toolee_robot.trials.statistics import by_size, compare, median, share
+from toolee_robot.trials.results import Event, Happened, compare, median, read_results, share
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 PEEN = ToolData("ball peen", 0.014, (0.05, 0.0, 0.27), (1.0, 0.0, 0.0), 0.6, (0.0, 0.0, 0.16))
@@ -345,13 +344,6 @@ def test_pairs_are_compared_by_the_exact_test() -> None:
 
 def test_only_seeds_that_both_have_are_pairs() -> None:
     assert compare(records("x.x"), records("xxxxxx")).pairs == 3
-
-
-def test_trials_are_sorted_by_the_size_of_an_error() -> None:
-    bins = by_size(records("xxxxxx..x..."), "camera_mm")
-    assert [(b.low, b.high, b.share.hits) for b in bins] == [(0, 2, 3), (3, 5, 3), (6, 8, 1), (9, 11, 0)]
-    assert by_size(records("xx"), "camera_mm") == []
-    assert by_size(records("xxxxxxxx"), "nail_mm") == []
 
 
 def test_a_median_leaves_out_what_is_not_known() -> None:

@@ -19,8 +19,21 @@ from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.html_page import Page
 from toolee_robot.tasks.common.outcome import Stage, cause
 from toolee_robot.trials.plan import TrialPlan
-from toolee_robot.trials.results import TABLE, Event, Happened, Record, read_results, read_results_file, write_table
-from toolee_robot.trials.statistics import Share, by_conditions, compare, curves, median, of_arm, share
+from toolee_robot.trials.results import (
+    TABLE,
+    Event,
+    Happened,
+    Record,
+    Share,
+    by_conditions,
+    compare,
+    median,
+    of_arm,
+    read_results,
+    read_results_file,
+    share,
+    write_table,
+)
 from toolee_robot.trials.tasks import out_of
 
 REPORT, FIGURES = "report.html", "report.json"
@@ -62,7 +75,7 @@ def write_report(plan: TrialPlan, folder: Path, results: Path | None = None) -> 
     made = _figures(plan, records, events, first)
     write_atomic(folder / FIGURES, (json.dumps(made, indent=1) + "\n").encode())
     runs = RunLinks(folder, folder if results is None else results.parent)
-    write_atomic(folder / REPORT, _page(plan, made, records, first, runs).encode())
+    write_atomic(folder / REPORT, _page(plan, made, records, runs).encode())
     write_table(records, plan.hash, folder / TABLE)
     return folder / REPORT
 
@@ -99,9 +112,7 @@ def _figures(
     }
 
 
-def _page(
-    plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], first: Sequence[Record], runs: RunLinks
-) -> str:
+def _page(plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], runs: RunLinks) -> str:
     page = Page(plan.name, f"plan {plan.hash[:12]} · {made['finished']} of {made['of']} trials finished")
     page.section("Result")
     pair = "repetition" if plan.led else "seed"
@@ -146,16 +157,6 @@ def _page(
         page.paragraph("None.")
     if plan.led:
         attended_section(page, made["attended"])
-    else:
-        page.section("Success against the size of each error")
-        if (drawn := curves(first)) is None:
-            page.paragraph("No error was drawn, or there are too few trials for bins.")
-        else:
-            caption = (
-                f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush in four bins of as many trials "
-                "each, by the size of one error while the others vary, with 95 % intervals."
-            )
-            page.picture(drawn, caption)
     page.section("Every trial")
     head = ["arm", pair, CONDITIONS, "tool", "outcome", "strikes", "robot's time, s", "tries"]
     _listed(page, head, [_row(record, runs) for record in records], 5)

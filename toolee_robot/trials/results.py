@@ -1,7 +1,8 @@
 """The results of a plan's trials on the disk: `trials.jsonl`, whose first line is the plan, then one line a result.
 
 Trials that a person is led through have lines for what else happened, too: skipped, void, interrupted. The trials are
-also written as one table, for pandas, Polars, DuckDB, R and their like.
+also written as one table, for pandas, Polars, DuckDB, R and their like. Shares with intervals and paired comparisons
+are computed from them.
 """
 
 from __future__ import annotations
@@ -12,12 +13,15 @@ import os
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
+
+import numpy as np
+from scipy.stats import binomtest
 
 import toolee_robot
 from toolee_robot.app.variant import Variant
@@ -289,3 +293,101 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield from _flat(value, f"{prefix}{name}.")
         else:
             yield prefix + name, value
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share with its 95 % interval.
+
+    Attributes:
+        hits: Number of successes.
+        of: Number of trials.
+        low: Lower bound (Wilson 1927).
+        high: Upper bound.
+    """
+
+    hits: int
+    of: int
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.hits} of {self.of} ({self.low:.2f} to {self.high:.2f})"
+
+
+def share(successes: Sequence[bool]) -> Share:
+    """Compute a share.
+
+    Args:
+        successes: Whether each trial succeeded; at least one.
+
+    Returns:
+        The share.
+    """
+    hits, of = int(sum(successes)), len(successes)
+    interval = binomtest(hits, of).proportion_ci(method="wilson")
+    return Share(hits, of, float(interval.low), float(interval.high))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An arm compared with another one on the same seeds.
+
+    Attributes:
+        pairs: Number of seeds that both have.
+        better: Number of seeds where only the arm succeeded.
+        worse: Number of seeds where only the other one did.
+        p: Probability of a difference at least as large if there is none (exact test of McNemar 1947).
+    """
+
+    pairs: int
+    better: int
+    worse: int
+    p: float
+
+
+def compare(arm: Sequence[Record], other: Sequence[Record]) -> Comparison:
+    """Compare two arms, pair by pair.
+
+    Args:
+        arm: Results of an arm.
+        other: Results of the arm that it is compared with.
+
+    Returns:
+        The comparison.
+    """
+    reference = {replace(record.trial, arm=Variant.FULL): record.success for record in other}
+    mine = [(r.success, replace(r.trial, arm=Variant.FULL)) for r in arm]
+    pairs = [(success, reference[trial]) for success, trial in mine if trial in reference]
+    better = sum(a and not b for a, b in pairs)
+    worse = sum(b and not a for a, b in pairs)
+    p = 1.0 if better + worse == 0 else float(binomtest(better, better + worse, 0.5).pvalue)
+    return Comparison(len(pairs), better, worse, p)
+
+
+def median(records: Sequence[Record], figure: str) -> float | None:
+    """Median of a figure over the results that have it; None if none has."""
+    known = [value for record in records if (value := record.figures.get(figure)) is not None]
+    return float(np.median(known)) if known else None
+
+
+def of_arm(records: Sequence[Record], arm: Variant) -> list[Record]:
+    """The results of an arm.
+
+    Args:
+        records: All results.
+        arm: The arm.
+
+    Returns:
+        Its results, in their order.
+    """
+    return [record for record in records if record.trial.arm is arm]
+
+
+def by_conditions(records: Sequence[Record]) -> dict[str, list[Record]]:
+    """Results by the names of tool, nail, wood and sensor in words; nothing where the plan lists none."""
+    sorted_: dict[str, list[Record]] = {}
+    for record in records:
+        if words := record.trial.conditions:
+            sorted_.setdefault(words, []).append(record)
+    return sorted_
