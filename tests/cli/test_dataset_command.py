@@ -45,15 +45,9 @@ def test_it_is_sound_until_a_file_is_changed(made: Path, capsys: pytest.CaptureF
 
 def test_it_can_be_looked_at(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "pictures"
-    assert run(["dataset", "inspect", str(made), "--out", str(out), "--count", "3", "--pairs", "2", "--json"]) == 0
-    line = json.loads(capsys.readouterr().out)
-    for views in line["shape_distances"].values():
-        for measure in ("chamfer", "hausdorff", "earth_mover"):
-            assert views["ee"][measure]["mean_mm"] > 0
-            assert views["ee"][measure]["variance_mm2"] >= 0
-    assert sorted(p.name for p in out.iterdir()) == [
-        "inspection.json", "montage_test.png", "montage_train.png", "shapes.png",
-    ]  # fmt: skip
+    assert run(["dataset", "inspect", str(made), "--out", str(out), "--count", "3", "--json"]) == 0
+    assert sorted(json.loads(capsys.readouterr().out)["pictures"]) == sorted(p.name for p in out.iterdir())
+    assert sorted(p.name for p in out.iterdir()) == ["montage_test.png", "montage_train.png"]
     for path in out.glob("*.png"):
         assert np.asarray(Image.open(path).convert("L")).std() > 10, f"{path.name} shows something"
 

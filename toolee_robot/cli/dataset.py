@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.markup import escape
-from rich.table import Table
 
 from toolee_robot.cli.output import Flag, JsonOption, progress_bars
 from toolee_robot.depth_noise import SensorKind
@@ -146,49 +145,37 @@ class Generate(JsonOption):
 
 @dataclass(frozen=True)
 class Inspect(JsonOption):
-    """Draw a montage, and how alike the tools are.
-
-    The measure is that of the paper's Fig. 3.
+    """Draw a montage of a data set with its labels.
 
     Example: toolee dataset inspect data/hard --out pictures
-
-    Fig. 3 compares instances of a category as whole objects and at their end effectors only, by Chamfer, Hausdorff
-    and Earth-Mover's distance.
     """
 
     folder: _Folder
     """A data set made by `toolee dataset generate`."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: DIR-inspection)")] = None
-    """Where montage_train.png, montage_test.png, shapes.png and inspection.json go."""
+    """Where montage_train.png and montage_test.png go."""
     count: Annotated[int, tyro.conf.arg(metavar="N")] = 12
     """Images of each split in the montage."""
-    pairs: Annotated[int, tyro.conf.arg(metavar="N")] = 100
-    """Pairs of instances a category in Fig. 3."""
 
     def run(self) -> int:
-        if self.count < 1 or self.pairs < 1:
-            raise UserError("--count and --pairs must be 1 or more")
+        if self.count < 1:
+            raise UserError("--count must be 1 or more")
         from toolee_robot.perception.offline.dataset.figures import inspect
 
         out = self.folder.with_name(f"{self.folder.resolve().name}-inspection") if self.out is None else self.out
         console = self.console
         with console.status("drawing"):
-            record = inspect(self.folder, out, self.count, self.pairs)
-        found = record["shape_distances"]
-        if found:
-            console.print(_shape_table(found))
-        else:
-            console.print("shapes.png is left out: no category has two instances to compare")
+            pictures = inspect(self.folder, out, self.count)
         console.print(f"pictures in {escape(str(out))}", soft_wrap=True)
-        self.tell({"out": str(out), **record})
+        self.tell({"out": str(out), "pictures": [picture.name for picture in pictures]})
         return 0
 
 
 @dataclass(frozen=True)
 class Validate(JsonOption):
-    """Check every file of a data set.
+    """Compare every file of a data set with its checksum.
 
-    It finds files that are broken, missing, changed or contradictory.
+    It finds files that are broken, missing, changed or not part of the data set.
 
     Example: toolee dataset validate data/hard
 
@@ -197,17 +184,13 @@ class Validate(JsonOption):
 
     folder: _Folder
     """A data set made by `toolee dataset generate`."""
-    workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
-    """Processes."""
 
     def run(self) -> int:
         from toolee_robot.perception.offline.dataset.validate import validate
 
-        if self.workers < 1:
-            raise UserError(f"--workers {self.workers}: give 1 or more", code="user.workers")
         console = self.console
         with progress_bars(console) as report:
-            faults = validate(self.folder, self.workers, partial(report, "checking"))
+            faults = validate(self.folder, partial(report, "checking"))
         for fault in faults:
             console.print(f"[red]{escape(fault.file)}[/red]: {escape(fault.problem)}", soft_wrap=True)
         verdict = f"[bold red]{len(faults)} faults[/bold red]" if faults else "[green]sound[/green]"
@@ -223,16 +206,3 @@ COMMANDS = {
         "validate": Validate,
     }
 }
-
-
-def _shape_table(found: dict[str, Any]) -> Table:
-    """Mean (variance) of each measure, object-centric against EE-centric."""
-    table = Table(title=escape("distance between instances of a category: mean [mm] (variance [mm²])"))
-    for name in ("category", "", "Chamfer", "Hausdorff", "Earth-Mover's"):
-        of_measure = name not in ("category", "")
-        table.add_column(name, justify="right" if of_measure else "left", no_wrap=not of_measure)
-    for category, views in found.items():
-        for view, name in (("object", "whole object"), ("ee", "end effector")):
-            cells = [f"{m['mean_mm']:.1f} ({m['variance_mm2']:.1f})" for m in views[view].values()]
-            table.add_row(category if view == "object" else "", name, *cells)
-    return table

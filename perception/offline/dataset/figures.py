@@ -1,35 +1,20 @@
-"""Pictures of a data set: a montage with its labels, and the shape distances of the paper's Fig. 3.
-
-Fig. 3: do tools of a category resemble each other more at their end effectors than as whole objects? Pairs of
-instances are compared in the objects' own frames: whole tools in the tool's, end effectors in the EE's.
-"""
+"""Pictures of a data set: a montage with its labels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
 
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
-from toolee_robot.frames import Array
-from toolee_robot.perception.offline.dataset.index_files import CARD, is_finished
-from toolee_robot.perception.offline.dataset.instances import MODELS, model_path, read_ply, tool_path
-from toolee_robot.perception.offline.dataset.records import EeTable, FloatArray, read_json
+from toolee_robot.perception.offline.dataset.index_files import is_finished
+from toolee_robot.perception.offline.dataset.records import EeTable, FloatArray
 from toolee_robot.perception.offline.dataset.scenes import load_scenes, scene_folders
 from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
-from toolee_robot.runtime.files import json_line, write_atomic
 from toolee_robot.types import CameraIntrinsics
 
 _AXIS = 0.04
@@ -141,169 +126,28 @@ def montage(split: Path, count: int, columns: int = 4) -> Image.Image:
     return picture.resize((picture.width * 3 // 5, picture.height * 3 // 5), Image.Resampling.LANCZOS)
 
 
-POINTS = 512
-PAIRS = 100
-MEASURES = ("chamfer", "hausdorff", "earth_mover")
-VIEWS = ("object", "ee")
-
-
-def inspect(root: Path, out: Path, count: int, pairs: int) -> dict[str, Any]:
-    """Draw a data set into a folder: montage_train.png, montage_test.png, shapes.png, inspection.json.
+def inspect(root: Path, out: Path, count: int) -> list[Path]:
+    """Draw a data set into a folder: montage_train.png and montage_test.png.
 
     Args:
         root: Folder of the data set.
         out: Folder of the pictures.
         count: Images of each split in the montage.
-        pairs: Pairs of instances per category in Fig. 3.
 
     Returns:
-        Content of inspection.json: specification, counts by split and category, shape distances.
+        The pictures.
 
     Raises:
         UserError: There is no data set, or it is not finished.
         AssetError: A file is missing or damaged.
     """
-    spec = DatasetSpec.read(root)
+    DatasetSpec.read(root)
     if not is_finished(root):
         raise UserError(f"{root} is not finished: run its `toolee dataset generate` again")
     out.mkdir(parents=True, exist_ok=True)
+    pictures = []
     for split in SPLITS:
         if scene_folders(root / split):
-            montage(root / split, count).save(out / f"montage_{split}.png")
-    found = shape_distances(root, pairs)
-    if found.values:
-        shape_figure(found).savefig(out / "shapes.png", dpi=110)
-    splits = _summary(read_json(root / CARD))
-    record = {"spec": spec.to_json(), "splits": splits, "shape_distances": found.to_json()}
-    write_atomic(out / "inspection.json", (json_line(record) + "\n").encode())
-    return record
-
-
-def _summary(card: dict[str, Any]) -> dict[str, Any]:
-    return {
-        split: {
-            "examples": part["examples"],
-            "categories": {
-                c: {"targets": about["targets"], "instances": len(about["instances"])}
-                for c, about in part["categories"].items()
-            },
-        }
-        for split, part in card["splits"].items()
-    }
-
-
-@dataclass(frozen=True)
-class ShapeDistances:
-    """Distances between the instances of each category.
-
-    Attributes:
-        values: values[category][view][measure]: the distances of P pairs, (P,) [mm]; the views are "object" and "ee".
-    """
-
-    values: dict[str, dict[str, dict[str, Array]]]
-
-    def to_json(self) -> dict[str, object]:
-        """Mean, variance and number of pairs."""
-        return {
-            category: {
-                view: {
-                    m: {"mean_mm": float(v.mean()), "variance_mm2": float(v.var()), "pairs": len(v)}
-                    for m, v in by.items()
-                }
-                for view, by in views.items()
-            }
-            for category, views in self.values.items()
-        }
-
-
-def distances(a: Array, b: Array) -> tuple[float, float, float]:
-    """Distances between two clouds of equal size.
-
-    Args:
-        a: A cloud, (N, 3).
-        b: The other cloud, (N, 3).
-
-    Returns:
-        Chamfer distance (mean of both directions' mean nearest distances), Hausdorff distance and Earth mover's
-        distance (mean over the best one-to-one matching), in the unit of the clouds.
-    """
-    d = cdist(a, b)
-    ab, ba = d.min(axis=1), d.min(axis=0)
-    rows, columns = linear_sum_assignment(d)
-    return float((ab.mean() + ba.mean()) / 2), float(max(ab.max(), ba.max())), float(d[rows, columns].mean())
-
-
-def shape_distances(root: Path, pairs: int = PAIRS, seed: int = 0) -> ShapeDistances:
-    """Compare random pairs of a category's instances in a data set.
-
-    Args:
-        root: Folder of the data set.
-        pairs: Largest number of pairs per category.
-        seed: Seed of the choice.
-
-    Returns:
-        The distances; without the categories of which the data set shows fewer than two instances.
-
-    Raises:
-        AssetError: A file is missing or damaged.
-    """
-    info = read_json(root / MODELS / "models_info.json")
-    values: dict[str, dict[str, dict[str, Array]]] = {}
-    for category in map(str, CATEGORIES):
-        objects: dict[str, int] = {}
-        for obj_id, entry in info.items():
-            if entry["category"] == category:
-                objects.setdefault(entry["instance"], int(obj_id))
-        names = sorted(objects)
-        possible = list(combinations(range(len(names)), 2))
-        if not possible:
-            continue
-        rng = np.random.default_rng(seed)
-        chosen = rng.permutation(len(possible))[:pairs]
-        clouds = {
-            "object": [_sampled(tool_path(root, name)) for name in names],
-            "ee": [_sampled(model_path(root, objects[name])) for name in names],
-        }
-        values[category] = {}
-        for view in VIEWS:
-            rows = np.array([distances(clouds[view][possible[k][0]], clouds[view][possible[k][1]]) for k in chosen])
-            values[category][view] = {m: rows[:, i] for i, m in enumerate(MEASURES)}
-    return ShapeDistances(values)
-
-
-def _sampled(path: Path) -> Array:
-    """(512, 3) points [mm], uniform on a mesh."""
-    vertices, faces = read_ply(path)
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    return np.asarray(trimesh.sample.sample_surface(mesh, POINTS, seed=1)[0], np.float64)
-
-
-_TITLES = {"chamfer": "Chamfer", "hausdorff": "Hausdorff", "earth_mover": "Earth-Mover's"}
-
-
-def shape_figure(shapes: ShapeDistances) -> Figure:
-    """Fig. 3: distances within each category, object-centric against EE-centric: boxes, means as diamonds."""
-    figure = Figure(figsize=(13, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, len(MEASURES))
-    names = list(shapes.values)
-    for ax, measure in zip(axes, MEASURES, strict=True):
-        for view, offset, color in zip(VIEWS, (-0.2, 0.2), ("0.65", "tab:green"), strict=True):
-            boxes = ax.boxplot(
-                [shapes.values[n][view][measure] for n in names],
-                positions=np.arange(len(names)) + offset,
-                widths=0.34,
-                patch_artist=True,
-                showmeans=True,
-                flierprops={"markersize": 2},
-                medianprops={"color": "black"},
-                meanprops={"marker": "D", "markerfacecolor": "white", "markeredgecolor": "black", "markersize": 4},
-            )
-            for box in boxes["boxes"]:
-                box.set_facecolor(color)
-        ax.set_xticks(np.arange(len(names)), [n.replace("_", "\n") for n in names])
-        ax.set_title(f"{_TITLES[measure]} distance [mm]", fontsize=10)
-        ax.set_ylim(bottom=0)
-    patches = [Patch(facecolor=color, edgecolor="black") for color in ("0.65", "tab:green")]
-    axes[0].legend(patches, ["object-centric", "EE-centric"], frameon=False)
-    return figure
+            pictures.append(out / f"montage_{split}.png")
+            montage(root / split, count).save(pictures[-1])
+    return pictures
