@@ -63,6 +63,7 @@ def test_an_image_without_the_board_is_refused(lab: SimulatedNailBoard, images: 
         see_nail(lab.camera, lab.board, lab.on_wood, np.zeros_like(images[0]))
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=30)
 def test_a_board_that_does_not_lie_on_the_wood_is_refused(lab: SimulatedNailBoard) -> None:
     leaning = place_board(CONFIG, SHEET.board, 0.001, 0.3, np.array([-0.14, 0.0]))

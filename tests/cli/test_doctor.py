@@ -112,7 +112,7 @@ def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
 
 
 @pytest.mark.sim(seconds=40)
-@pytest.mark.parametrize(("turned", "level"), [(False, "ok"), (True, "fail")])
+@pytest.mark.parametrize(("turned", "level"), [pytest.param(False, "ok", marks=pytest.mark.nightly), (True, "fail")])
 def test_a_point_that_was_read_in_the_other_frame_is_found(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str], turned: bool, level: str
 ) -> None:
@@ -138,11 +138,12 @@ def terminal(monkeypatch: pytest.MonkeyPatch, keyboard: int) -> int:
     return keyboard
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 @pytest.mark.parametrize(
     ("turned", "code", "expected_text"),
     [
-        pytest.param(False, 0, "0.0 mm from what the robot reports", marks=pytest.mark.nightly),
+        (False, 0, "0.0 mm from what the robot reports"),
         (True, 1, "half a turn"),
     ],
 )
@@ -178,14 +179,15 @@ def test_who_skips_the_question_has_the_yellow_line(
     assert "the frames were not compared with the pendant" in said
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 @pytest.mark.usefixtures("robot", "terminal")
 @pytest.mark.parametrize(
     "args",
     [
-        pytest.param(["--json"], marks=pytest.mark.nightly),
+        ["--json"],
         ["--jogged-point", "1", "2", "3"],
-        pytest.param(["--robot-host", "127.0.0.51"], marks=pytest.mark.nightly),
+        ["--robot-host", "127.0.0.51"],
     ],
     ids=lambda args: args[0],
 )
@@ -196,6 +198,7 @@ def test_nobody_is_asked_without_need(lab: str, capsys: pytest.CaptureFixture[st
     assert "in millimetres?" not in captured.out + captured.err
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 @pytest.mark.usefixtures("robot")
 def test_nobody_is_asked_where_the_question_is_not_seen_or_there_is_no_keyboard(
@@ -244,6 +247,7 @@ def test_a_base_that_does_not_stand_as_the_file_says_is_felt(
     assert "correct arm.up" in found["remedy"]
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 def test_a_tilted_base_is_looked_at_without_what_needs_an_upright_one(
     robot: ControllerProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -282,14 +286,15 @@ def _obey(robot: ControllerProcess, prompt: str) -> None:
         robot.fault("digital_input", index=2, high="press" in prompt)
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 @pytest.mark.parametrize(
     ("model", "stuck", "door", "switch"),
     [
-        pytest.param(ArmModel.UR10, None, "every change was seen", "every change was seen"),
-        pytest.param(ArmModel.UR10E, None, "every change was seen", "every change was seen", marks=pytest.mark.nightly),
-        pytest.param(ArmModel.UR10, 0, "both contacts of the door are high", "was seen", marks=pytest.mark.nightly),
-        pytest.param(ArmModel.UR10E, 2, "was seen", "stays low: unplugged", marks=pytest.mark.nightly),
+        (ArmModel.UR10, None, "every change was seen", "every change was seen"),
+        (ArmModel.UR10E, None, "every change was seen", "every change was seen"),
+        (ArmModel.UR10, 0, "both contacts of the door are high", "was seen"),
+        (ArmModel.UR10E, 2, "was seen", "stays low: unplugged"),
     ],
 )
 def test_door_and_switch_are_seen_changing_and_nothing_moves(

@@ -11,14 +11,13 @@ import pytest
 import torch
 
 from tests.errors import raises
+from tests.perception.data_sets import frames
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.cli.app import run
 from toolee_robot.errors import UserError
 from toolee_robot.perception.detection.refiner import MaskRefinement
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH, EeTable, Example
 from toolee_robot.perception.offline.dataset.scenes import write_scene
-from toolee_robot.perception.offline.dataset.spec import DatasetSpec
-from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.offline.training.options import remember
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.types import CameraIntrinsics
@@ -68,12 +67,10 @@ def test_segmentation_resumes_and_keeps_its_configuration(
 
 @pytest.mark.nightly
 def test_refinement_resumes_beside_the_detector_and_keeps_its_configuration(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The shipped detector's finds in a few rendered frames, the refiner trained into that detector's folder."""
-    data, out, options = tmp_path / "train", tmp_path / "out", tmp_path / "options.yaml"
-    data.mkdir()
-    write_scene(data / "000000", examples_of(DatasetSpec("hard", 8, 5, 0.0), "train", 0, 3))
+    data, out, options = frames(tmp_path_factory, "train") / "train", tmp_path / "out", tmp_path / "options.yaml"
     out.mkdir()
     for path in WEIGHTS_DIR.glob("segmentation*"):
         shutil.copy(path, out)
@@ -146,15 +143,15 @@ def test_data_that_are_not_there_are_asked_for(
     assert not (tmp_path / "out").exists()
 
 
-def test_what_is_trusted_is_fitted_on_a_data_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_trusted_is_fitted_on_a_data_set(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The shipped networks on a few rendered frames: too few to fit on, which is said, and what is there stays."""
-    (tmp_path / "data" / "test").mkdir(parents=True)
-    scene = tmp_path / "data" / "test" / "000000"
-    write_scene(scene, examples_of(DatasetSpec("hard", 8, 5, 0.5), "test", 0, 2))
+    data = frames(tmp_path_factory, "test")
     weights = tmp_path / "weights"
     shutil.copytree(WEIGHTS_DIR, weights)
     before = (weights / "trust.json").read_bytes()
-    command = ["train", "trust", "--data", str(tmp_path / "data"), "--weights", str(weights), "--frames", "1"]
+    command = ["train", "trust", "--data", str(data), "--weights", str(weights), "--frames", "1"]
     assert run(command) == 2
     assert "take more images" in capsys.readouterr().err
     assert (weights / "trust.json").read_bytes() == before

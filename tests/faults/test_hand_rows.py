@@ -16,7 +16,6 @@ pytestmark = pytest.mark.realtime
 
 _QUICK = {
     ("finger stalled", Phase.REST, "Inspire RH56"),
-    ("hand silent", Phase.SWING, "Ability Hand"),
     ("writes not acknowledged", Phase.REST, "Inspire RH56"),
 }
 """What is measured in every run: nightly all of them."""

@@ -113,6 +113,7 @@ def test_without_the_check_of_the_calibration(bench: Bench, monkeypatch: pytest.
     _not_handled(calibration_row(bench, *CALIBRATIONS[0]), "it went on")
 
 
+@pytest.mark.nightly
 def test_without_the_check_of_the_hand(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Motions, "check_hand", lambda _: None)
     _not_handled(job_row(_fault("hand too hot", Phase.REST), bench), "1 strikes were swung, 0 may be")

@@ -10,14 +10,13 @@ import pytest
 import torch
 
 from tests.errors import raises
+from tests.perception.data_sets import frames
 from toolee_robot.errors import UserError
 from toolee_robot.perception import precision
 from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.offline.dataset.scenes import load_scenes, write_scene
-from toolee_robot.perception.offline.dataset.spec import DatasetSpec
+from toolee_robot.perception.offline.dataset.scenes import load_scenes
 from toolee_robot.perception.offline.evaluation.examples import collect
-from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.pose import PoseEstimator, weights
 from toolee_robot.perception.pose.network import PoseNet
 from toolee_robot.perception.precision import prefers_bfloat16, single_thread, torch_device
@@ -30,10 +29,7 @@ swift = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data")
-    (root / "test").mkdir()
-    write_scene(root / "test" / "000000", examples_of(DatasetSpec("hard", 8, 5, 0.5), "test", 0, 3))
-    return root
+    return frames(tmp_path_factory, "test")
 
 
 @pytest.mark.nightly

@@ -332,7 +332,7 @@ def test_a_nail_out_of_reach_is_refused_before_anyone_is_asked(bench: Bench) -> 
             "met nothing above the wood",
             marks=pytest.mark.nightly,
         ),
-        ({"nail_protrusion": 0.012}, "mm too high"),
+        pytest.param({"nail_protrusion": 0.012}, "mm too high", marks=pytest.mark.nightly),
     ],
 )
 def test_the_nail_is_not_where_the_station_file_has_it(bench: Bench, change: dict[str, object], reason: str) -> None:
@@ -425,6 +425,7 @@ def test_the_wood_is_too_hard(bench: Bench) -> None:
     assert grip_kept(bench.sim)
 
 
+@pytest.mark.nightly
 def test_a_nail_that_stops_just_over_the_wood_is_not_called_flush(bench: Bench) -> None:
     """1.3 mm over it, where 1.0 mm counts as flush, in wood that no strike drives it into."""
     nail, height = bench.sim.world.nail, 0.0013

@@ -100,6 +100,7 @@ def test_a_knock_of_one_cycle_is_no_wood(bench: Bench, monkeypatch: pytest.Monke
     assert log.motions.count("touch the wood") == 2  # before the strike and after it
 
 
+@pytest.mark.nightly
 def test_wood_that_was_felt_too_early_is_touched_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     knock_at_the_wood(bench, monkeypatch, force=30.0, seconds=0.08)
     log = Log()
@@ -132,10 +133,8 @@ def test_a_tool_that_is_pressed_from_the_side_is_lifted_and_looked_at_again(
     assert log.motions.count("to the touch") == begun
 
 
-@pytest.mark.parametrize(
-    ("swings", "outcome"),
-    [(0.3, Outcome.OUT_OF_STRIKES), pytest.param(np.inf, Outcome.DEVICE_FAULT, marks=pytest.mark.nightly)],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("swings", "outcome"), [(0.3, Outcome.OUT_OF_STRIKES), (np.inf, Outcome.DEVICE_FAULT)])
 def test_an_arm_that_a_strike_has_left_swinging_is_waited_for_but_not_for_ever(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, swings: float, outcome: Outcome
 ) -> None:

@@ -89,6 +89,7 @@ def test_a_strike_that_is_not_felt_is_followed_by_a_touch_which_tells_that_the_n
     assert config.work.nail_protrusion - bench.sim.world.nail.protrusion > 0.002
 
 
+@pytest.mark.nightly
 def test_a_touch_that_reads_flush_after_a_strike_that_was_not_felt_is_believed_only_after_a_look_and_another_strike(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -203,6 +203,7 @@ def test_the_wood_is_not_felt_where_another_nail_stands(bench: Bench) -> None:
         assert nails["beside"].protrusion == pytest.approx(0.010, abs=1e-4)
 
 
+@pytest.mark.nightly
 def test_a_tool_that_is_low_among_nails_rises_before_it_goes_anywhere() -> None:
     """A look has told that the face is elsewhere in the hand: it is then nearer to them than it was believed to be."""
     others = [NailConfig("left", (X, Y + 0.0365)), NailConfig("right", (X, Y - 0.0365))]

@@ -193,7 +193,8 @@ def test_nothing_is_asked_of_who_stops_nothing(bench: Bench) -> None:
     assert "inspection" not in bench.people.asked
 
 
-@pytest.mark.parametrize("looks", [True, pytest.param(False, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("looks", [True, False])
 def test_without_a_look_or_a_ready_robot_nothing_is_reset(bench: Bench, looks: bool) -> None:
     """And when it is ready in the end, the arm still learns what it carries."""
     log = Log()
@@ -227,6 +228,7 @@ def test_somebody_who_is_inside_again_after_the_reset_keeps_the_arm_still(bench:
     assert log.motions == ["to the handover"]
 
 
+@pytest.mark.nightly
 def test_a_tool_that_is_taken_out_of_the_hand_before_the_handover(bench: Bench) -> None:
     """Who comes for it opens the door as well, and is seen out before the arm moves."""
     log = Log()

@@ -159,6 +159,7 @@ def test_a_zero_from_which_the_force_has_drifted_is_taken_anew(bench: Bench) -> 
     assert np.linalg.norm(rig.motions.forces(0.1).mean(axis=0)) < 0.5
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=10)
 def test_a_thing_whose_height_a_release_leaves_unsure_is_touched_again_and_harder(
     bench: Bench, monkeypatch: pytest.MonkeyPatch

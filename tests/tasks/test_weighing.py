@@ -133,6 +133,7 @@ def test_the_nail_is_driven_with_a_hammer_that_nobody_has_measured(seed: int) ->
         assert abs(result.weight.mass - simulation.tool.mass) < 3.0 * result.weight.mass_sigma
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("never_stops")
 def test_a_weight_that_is_too_uncertain_is_not_struck_with() -> None:
     config = sim_station()

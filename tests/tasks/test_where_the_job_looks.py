@@ -57,6 +57,7 @@ class FirstFrame(TaskObserver):
         raise Enough
 
 
+@pytest.mark.nightly
 def test_a_job_finds_the_face_in_a_crop_about_the_hand_alone() -> None:
     config, observer, detector = sim_station(), FirstFrame(), Watched()
     shipped = ToolPerception.load()

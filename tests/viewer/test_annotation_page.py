@@ -17,9 +17,9 @@ from websockets import Origin, Subprotocol
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from tests.perception.data_sets import held_out_tools
 from tests.perception.offline.annotation.scenes import RenderedEnd, rendered_ends
 from tests.viewer.browser import ARGUMENTS, CHROMIUM
-from toolee_robot.cli.app import run
 from toolee_robot.perception.offline.annotation.clicks import (
     ClickedEnd,
     ClickedFrame,
@@ -39,10 +39,7 @@ pytestmark = pytest.mark.sim(seconds=20)
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("data") / "hard"
-    options = ["--config", "hard", "--size", "16", "--seed", "6", "--test-share", "1", "--workers", "1"]
-    assert run(["dataset", "generate", *options, "--out", str(out)]) == 0
-    return out
+    return held_out_tools(tmp_path_factory)
 
 
 @pytest.fixture

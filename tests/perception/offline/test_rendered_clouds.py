@@ -14,18 +14,16 @@ import torch
 from scipy.spatial import cKDTree
 
 from tests.errors import raises
+from tests.perception.data_sets import frames
 from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, transform_points
 from toolee_robot.perception.detection.passes import Crop
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.offline.dataset.scenes import write_scene
-from toolee_robot.perception.offline.dataset.spec import DatasetSpec
 from toolee_robot.perception.offline.evaluation.examples import parts, read_part
 from toolee_robot.perception.offline.rendered_clouds import clouds_of_part, tool_clouds_of_part
 from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
-from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig, CloudSource, Mixture
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import sample_hands, sample_tools
@@ -44,10 +42,7 @@ FRAMES = 4
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    split = tmp_path_factory.mktemp("data") / "train"
-    split.mkdir()
-    write_scene(split / "000000", examples_of(DatasetSpec("hard", 8, 5, 0.0), "train", 0, FRAMES))
-    return split
+    return frames(tmp_path_factory, "train") / "train"
 
 
 @pytest.fixture(scope="module")

@@ -73,7 +73,7 @@ def _runs(kind: str, n: int) -> tuple[float, np.ndarray]:
 
 @pytest.mark.sim(seconds=20)
 @pytest.mark.parametrize(
-    "kind", [kind if kind in ("face", "tip") else pytest.param(kind, marks=pytest.mark.nightly) for kind in KINDS]
+    "kind", [kind if kind == "face" else pytest.param(kind, marks=pytest.mark.nightly) for kind in KINDS]
 )
 def test_errors_are_as_large_as_the_covariance_says(kind: str) -> None:
     inside, rows = _runs(kind, 30)

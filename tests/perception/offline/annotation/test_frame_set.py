@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
+from tests.perception.data_sets import held_out_tools
 from tests.perception.offline.annotation.scenes import RenderedEnd, rendered_ends
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError, UserError
@@ -33,11 +34,7 @@ pytestmark = pytest.mark.sim(seconds=40)
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set of 24 images with held-out tools."""
-    out = tmp_path_factory.mktemp("data") / "hard"
-    options = ["--config", "hard", "--size", "24", "--seed", "6", "--test-share", "1", "--workers", "1"]
-    assert run(["dataset", "generate", *options, "--out", str(out)]) == 0
-    return out
+    return held_out_tools(tmp_path_factory)
 
 
 @pytest.fixture

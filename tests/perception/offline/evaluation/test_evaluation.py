@@ -19,13 +19,13 @@ import torch
 from PIL import Image
 
 from tests.errors import raises
+from tests.perception.data_sets import frames
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import transform
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED
-from toolee_robot.perception.offline.dataset.scenes import SegmentationSet, load, write_scene
-from toolee_robot.perception.offline.dataset.spec import DatasetSpec
+from toolee_robot.perception.offline.dataset.scenes import SegmentationSet, load
 from toolee_robot.perception.offline.evaluation import metrics, pose
 from toolee_robot.perception.offline.evaluation.estimates import Ranked, answer, load_estimator, questions, summary
 from toolee_robot.perception.offline.evaluation.examples import Examples, collect, ee_shape, of_role
@@ -33,7 +33,6 @@ from toolee_robot.perception.offline.evaluation.pose import held_out_breakdown
 from toolee_robot.perception.offline.evaluation.report import accuracy_pictures, described, page, pose_tables
 from toolee_robot.perception.offline.evaluation.run import empty_frame
 from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS, CocoTask, coco_task, statistics
-from toolee_robot.perception.offline.synthesis.example import examples_of
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.trust import Trust
 from toolee_robot.runtime.html_page import Page
@@ -45,10 +44,7 @@ FRAMES = 4
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data")
-    (root / "test").mkdir()
-    write_scene(root / "test" / "000000", examples_of(DatasetSpec("hard", 8, 5, 0.5), "test", 0, FRAMES))
-    return root
+    return frames(tmp_path_factory, "test")
 
 
 @pytest.fixture(scope="module")
