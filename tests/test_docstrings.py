@@ -214,24 +214,6 @@ def test_what_another_room_imports_documents_arguments_result_and_errors(
     assert missing == []
 
 
-def test_a_field_that_nothing_documents_is_found() -> None:
-    source = '''
-@dataclass(frozen=True)
-class Pose:
-    """A pose.
-
-    Attributes:
-        x: Position [m].
-    """
-
-    x: float
-    y: float
-    z: float
-    """Height [m]."""
-'''
-    assert list(undocumented(source)) == ["Pose.y"]
-
-
 def test_sections_that_are_missing_are_found() -> None:
     source = '''
 class LimitError(TooleeError):
@@ -263,11 +245,3 @@ class FastArm(Arm):
 '''
     found = list(missing_sections(source, Classes([source]), lambda name: name == "Arm"))
     assert found == ["Arm.__init__: Args", "Arm.move: Raises LimitError", "Arm.distance: Returns"]
-
-
-def test_a_name_that_only_its_own_room_imports_needs_no_sections() -> None:
-    sources = {
-        "control/strike.py": "from toolee_robot.control.line import plan_line\nfrom toolee_robot.hal.arm import Arm",
-        "toolee_robot/tasks/job.py": "from toolee_robot.control.strike import plan_strike",
-    }
-    assert names_from_other_rooms(sources) == {("hal", "Arm"), ("control", "plan_strike")}

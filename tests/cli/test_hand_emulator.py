@@ -102,12 +102,6 @@ def test_the_inspire_hand_on_tcp_answers_where_it_is_told_to_listen(
     assert angles == [(1000).to_bytes(2, "big")]
 
 
-def test_an_ability_hand_is_not_on_tcp(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
-    assert run(["emulate", "hand", "ability", "--tcp", "127.0.0.1:0"]) == EXIT_USER
-    assert run(["emulate", "hand", "inspire", "--tcp", "127.0.0.1:0"]) == 0
-
-
 @pytest.mark.parametrize(
     "options",
     [

@@ -31,28 +31,6 @@ ARMS = {
     "no correction": Variant.NO_CORRECTION,
 }
 """How the table of variants calls each."""
-SWEPT = {
-    "camera's position": "camera_position",
-    "camera's orientation": "camera_rotation",
-    "each length and angle of the arm": "kinematics",
-    "nail's position": "nail_beside",
-    "height of the wood": "nail_height",
-    "lean of the nail": "nail_lean",
-    "mass of the hand": "payload",
-    "specific gravity of the wood": "wood",
-    "noise, offset and drift of the force": "wrench",
-    "direction of the face on the tool": "face_angle",
-    "how the hammer is laid into the hand": "handover",
-    "the hammer's data are another one's": "other_tool",
-}
-"""How the table of swept errors calls each, at the beginning of its row."""
-DEGREES, MILLI, PERCENT = 180.0 / np.pi, 1e3, 100.0
-UNITS = {
-    "camera_position": MILLI, "camera_rotation": DEGREES, "nail_beside": MILLI, "nail_height": MILLI,
-    "nail_lean": DEGREES, "face_angle": DEGREES, "kinematics": MILLI, "wood": PERCENT, "payload": PERCENT,
-    "other_tool": PERCENT,
-}  # fmt: skip
-"""Factors from a plan's unit to the table's; others: 1."""
 
 
 BEGUN = "one_strike"
@@ -69,42 +47,11 @@ def _kept(name: str) -> tuple[TrialPlan, list[Record]]:
     return plan, records
 
 
-Tried = tuple[str, str | None, float | None]
-"""Arm, swept error and its size."""
-
-
-@cache
-def _hits(name: str) -> dict[Tried, tuple[int, int]]:
-    """Flush nails and jobs of a plan that the tag `before-half` repeats."""
-    found: dict[Tried, list[bool]] = {}
-    for line in (KEPT / f"{name}.jsonl").read_text().splitlines()[1:]:
-        trial, figures = (json.loads(line)[part] for part in ("trial", "figures"))
-        found.setdefault((trial["arm"], trial.get("error"), trial.get("size")), []).append(figures["success"])
-    return {tried: (sum(flush), len(flush)) for tried, flush in found.items()}
-
-
-def _swept(error: str) -> dict[float, int]:
-    """Flush nails of 20 at each size of an error, in the unit of the page's table."""
-    found = [(tried[2], hits) for name in ("sweep", "sweep_handover") for tried, hits in _hits(name).items()
-             if tried[1] == error]  # fmt: skip
-    assert {of for _, (_, of) in found} == {20}
-    return {UNITS.get(error, 1.0) * float(size or 0.0): hits for size, (hits, _) in found}
-
-
-def _rounded(value: float, like: str) -> float:
-    """The value with as many decimals as a figure has."""
-    return round(value, len(like.partition(".")[2]))
-
-
 def _rows(heading: str) -> dict[str, list[str]]:
     """Cells of the rows of the tables under a heading of the page, without emphasis, by their first one."""
     section = PAGE.split(f"\n## {heading}\n")[1].split("\n## ")[0]
     lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")]
     return {first.strip(): [cell.replace("*", "").strip() for cell in cells] for first, *cells in lines}
-
-
-def _of(hits: int, of: int) -> str:
-    return str(share([True] * hits + [False] * (of - hits)))
 
 
 def _readme_row(condition: str, flush: Sequence[bool]) -> str:
@@ -226,43 +173,6 @@ def test_the_strike_of_this_version_is_told_as_its_records_have_it() -> None:
         values = [r.figures[name] for r in full if r.figures[name] is not None]
         assert rows[row] == [form.format(np.median(values)), form.format(np.max(values))]
         assert name != "deepest_mm" or np.max(values) <= 20.0
-
-
-def test_the_learnt_grasp_is_counted_as_the_page_says() -> None:
-    full, learnt = (_of(*_hits("learnt_grasp")[arm, None, None]) for arm in ("full", "learnt_grasp"))
-    assert f"makes {learnt} nails flush. The whole system makes {full}." in PAGE
-
-
-@pytest.mark.parametrize("row", SWEPT)
-def test_the_table_of_swept_errors_is_of_their_records(row: str) -> None:
-    """The shares at the sizes of the plan."""
-    hits = _swept(SWEPT[row])
-    ((flush, *_),) = [cells for name, cells in _rows("How large each error may be").items() if row in name]
-    for size, count in re.findall(r"([\d.]+)[^\d:,]*: (\d+)", flush):
-        (found,) = [tried for tried in hits if _rounded(tried, size) == float(size)]
-        assert int(count) == hits.pop(found)
-    assert not any(hits.values()), "what is not told is none"
-
-
-def test_errors_that_do_not_matter_did_not_at_any_size() -> None:
-    ((told, *_),) = [cells for name, cells in _rows("How large each error may be").items() if "its mass" in name]
-    assert told == "20 each"
-    for error in ("ruler", "scales", "balance", "friction", "compliance"):
-        hits = _swept(error)
-        assert hits[max(hits)] == 20
-
-
-def test_what_was_told_exactly_is_counted_as_the_page_says() -> None:
-    direct = json.loads((KEPT / "hammer_100.json").read_text())
-    driver = json.loads((KEPT / "hammer_ur_rtde.json").read_text())
-    groups = (direct["correction"], direct["no correction"], driver["correction"])
-    shares = [share([figures["success"] for figures in group]) for group in groups]
-    rows = {line.split("|")[1].strip(): line for line in PAGE.splitlines() if line.startswith("|")}
-    for row, of in zip(
-        ("with correction, 7401 to 7500", "no correction, 7401 to 7420",
-         "with `ur-rtde` and the emulated controller, 100 to 109"), shares, strict=True,
-    ):  # fmt: skip
-        assert f"| {of} |" in rows[row]
 
 
 def _check_row(cells: Sequence[str], jobs: Sequence[dict[str, Any]]) -> None:

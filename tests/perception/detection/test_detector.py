@@ -17,15 +17,14 @@ from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.backbone import _near
-from toolee_robot.perception.detection.boxes import decode, encode, greedy_suppression, pairwise_iou
+from toolee_robot.perception.detection.boxes import decode, encode, greedy_suppression
 from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector
-from toolee_robot.perception.detection.inputs import CHANNELS, DetectorConfig, encode_rgbd
+from toolee_robot.perception.detection.inputs import DetectorConfig, encode_rgbd
 from toolee_robot.perception.detection.instances import Instance, associate, without_duplicates
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.evaluation.segmentation import coco_task, report
-from toolee_robot.perception.offline.training.detector_training import SegmentationTraining, instances_from_maps, train
-from toolee_robot.perception.offline.training.images import DeviceImages, _warp, augment
-from toolee_robot.types import CameraIntrinsics, RgbdFrame
+from toolee_robot.perception.offline.training.detector_training import SegmentationTraining, train
+from toolee_robot.perception.offline.training.images import DeviceImages, _warp
 
 pytestmark = pytest.mark.sim(seconds=30)
 
@@ -71,18 +70,6 @@ def test_batched_suppression_equals_greedy_suppression(seed: int) -> None:
     assert torch.nonzero(keep)[:, 0].tolist() == sorted(expected.tolist())
 
 
-def test_instances_have_the_boxes_and_labels_of_their_pixels() -> None:
-    maps = torch.zeros((1, 2, 64, 96), dtype=torch.uint8)
-    maps[0, 0, 10:20, 30:50] = 1
-    maps[0, 0, 40:42, 5:8] = 2
-    maps[0, 1, 10:60, 30:50] = 1
-    instances = instances_from_maps(maps, torch.tensor([[3, 1, 2]]), tools=1)
-    assert instances.labels.tolist() == [[3, 1, 0, TOOL]]
-    assert instances.boxes[0, 0].tolist() == [30, 10, 50, 20]
-    assert instances.boxes[0, 3].tolist() == [30, 10, 50, 60]
-    assert instances.ignored.tolist() == [[False, True, False, False]], "six pixels are too few to learn from"
-
-
 def test_augmentation_moves_image_and_maps_together() -> None:
     scenes = toy_scenes(8, seed=3)
     torch.manual_seed(0)
@@ -97,16 +84,6 @@ def test_augmentation_moves_image_and_maps_together() -> None:
     assert (depth[tool] == 0.6).all(), "depth is never a mean of two things"
     assert (depth[~tool] != 0.6).all()
     assert ((scale > 0.74) & (scale < 1.9)).all()
-
-
-def test_augmented_batches_are_finite_and_padded() -> None:
-    scenes = toy_scenes(4)
-    torch.manual_seed(1)
-    batch, maps = augment(DeviceImages(scenes, torch.device("cpu")).sample(4), (60, 90))
-    assert batch.pixels.shape == (4, CHANNELS, 64, 96)
-    assert batch.depth.shape == (4, 64, 96)
-    assert maps.shape == (4, 2, 64, 96)
-    assert torch.isfinite(batch.pixels).all()
 
 
 def test_the_network_sees_sizes_in_metres_and_what_stands_out() -> None:
@@ -209,25 +186,6 @@ def test_exported_weights_give_the_average_s_output(trained: Path) -> None:
         np.testing.assert_allclose(a.box, b.box, atol=0.5)
 
 
-def test_detections_follow_the_image_s_size(trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A picture with more pixels than the network's is scaled down, and masks and boxes come back at its size."""
-    # A zoom pass enlarges the two pictures each in its own way, and this network has learnt one size only.
-    monkeypatch.setattr("toolee_robot.perception.detection.segmenter.crops", lambda *_: [])
-    frame = toy_scenes(1).frame(0)
-    segmenter = Segmenter.load(trained)
-    K = frame.intrinsics
-    K = CameraIntrinsics(2 * K.fx, 2 * K.fy, 2 * K.cx + 0.5, 2 * K.cy + 0.5, 2 * K.width, 2 * K.height)
-    # Every pixel four times: scaled down, the same picture, whatever the network has learnt.
-    large = RgbdFrame(frame.rgb.repeat(2, 0).repeat(2, 1), frame.depth.repeat(2, 0).repeat(2, 1), K)
-    found, found_large = segmenter.detect(frame), segmenter.detect(large)
-    assert [d.category for d in found_large] == [d.category for d in found] != []
-    for a, b in zip(found, found_large, strict=True):
-        np.testing.assert_allclose(b.box, 2 * np.array(a.box), atol=1e-2)
-        assert b.mask.shape == large.depth.shape
-        halved = b.mask.reshape(a.mask.shape[0], 2, a.mask.shape[1], 2).mean((1, 3)) > 0.5
-        assert (halved & a.mask).sum() > 0.9 * (halved | a.mask).sum()
-
-
 def test_a_run_resumes_where_it_stopped(tmp_path: Path) -> None:
     scenes = toy_scenes(4)
     common = {"batch": 2, "warmup_steps": 2, "log_every": 1, "model": TINY, "augmentation": 0.0}
@@ -282,9 +240,3 @@ def test_an_end_effector_belongs_to_the_tool_that_covers_it() -> None:
 def test_the_shipped_architecture_fits_its_budget() -> None:
     """All weights together must stay under 40 MB, of which the detector may take 28, stored as half precision."""
     assert 2 * sum(p.numel() for p in Detector().parameters()) < 28e6
-
-
-def test_iou_of_known_boxes() -> None:
-    a = torch.tensor([[0.0, 0.0, 10.0, 10.0]])
-    b = torch.tensor([[5.0, 0.0, 15.0, 10.0], [20.0, 20.0, 30.0, 30.0]])
-    torch.testing.assert_close(pairwise_iou(a, b), torch.tensor([[1 / 3, 0.0]]))

@@ -14,7 +14,7 @@ from tests.perception.detection.test_detector import TINY
 from toolee_robot.perception.detection import detector as detector_module
 from toolee_robot.perception.detection.boxes import mirror_boxes
 from toolee_robot.perception.detection.detector import Detector, RawDetections
-from toolee_robot.perception.detection.inputs import STRIDE, RgbdBatch, encode_rgbd, part_about
+from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
 
 HEIGHT, WIDTH = 64, 96
 BOXES = torch.tensor([[10.0, 4.0, 34.0, 20.0], [50.0, 24.0, 59.5, 31.0], [0.0, 40.0, 96.0, 64.0]])
@@ -92,39 +92,11 @@ def test_a_batch_s_images_are_detected_as_if_alone() -> None:
         assert_same(in_order(found), in_order(alone))
 
 
-@pytest.mark.parametrize(("boxes", "passes"), [(BOXES, [1, 1]), (NOTHING, [1])])
-def test_the_mirrored_pass_is_computed_only_for_detections(boxes: Tensor, passes: list[int]) -> None:
-    detector = Untrained(boxes[None])
-    detector.detect(encode_rgbd(*images(1)))
-    assert detector.passes == passes
-
-
 def wide_images() -> RgbdBatch:
     """Noise, (1, 6, 448, 576)."""
     generator = torch.Generator().manual_seed(2)
     rgb, depth = torch.rand((1, 3, 448, 576), generator=generator), torch.rand((1, 448, 576), generator=generator)
     return encode_rgbd(255 * rgb, 0.5 + 0.4 * depth, torch.tensor([400.0]))
-
-
-@pytest.mark.parametrize(
-    ("boxes", "part"),
-    [
-        ([[260.0, 200.0, 280.0, 230.0]], (96, 160, 352, 384)),
-        ([[0.0, 440.0, 3.0, 448.0], [90.0, 380.0, 100.0, 400.0]], (256, 0, 448, 224)),
-        ([[0.0, 0.0, 576.0, 448.0]], (0, 0, 448, 576)),
-        ([[-40.0, -20.0, 600.0, 470.0]], (0, 0, 448, 576)),
-    ],
-)
-def test_the_part_about_boxes_is_whole_cells_within_the_image(
-    boxes: list[list[float]], part: tuple[int, int, int, int]
-) -> None:
-    batch, (y0, x0, y1, x1) = wide_images(), part
-    seen, first = part_about(batch, torch.tensor(boxes), 96)
-    assert first.tolist() == [x0, y0]
-    assert not any(edge % STRIDE for edge in part)
-    assert (seen.pixels == batch.pixels[:, :, y0:y1, x0:x1]).all()
-    assert (seen.depth == batch.depth[:, y0:y1, x0:x1]).all()
-    assert (seen.focal == batch.focal).all()
 
 
 def test_the_mirrored_pass_sees_the_surroundings_of_the_detections_alone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import random_rotation, transform
 from toolee_robot.perception.detection.detector import TOOL, Detector, RawDetections
-from toolee_robot.perception.detection.inputs import MAX_ENLARGEMENT, DetectorConfig, RgbdBatch, working_size
+from toolee_robot.perception.detection.inputs import DetectorConfig, RgbdBatch, working_size
 from toolee_robot.perception.detection.instances import Box, Instance
 from toolee_robot.perception.detection.passes import (
     CERTAIN,
@@ -24,16 +24,13 @@ from toolee_robot.perception.detection.passes import (
     MIN_MAGNIFICATION,
     MIN_TOOL_SCORE,
     MM_PER_PIXEL,
-    PIXELS,
     Crop,
     coarse_size,
     crop_about,
     crops,
-    cut,
     hand_crop,
     merge,
     merge_coarse,
-    placed,
 )
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.types import CameraIntrinsics, HeldRegion, RgbdFrame
@@ -114,31 +111,6 @@ def test_only_tools_without_a_certain_end_effector_are_looked_at_again() -> None
     assert looked_at((1, 0.2, on_left)) == [False, False], "no tool: nothing says where to look"
 
 
-def test_a_crop_s_camera_sees_the_same_rays() -> None:
-    rng = np.random.default_rng(0)
-    rgb = rng.integers(0, 255, (*IMAGE, 3), dtype=np.uint8)
-    depth = rng.uniform(0.3, 1.0, IMAGE).astype(np.float32)
-    frame = RgbdFrame(rgb, depth, CameraIntrinsics(100.0, 110.0, 60.0, 50.0, 128, 96), 7.0)
-    part = cut(frame, Crop(10, 20, 90, 80, (96, 128)))
-    K, part_K = frame.intrinsics, part.intrinsics
-    assert part.depth.shape == (60, 80)
-    assert part.depth[5, 6] == depth[25, 16]
-    np.testing.assert_array_equal(part.rgb[5, 6], rgb[25, 16])
-    assert ((6 - part_K.cx) / part_K.fx, (5 - part_K.cy) / part_K.fy) == ((16 - K.cx) / K.fx, (25 - K.cy) / K.fy)
-    assert part.stamp == 7.0
-
-
-def test_what_a_crop_s_border_cuts_is_left_out_except_at_the_image_s() -> None:
-    crop = Crop(64, 0, 128, 60, (96, 102))
-    whole, at_crop, at_image = (10.0, 20.0, 20.0, 30.0), (0.0, 20.0, 9.0, 30.0), (40.0, 0.0, 64.0, 9.0)
-    seen = instances((1, 0.9, whole), (2, 0.8, at_crop), (3, 0.7, at_image), image=(60, 64))
-    there = placed(seen, crop, IMAGE)
-    expected = [(1, 0.9, (74.0, 20.0, 84.0, 30.0)), (3, 0.7, (104.0, 0.0, 128.0, 9.0))]
-    assert [(i.label, i.score, i.box) for i in there] == expected
-    for one in there:
-        np.testing.assert_array_equal(one.mask, mask_of(one.box))
-
-
 WHERE = Crop(20, 20, 100, 80, (96, 128))
 EE, NEARLY = (40.0, 30.0, 60.0, 40.0), (41.0, 30.0, 61.0, 40.0)
 
@@ -170,11 +142,6 @@ def test_a_tool_keeps_its_better_mask_and_must_be_in_the_first_pass() -> None:
         assert merged[0].box == expected
     missed = merge(instances((TOOL, 0.5, EE)), [instances((TOOL, 0.9, (70.0, 60.0, 80.0, 70.0)))], [WHERE], IMAGE)
     assert scores_of(missed) == [(TOOL, 0.5)]
-
-
-def test_a_thing_in_two_crops_counts_once() -> None:
-    merged = merge(instances(), [instances((1, 0.8, EE)), instances((1, 0.6, NEARLY))], [WHERE, WHERE], IMAGE)
-    assert scores_of(merged) == [(1, 0.4)]
 
 
 boxes_inside = st.tuples(st.integers(0, 108), st.integers(0, 76), st.integers(4, 20), st.integers(4, 20)).map(
@@ -268,26 +235,8 @@ def test_a_frame_without_a_tool_costs_one_pass() -> None:
     assert len(detector.looks) == 1
 
 
-def test_both_passes_agree_on_an_end_effector_that_is_large_enough() -> None:
-    detector = ShortSighted(least_width=1)
-    found = Segmenter(detector).detect(bar())
-    assert len(detector.looks) == 2, "0.8 is not certain"
-    assert [d.score for d in found] == [pytest.approx(0.8)]
-
-
-def test_the_zoom_pass_of_an_image_with_four_times_the_pixels_gives_the_same() -> None:
-    frame = bar()
-    K = CameraIntrinsics(200.0, 200.0, 128.5, 96.5, 256, 192)
-    large = RgbdFrame(frame.rgb.repeat(2, 0).repeat(2, 1), frame.depth.repeat(2, 0).repeat(2, 1), K)
-    small_found, large_found = (Segmenter(ShortSighted(least_width=13)).detect(f)[0] for f in (frame, large))
-    np.testing.assert_allclose(large_found.box, 2 * np.array(small_found.box), atol=2.0)
-    assert large_found.mask.shape == large.depth.shape
-    assert large_found.score == pytest.approx(small_found.score)
-
-
 WIDE_EE = (60.0, 40.0, 80.0, 56.0)
 NEARLY_WIDE = (61.0, 40.0, 80.0, 56.0)
-AWAY = (10.0, 10.0, 30.0, 30.0)
 
 
 def scene(focal: float, depth: float = 0.6) -> RgbdFrame:
@@ -339,11 +288,6 @@ def test_a_thing_of_both_passes_keeps_its_fine_mask_and_the_better_score() -> No
         np.testing.assert_array_equal(merged.mask, mask_of(WIDE_EE))
 
 
-def test_things_of_one_pass_stay() -> None:
-    merged = merge_coarse(instances((1, 0.4, WIDE_EE)), instances((1, 0.6, AWAY), (2, 0.5, NEARLY_WIDE)))
-    assert sorted((i.label, i.score) for i in merged) == [(1, 0.4), (1, 0.6), (2, 0.5)]
-
-
 def test_an_end_effector_too_large_for_the_first_pass_is_found_at_its_place() -> None:
     detector = LongSighted(most_width=15)  # it is 20 px wide, in the coarse pass 10
     found = Segmenter(detector).detect(scene(focal=1000.0))
@@ -351,15 +295,6 @@ def test_an_end_effector_too_large_for_the_first_pass_is_found_at_its_place() ->
     np.testing.assert_allclose(found[0].box, WIDE_EE, atol=2.0)
     assert (found[0].mask & mask_of(WIDE_EE)).sum() > 0.7 * (found[0].mask | mask_of(WIDE_EE)).sum()
     assert found[0].tool_mask is not None
-
-
-def test_far_from_the_camera_there_is_no_coarse_pass() -> None:
-    detector = LongSighted(most_width=100)
-    segmenter = Segmenter(detector)
-    segmenter.detect(scene(focal=100.0))
-    looks = len(detector.looks)
-    segmenter.detect(scene(focal=1000.0))
-    assert len(detector.looks) == 2 * looks + 1
 
 
 def test_end_effectors_of_a_low_score_are_left_out_and_tools_stay() -> None:
@@ -399,22 +334,6 @@ def test_what_the_camera_sees_of_the_region_is_in_the_crop(
         return
     columns, rows = np.round(u[seen]), np.round(v[seen])
     assert ((columns >= crop.x0) & (columns < crop.x1) & (rows >= crop.y0) & (rows < crop.y1)).all()
-
-
-def test_a_ball_s_crop_is_its_outline_to_the_network_s_stride() -> None:
-    crop = hand_crop(transform(p=(0.0, 0.0, 0.8)), HeldRegion(np.zeros((1, 3)), 0.1), CAMERA)
-    assert crop is not None
-    scale = crop.size[1] / (crop.x1 - crop.x0)
-    assert scale == pytest.approx(MAX_ENLARGEMENT, rel=0.02)
-    outline = 2 * 0.1 * CAMERA.fx / np.sqrt(0.8**2 - 0.1**2)
-    assert outline <= crop.x1 - crop.x0 <= outline + 1 + 32 / scale
-
-
-def test_a_near_hand_is_shown_smaller() -> None:
-    crop = hand_crop(transform(p=(0.0, 0.0, 0.4)), HeldRegion(np.zeros((1, 3)), 0.19), CAMERA)
-    assert crop is not None
-    assert crop.size[0] * crop.size[1] == pytest.approx(PIXELS, rel=0.25)
-    assert crop.size[1] < crop.x1 - crop.x0 or crop.size[0] < crop.y1 - crop.y0
 
 
 @pytest.mark.parametrize("p", [(0.0, 0.0, -0.8), (2.0, 0.0, 0.8), (0.0, -2.0, 0.8)])

@@ -28,7 +28,7 @@ from tests.perception.detection.toy_refiner import (
     training,
 )
 from tests.perception.toy_scenes import toy_scenes, write_toys
-from toolee_robot.errors import AssetError, TooleeError, UserError
+from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.detection.detector import TOOL, Detector, load_detector
 from toolee_robot.perception.detection.instances import Box, Instance, mask_iou
 from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, load_refiner
@@ -41,7 +41,6 @@ from toolee_robot.perception.offline.training.refiner_training import (
     CHECKPOINT,
     MIN_LEARNT_IOU,
     RefinementData,
-    losses,
     train,
 )
 from toolee_robot.perception.weight_files import load_weights, save_weights
@@ -150,18 +149,6 @@ def test_examples_show_their_end_effector(refinement_data: RefinementData) -> No
     assert (apart.abs().amax(1) > 2 * spread.amin(1)).float().mean() > 0.8
 
 
-def test_pictures_kept_aside_are_judged_as_in_the_whole_image(refinement_data: RefinementData) -> None:
-    assert refinement_data.detections is not None
-    pictures, found = toys(32), refinement_data.detections.of(refinement_data.validation)
-    assert set(found.image.tolist()) <= {0, 8, 16, 24}
-    examples = refinement_data.plain(refinement_data.validation)
-    # What is drawn is the hint itself.
-    values = losses(20 * examples.squares[:, -1] - 10, torch.zeros(len(found)), examples)
-    ious = [mask_iou(m, pictures.ee[i] > 0) for m, i in zip(masks_of(found), found.image.tolist(), strict=True)]
-    assert float(values["iou_before"]) == pytest.approx(np.mean(ious), abs=0.05)
-    assert values["iou"] == values["iou_before"]
-
-
 @pytest.mark.nightly
 def test_training_writes_weights_configuration_validation_and_log(trained: Path) -> None:
     description = described(trained)
@@ -226,18 +213,6 @@ def test_a_refiner_beside_the_detector_changes_end_effectors_only(detector: Path
     assert changed == ends >= 8
 
 
-def test_without_end_effectors_nothing_is_refined(trained: Path) -> None:
-    frame = toys(1).frame(0)
-    segmenter = Segmenter.load(trained, bfloat16=False)
-    assert segmenter.instances(frame, 1.0) == []
-    refinement = MaskRefinement.load(trained, CPU, bfloat16=False)
-    assert refinement is not None
-    tool = Instance(toys(1).tool[0] > 0, TOOL, 0.7, (0.0, 0.0, 9.0, 9.0))
-    (same,) = refinement(frame, [tool])
-    assert same[1:] == tool[1:]
-    np.testing.assert_array_equal(same.mask, tool.mask)
-
-
 def test_one_end_effector_segmented_twice_is_one(trained: Path) -> None:
     """Two detections that shared too little to be the same thing, until both are drawn where it is."""
     refinement = MaskRefinement.load(trained, CPU, bfloat16=False)
@@ -252,19 +227,6 @@ def test_one_end_effector_segmented_twice_is_one(trained: Path) -> None:
     (found,) = refinement(pictures.frame(0), [Instance(left, label, 0.5, box), Instance(right, label, 0.4, box)])
     assert found.label == label
     assert mask_iou(found.mask, truth) > mask_iou(left, truth) + 0.1
-
-
-def test_in_bfloat16_the_masks_are_the_same_but_for_their_borders(trained: Path) -> None:
-    pictures = toys(2)
-    whole, half = (MaskRefinement.load(trained, CPU, bfloat16=bfloat16) for bfloat16 in (False, True))
-    assert whole is not None
-    assert half is not None
-    for i in range(2):
-        mask = dilated(pictures.ee[i] > 0)
-        found = Instance(mask, int(pictures.categories[i, 0]), 0.5, box_of(mask))
-        (expected,), (seen,) = whole(pictures.frame(i), [found]), half(pictures.frame(i), [found])
-        assert mask_iou(expected.mask, seen.mask) > 0.95
-        assert seen.score == pytest.approx(expected.score, abs=0.05)
 
 
 def test_without_a_refiner_masks_are_the_detector_s(detector: Path) -> None:
@@ -307,21 +269,6 @@ def test_a_refiner_s_missing_weights_are_named(trained: Path, tmp_path: Path) ->
     assert "refinement-00001-of-00001.safetensors" in str(refused.value)
 
 
-def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_what_was_learnt(
-    few: Path, detector: Path, trained: Path, tmp_path: Path
-) -> None:
-    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "refinement_log.jsonl").unlink()  # goes on with every step, whatever becomes of the run
-    kept = {path.name: path.read_bytes() for path in tmp_path.glob("refinement*")}
-    assert CHECKPOINT in kept
-    with raises(TooleeError, code="toolee.training_diverged") as stopped:
-        train(training(few, tmp_path, detector, max_steps=STEPS + 30, lr=1e12, log_every=1))
-    assert CHECKPOINT in str(stopped.value)
-    (tmp_path / "refinement_log.jsonl").unlink()
-    assert {path.name: path.read_bytes() for path in tmp_path.glob("refinement*")} == kept
-    assert Segmenter.load(tmp_path).instances(toys(1).frame(0), EVERYTHING)[0]
-
-
 def without_tools(pictures: SegmentationSet, which: slice) -> SegmentationSet:
     """Some of the pictures blank."""
     blank = replace(pictures, rgb=pictures.rgb.copy(), ee=pictures.ee.copy(), tool=pictures.tool.copy())
@@ -335,14 +282,6 @@ def test_data_that_show_no_end_effector_are_the_user_s_error(detector: Path, tmp
         train(training(tmp_path, tmp_path / "out", detector, max_steps=1, patience=3.0))
     with raises(UserError, code="user.data_empty"):
         train(training(tmp_path / "nothing", tmp_path / "out", detector, max_steps=1, patience=0.1))
-
-
-def test_a_run_needs_nothing_kept_aside(detector: Path, tmp_path: Path) -> None:
-    """Of few pictures, those that are kept for validation may show nothing."""
-    write_toys(tmp_path / "000000", without_tools(toys(4), slice(0, 1)))
-    out = train(training(tmp_path, tmp_path / "out", detector, max_steps=1))
-    assert described(out)["validation"] == {}
-    assert MaskRefinement.load(out, CPU, bfloat16=False) is not None
 
 
 def test_a_damaged_detector_is_named(few: Path, detector: Path, tmp_path: Path) -> None:

@@ -94,33 +94,6 @@ def test_the_cells_of_an_upright_square_fill_its_box_about_what_was_found(
     torch.testing.assert_close(about.mirrored_copy().boxes(), covered)
 
 
-@given(squares(), st.sampled_from([0.0, 0.5, 1.0, 1.5]))
-def test_a_mirrored_square_shows_the_same_left_for_right(upright: Squares, half_turns: float) -> None:
-    turned = Squares(upright.centre, upright.side, torch.tensor([math.pi * half_turns]), upright.mirrored)
-    seen, pixels = sample_squares(images(), FIRST, turned, of_image(disc()))
-    there, mirrored_pixels = sample_squares(images(), FIRST, turned.mirrored_copy(), of_image(disc()))
-    assert (mirrored_pixels == pixels.flip(3)).all()
-    expected = seen.flip(3)
-    expected[:, X] *= -1
-    torch.testing.assert_close(there[:, :3], expected[:, :3], atol=0.05, rtol=0)
-    torch.testing.assert_close(there[:, 3:], expected[:, 3:], atol=1e-4, rtol=0)
-
-
-@given(squares(), st.integers(1, 3))
-def test_a_turned_square_sees_what_an_upright_one_sees_of_the_image_turned_back(upright: Squares, turns: int) -> None:
-    """A square's axes turn clockwise, from the image's x to its y: against them, the image."""
-    scene, mask, (u, v) = images(), disc(), upright.centre[0].tolist()
-    width, height = WIDTH, HEIGHT
-    for _ in range(turns):
-        u, v, width, height = v, width - u, height, width
-    back = Images(scene.rgb.rot90(turns, (1, 2)), scene.depth.rot90(turns, (1, 2)), scene.focal)
-    turned = Squares(upright.centre, upright.side, torch.tensor([turns * math.pi / 2]), upright.mirrored)
-    seen, _ = sample_squares(scene, FIRST, turned, of_image(mask))
-    expected, _ = sample_squares(back, FIRST, square(u, v, float(upright.side)), of_image(mask.rot90(turns)))
-    torch.testing.assert_close(seen[:, :3], expected[:, :3], atol=0.05, rtol=0)
-    torch.testing.assert_close(seen[:, 3:], expected[:, 3:], atol=1e-4, rtol=0)
-
-
 @given(
     st.floats(0.3, 1.2),
     st.floats(200.0, 900.0),
@@ -178,24 +151,6 @@ def test_what_lies_beyond_the_image_is_no_pixel_and_unknown() -> None:
     assert (seen[:, MASK][inside] == 1).all()
 
 
-def test_unknown_depth_is_flagged_and_set_to_the_detection_s_depth() -> None:
-    depth = torch.full((HEIGHT, WIDTH), 0.7)
-    depth[20:30, 30:40] = 0.0
-    seen, pixels = sample_squares(plane(depth, 400.0), FIRST, MIDDLE, everywhere)
-    column, row = pixels[0]
-    hole = (column >= 30) & (column < 40) & (row >= 20) & (row < 30)
-    assert hole.any()
-    assert (seen[0, KNOWN] > 0).equal(~hole)
-    assert not seen[0, Z].any()
-    wall = sample_squares(
-        plane(torch.full_like(depth, 0.7), 400.0),
-        torch.zeros(1, dtype=torch.long),
-        square(40.0, 30.0, 48.0),
-        everywhere,
-    )[0]
-    torch.testing.assert_close(seen[0, [X, Y]], wall[0, [X, Y]])
-
-
 def test_without_any_depth_there_is_no_place() -> None:
     seen, _ = sample_squares(
         plane(torch.zeros((HEIGHT, WIDTH)), 400.0),
@@ -205,21 +160,6 @@ def test_without_any_depth_there_is_no_place() -> None:
     )
     assert not seen[0, [X, Y, Z, KNOWN]].any()
     assert seen[0, MASK].all()
-
-
-def test_squares_of_several_images_are_seen_as_if_alone() -> None:
-    scene, index = images(3), torch.tensor([2, 0, 2, 1])
-    several = Squares.about(torch.tensor([[5.0, 5, 30, 20], [40, 30, 75, 55], [20, 20, 33, 41], [-4, 0, 11, 9.5]]))
-    masks = torch.stack([disc().roll(4 * k, 1) for k in range(4)])
-    which = torch.arange(4)[:, None, None]
-    together, pixels = sample_squares(scene, index, several, lambda column, row: masks[which, row, column])
-    for k in range(4):
-        part, image = slice(k, k + 1), slice(int(index[k]), int(index[k]) + 1)
-        one = Squares(several.centre[part], several.side[part], several.turn[part], several.mirrored[part])
-        alone = Images(scene.rgb[image], scene.depth[image], scene.focal[image])
-        seen, seen_pixels = sample_squares(alone, FIRST, one, of_image(masks[k]))
-        torch.testing.assert_close(together[part], seen)
-        assert (pixels[part] == seen_pixels).all()
 
 
 def test_jittered_squares_still_show_their_detection() -> None:

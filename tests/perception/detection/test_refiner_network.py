@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -24,22 +22,13 @@ from tests.perception.detection.toy_refiner import (
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.detection.backbone import MASK_SIZE, paste_one
 from toolee_robot.perception.detection.instances import mask_iou
-from toolee_robot.perception.detection.passes import MAGNIFICATION
 from toolee_robot.perception.detection.refiner import (
-    CELLS,
-    CHANNELS,
     MaskRefinement,
     Refiner,
-    RefinerConfig,
     load_refiner,
 )
 from toolee_robot.perception.offline.training.refiner_training import (
-    VALIDATION,
     Detections,
-    Examples,
-    is_validation,
-    losses,
-    zoom_of,
 )
 from toolee_robot.types import RgbdFrame
 
@@ -65,11 +54,6 @@ def test_the_fused_refiner_answers_as_the_trained_one() -> None:
     assert logits.std() > 0.1
     torch.testing.assert_close(fused_logits, logits, atol=1e-3, rtol=1e-3)
     torch.testing.assert_close(fused_quality, quality, atol=1e-3, rtol=1e-3)
-
-
-def test_the_refiner_s_configuration_survives_its_file() -> None:
-    config = RefinerConfig((4, 8, 12, 20))
-    assert RefinerConfig.from_json(json.loads(json.dumps(config.to_json()))) == config
 
 
 def test_weights_of_another_refiner_do_not_fit() -> None:
@@ -101,44 +85,6 @@ def test_a_detection_s_training_mask_is_the_detector_s() -> None:
         assert mask_iou(pasted, mask) > 0.99
 
 
-def test_both_sizes_are_as_frequent_among_the_pictures_kept_aside(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("toolee_robot.perception.offline.training.refiner_training.VALIDATION", VALIDATION)
-    pictures = torch.arange(4000)
-    for some in (pictures, pictures[is_validation(pictures)]):
-        sizes, count = torch.unique(zoom_of(some), return_counts=True)
-        assert sizes.tolist() == [1.0, MAGNIFICATION]
-        assert count.tolist() == [len(some) // 2] * 2
-
-
-def test_losses_are_of_the_masks_of_true_detections_and_of_the_iou_of_all() -> None:
-    """A true detection, a false alarm, and one of an end effector too little visible to count."""
-    truth = torch.zeros((3, CELLS, CELLS), dtype=torch.bool)
-    truth[0, 20:60, 20:60] = truth[2, :4, :4] = True
-    hint, drawn = torch.zeros_like(truth), torch.tensor([True, False, True])
-    hint[0, 20:60, 40:80] = True
-    squares = torch.zeros((3, CHANNELS, CELLS, CELLS))
-    squares[:, -1] = hint.float()
-    none = torch.zeros(3, dtype=torch.long)
-    examples = Examples(squares, none, none.float(), truth, drawn, torch.tensor([True, True, False]))
-
-    def values(logits: torch.Tensor, expected: list[float]) -> dict[str, float]:
-        seen = losses(logits, torch.logit(torch.tensor(expected), 1e-6), examples)
-        return {name: float(value) for name, value in seen.items()}
-
-    perfect = torch.where(truth, 20.0, -20.0)
-    perfect[1] = 20.0  # whatever is drawn where nothing is
-    good = values(perfect, [1.0, 0.0, 0.5])
-    assert good == pytest.approx({"mask": 0, "dice": 0, "quality": 0, "iou": 1, "iou_before": 1 / 6}, abs=1e-4)
-    assert values(perfect, [1.0, 0.9, 0.5])["quality"] > 0.1, "a false alarm was trusted"
-    assert values(perfect, [0.1, 0.0, 0.5])["quality"] > 0.1, "a true detection was not"
-    assert values(perfect, [1.0, 0.0, 0.0])["quality"] == good["quality"]
-    half = perfect.clone()
-    half[0, 40:60] = -20.0
-    assert values(half, [0.5, 0.0, 0.5])["iou"] == pytest.approx(0.75)
-    assert values(half, [0.5, 0.0, 0.5])["quality"] < values(half, [1.0, 0.0, 0.5])["quality"]
-    assert values(half, [1.0, 0.0, 0.5])["mask"] > 0.5
-
-
 def test_the_mirrored_image_s_masks_are_the_mirrored_masks() -> None:
     """Of any refiner, though an untrained one draws something else in the mirror: the mean knows no left and right."""
     refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
@@ -153,14 +99,6 @@ def test_the_mirrored_image_s_masks_are_the_mirrored_masks() -> None:
     assert mask_iou(again.mask[:, ::-1], seen.mask) > 0.97
     assert mask_iou(again.mask, seen.mask) < 0.9
     assert mask_iou(before.mask, seen.mask) < 0.9
-
-
-@pytest.mark.parametrize("unknown", [np.nan, np.inf])
-def test_unknown_depth_is_the_same_as_zero_nan_or_infinity(unknown: float) -> None:
-    refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
-    (expected,), (found,) = refinement(*noise(0.0)), refinement(*noise(unknown))
-    assert found.score == expected.score
-    np.testing.assert_array_equal(found.mask, expected.mask)
 
 
 @pytest.mark.parametrize(

@@ -17,14 +17,14 @@ from tests.errors import raises
 from tests.perception.data_sets import frames
 from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import CATEGORIES, Category
-from toolee_robot.errors import AssetError, UserError
+from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, transform_points
 from toolee_robot.perception.detection.passes import Crop
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.evaluation.examples import parts, read_part
 from toolee_robot.perception.offline.rendered_clouds import clouds_of_part, tool_clouds_of_part
 from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig, CloudSource, Mixture
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import sample_hands, sample_tools
 from toolee_robot.perception.offline.training.loop import Distributed
@@ -108,23 +108,6 @@ def _frame(folder: Path) -> RgbdFrame:
     return RgbdFrame(data.rgb[0], data.depth_mm[0].astype(np.float32) * np.float32(1e-3), data.camera(0))
 
 
-def test_a_batch_s_truth_is_the_kept_one_in_the_canonical_frame(clouds: RenderedClouds) -> None:
-    batch = RenderedSource(clouds, "cpu", 0, CloudConfig()).collect(24, 16)
-    R = batch.R_canonical.mT @ batch.R
-    p = torch.einsum("bji,bj->bi", batch.R_canonical, batch.p) + batch.centre
-    for i in torch.nonzero(batch.positive)[:, 0]:
-        X = torch.as_tensor(clouds.X_camera_ee)
-        apart = (X[:, :3, :3] - R[i]).abs().amax((1, 2)) + (X[:, :3, 3] - p[i]).abs().amax(1)
-        assert apart.min() < 1e-5
-        # In the EE's own frame the points are about its origin.
-        local = (batch.points[i] - batch.p[i]) @ batch.R[i]
-        assert local.norm(dim=-1).median() < list(Category)[int(batch.category[i])].spec.radius + 0.01
-        if batch.rest_known[i]:
-            to_rest = torch.nn.functional.normalize(batch.rest[i].median(0).values, dim=0)
-            assert (batch.direction[i, :3] * to_rest).sum() > 0.7, "the direction is that to the rest of the tool"
-            assert batch.direction[i, 4] == 0
-
-
 def test_a_cloud_is_what_the_estimator_would_see(clouds: RenderedClouds) -> None:
     """The same cloud, given to an estimator as the pipeline gives it: centre, count and rest agree."""
     i = int(np.flatnonzero(clouds.positive & (clouds.counts[:, 2] > REST_MIN))[0])
@@ -172,28 +155,6 @@ def _renamed(clouds: RenderedClouds, category: int, times: int) -> RenderedCloud
     """A cloud as if it were of that category, so many times."""
     one = _one(clouds, int(np.flatnonzero(clouds.positive)[0]))
     return RenderedClouds.cat([replace(one, category=np.array([category]))] * times)
-
-
-def test_a_mixture_takes_its_share_of_each() -> None:
-    class Counts(CloudSource):
-        def __init__(self) -> None:
-            self.asked = 0
-
-        def generate(self, n: int) -> CloudBatch:
-            self.asked += n
-            return CloudBatch(*(torch.zeros(n) for _ in range(16)))
-
-        def reseed(self, seed: int) -> None:
-            self.asked = seed
-
-    first, second = Counts(), Counts()
-    mixture = Mixture(first, second, 0.25)
-    assert len(mixture.collect(200, 100).points) == 200
-    assert (first.asked, second.asked) == (150, 50)
-    mixture.reseed(7)
-    assert first.asked != second.asked, "two sources of one kind must not give the same"
-    with raises(UserError, code="user.share"):
-        Mixture(first, second, 1.5)
 
 
 def test_clouds_come_back_from_their_file_and_another_file_is_refused(clouds: RenderedClouds, tmp_path: Path) -> None:

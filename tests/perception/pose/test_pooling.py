@@ -14,12 +14,10 @@ from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose.cloud_estimator import PoseResult, with_hand
 from toolee_robot.perception.pose.pooling import (
     FREE_SPIN_VARIANCE,
-    SigmaScale,
     align,
     fix_spin,
     pairwise_angles,
     pool,
-    with_spin_variance,
 )
 from toolee_robot.perception.pose.representation import rotation_matrix, rotation_vectors, rotations_about, twist_angles
 from toolee_robot.robots import SHADOW_HAND
@@ -148,13 +146,6 @@ def test_an_observed_spin_is_kept_and_its_variance_small() -> None:
     assert GROUPS[0].rotation_error(pooled.X[:3, :3], X[:3, :3]) < np.deg2rad(2)
 
 
-def test_calibration_scales_the_covariance() -> None:
-    rng = np.random.default_rng(5)
-    Xs = candidates(rng, random_pose(rng))
-    once, twice = (pool(Xs, GROUPS[0], 0.002, 0.05, 0.05, scale=SigmaScale(s, s)) for s in (1.0, 2.0))
-    np.testing.assert_allclose(twice.covariance, 4 * once.covariance)
-
-
 @given(seeds)
 @examples(40)
 def test_the_fix_replaces_the_twist_only(seed: int) -> None:
@@ -200,15 +191,6 @@ def test_c2_takes_the_reading_nearest_to_the_hand_and_no_symmetry_changes_nothin
     np.testing.assert_allclose(fixed, np.eye(3), atol=1e-12)
     same, _ = fix_spin(flipped, np.eye(3), GROUPS[0], 1.0, 0.1)
     np.testing.assert_array_equal(same, flipped)
-
-
-def test_spin_variance_is_set_without_touching_the_rest() -> None:
-    rng = np.random.default_rng(6)
-    A = rng.normal(size=(6, 6))
-    covariance, axis = A @ A.T, np.array([0.0, 0.6, 0.8])
-    changed = with_spin_variance(covariance, axis, 0.25)
-    assert axis @ changed[3:, 3:] @ axis == pytest.approx(0.25)
-    np.testing.assert_allclose(changed[:3, :3], covariance[:3, :3])
 
 
 @pytest.mark.parametrize(

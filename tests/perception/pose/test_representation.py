@@ -19,7 +19,6 @@ from toolee_robot.perception.pose.canonical import (
     PATCHES,
     POINTS,
     REST_PATCHES,
-    RINGS,
     CanonicalCloud,
     canonicalize,
     canonicalize_one,
@@ -186,25 +185,6 @@ def test_one_cloud_becomes_what_it_becomes_in_a_batch(seen: int, guesses: int | 
         torch.testing.assert_close(of_one, of_batch, atol=1e-6, rtol=0, msg=f"{field.name}: {{}}".format)
 
 
-def test_one_cloud_that_loses_everything_is_its_centre() -> None:
-    # Three specks, none of them at their common median.
-    points = np.repeat([[0.5, 0.0, 0.6], [0.0, 0.5, 0.6], [-0.5, -0.5, 0.6]], 40, axis=0)
-    cloud = canonicalize_one(points, 0.04, torch.Generator().manual_seed(0))
-    assert int(cloud.count[0]) == 0
-    assert not bool(cloud.points.any())
-    assert not bool(cloud.completed.any())
-
-
-def test_padding_flags_are_obeyed() -> None:
-    points = torch.full((1, 200, 3), 9.0)
-    points[0, :60] = torch.rand(60, 3) * 0.02 + torch.tensor([0.0, 0.0, 0.5])
-    valid = torch.zeros(1, 200, dtype=torch.bool)
-    valid[0, :60] = True
-    cloud = canonicalize(points, valid, torch.tensor([0.05]), torch.Generator().manual_seed(0))
-    assert int(cloud.count[0]) == 60
-    assert float(cloud.points.abs().max()) < 0.05
-
-
 def test_the_rest_of_the_tool_lies_in_the_same_frame_and_far_background_is_left_out() -> None:
     rng = np.random.default_rng(0)
     head = torch.as_tensor(rng.uniform(-0.02, 0.02, (300, 3)) + np.array([0.1, 0.0, 0.5]), dtype=torch.float32)[None]
@@ -252,31 +232,6 @@ def test_a_completed_depth_lies_between_the_depths_that_are_known_and_only_where
         if len(made):
             assert float(made.min()) >= float(depths[there].min()) - 1e-6
             assert float(made.max()) <= float(depths[there].max()) + 1e-6
-
-
-def test_the_rim_of_a_slanting_face_continues_it() -> None:
-    rows = torch.arange(SIZE, dtype=torch.float32)
-    plane = (0.6 + 0.001 * rows)[None, None].expand(1, SIZE, SIZE)
-    guess = complete_depth(plane, block(slice(6, 18), slice(6, 18)), block(slice(4, 20), slice(4, 20)))
-    made = guess > 0
-    assert int(made.sum()) == 16**2 - 12**2
-    # Two pixels beyond the last known one a mean of neighbours lags by their slope.
-    assert float((guess - plane)[made].abs().max()) < 0.0025
-
-
-def test_an_outline_belongs_to_what_is_in_front() -> None:
-    depth = torch.full((1, SIZE, SIZE), 1.2)
-    depth[:, :, :10] = 0.6
-    gap = block(slice(0, SIZE), slice(10, 11))
-    torch.testing.assert_close(complete_depth(depth, ~gap, gap)[0, :, 10], torch.full((SIZE,), 0.6))
-
-
-def test_far_from_everything_measured_nothing_is_completed() -> None:
-    depth = torch.full((1, SIZE, SIZE), 0.7)
-    guess = complete_depth(depth, block(slice(0, SIZE), slice(0, 2)), torch.ones(1, SIZE, SIZE, dtype=torch.bool))
-    reached = torch.nonzero((guess[0] > 0).any(0))[:, 0]
-    assert reached.tolist() == list(range(2, 2 + RINGS))
-    assert not bool(complete_depth(depth, torch.zeros_like(guess, dtype=torch.bool), guess >= 0).any())
 
 
 def face_and_handle(distance: float) -> tuple[Array, Array]:

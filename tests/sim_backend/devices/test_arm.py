@@ -15,7 +15,6 @@ from toolee_robot.control import RobotModel
 from toolee_robot.errors import DeviceError, LatchedError, NotReadyError, ProtectiveStopError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
-from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.arm import HOLD_TIME, RATE, STANDSTILL, SimArm
 from toolee_robot.sim_backend.options import SimOptions
@@ -232,15 +231,6 @@ def test_a_stop_in_motion_brakes_as_the_controller_does_and_needs_a_person(model
         assert arm.state().error_code is None
 
 
-def test_without_errors_it_stops_as_an_ideal_controller_does() -> None:
-    """By the force and the deviation, not by the torque at a joint."""
-    for force, code in (([0.0, 145.0, 0.0], None), ([0.0, 160.0, 0.0], "C191A7")):
-        with station(errors=0.0) as simulation:
-            push(simulation, np.array(force), 0.2, 0.6)
-            simulation.station.clock.sleep(0.5)
-            assert arm_of(simulation).state().error_code == code
-
-
 def test_a_joint_off_its_path_stops_it_where_the_program_does_not_look() -> None:
     with station() as simulation:
         arm, clock = arm_of(simulation), simulation.station.clock
@@ -252,14 +242,6 @@ def test_a_joint_off_its_path_stops_it_where_the_program_does_not_look() -> None
         arm.make_ready()
         arm.reset()
         assert arm.execute(turn(arm.state().q_commanded, 0.1, 1.0)).outcome is MotionOutcome.COMPLETED
-
-
-def test_what_gears_give_way_is_compensated_and_far_from_a_stop() -> None:
-    with station(ArmModel.UR10E, compliance=1.0) as simulation:
-        arm = arm_of(simulation)
-        report = arm.execute(turn(arm.state().q_commanded, 0.8, 1.0))
-        assert report.position_deviation_ratios is not None
-        assert report.position_deviation_ratios.max() < 0.05
 
 
 @pytest.mark.parametrize(("model", "errors"), [(ArmModel.UR10, 1.0), (ArmModel.UR10E, 0.0), (ArmModel.UR10E, 1.0)])
@@ -316,31 +298,3 @@ def test_an_arm_reads_the_noise_and_the_offset_of_its_generation(model: ArmModel
         zeroed = forces(simulation, 3.0)
         assert np.linalg.norm(zeroed.mean(axis=0)) < 0.5 * errors.offset[0]
         assert np.sqrt(np.mean(np.var(zeroed, axis=0))) == pytest.approx(errors.noise[0], rel=0.2)
-
-
-def test_readings_are_drawn_from_the_seed_and_scale_with_the_size() -> None:
-    def mean(size: float, seed: int) -> Array:
-        with arm_at_rest(ArmModel.UR10, size, seed) as simulation:
-            return np.asarray(forces(simulation, 0.4).mean(axis=0))
-
-    exact, usual, larger = mean(0.0, 3), mean(1.0, 3), mean(2.0, 3)
-    np.testing.assert_allclose(larger - exact, 2.0 * (usual - exact), atol=1e-6)
-    np.testing.assert_allclose(usual, mean(1.0, 3), atol=1e-12)
-    assert np.linalg.norm(usual - mean(1.0, 4)) > 0.5
-    # The mounting plate (0.1 kg) is a part of the payload, and on the arm's side of the simulated sensor.
-    np.testing.assert_allclose(exact, [0.0, 0.0, 0.981], atol=0.01)
-
-
-def test_a_hand_that_weighs_far_more_than_the_job_was_told_is_no_offset() -> None:
-    robot = load_robot()
-    true = robot.hand_payload(robot.hand_open)
-    with arm_at_rest(ArmModel.UR10, 0.0) as simulation:
-        arm = simulation.station.arm
-        arm.set_payload(Payload(true.mass - 1.5, true.center_of_mass))
-        arm.zero_wrench()
-        arm.set_payload(Payload(true.mass - 2.5, true.center_of_mass))
-        simulation.station.clock.sleep(0.1)
-        before = arm.state().wrench
-        with raises(DeviceError, code="device.wrench_too_large"):
-            arm.zero_wrench()
-        np.testing.assert_allclose(arm.state().wrench, before, atol=0.5)

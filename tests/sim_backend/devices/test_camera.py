@@ -74,14 +74,6 @@ def test_frames_are_new_and_follow_the_world() -> None:
     assert gone.depth[row, column] == 0 or gone.depth[row, column] > second.depth[row, column] + 0.1
 
 
-def test_the_seed_decides_the_frames() -> None:
-    def frame(seed: int) -> bytes:
-        return SimCamera(Boxes(), Clock(), CONFIG, seed=seed).read().rgb.tobytes()
-
-    assert frame(1) == frame(1)
-    assert frame(1) != frame(2)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_kind_of_depth_camera_sees_the_boxes_with_noise_of_its_own(kind: SensorKind) -> None:
     camera, plain = (SimCamera(Boxes(), Clock(), CONFIG, 1, sensor) for sensor in (kind, None))

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.devices.hands.recorded_ability import PADS
-from toolee_robot.sim_backend.hands.ability import AbilityEmulator, Hand, foreign
+from toolee_robot.sim_backend.hands.ability import AbilityEmulator, Hand
 
 ASK = "7E 50 A0 10 7E"
 CLOSE_40 = "7E 50 10 22 22 22 22 22 22 22 22 22 22 DE DD 91 7E"
@@ -76,21 +76,6 @@ def test_damaged_messages_and_those_for_others_get_no_answer(bench: Bench) -> No
     assert len(bench.send("00 FF 7E 50 A0 10 7E")) == 1
 
 
-def test_it_knows_what_it_was_told_last(bench: Bench) -> None:
-    assert set(bench.hand.told) == {None}
-    bench.send(CLOSE_40)
-    np.testing.assert_allclose(np.array(bench.hand.told, float), 40.0, atol=0.1)
-    bench.now += 1.0
-    bench.send(ASK)
-    assert bench.hand.told[0] == 0.0, "it has left the API mode"
-
-
-def test_a_cut_message_moves_the_motors_that_it_names(bench: Bench) -> None:
-    bench.keep("7E 50 10 22 22 5C 7E", 0.28)
-    assert bench.hand.angles[0] > 10.0
-    assert bench.hand.angles[1:] == (0.0, 0.0, 0.0, 0.0, 0.0)
-
-
 def test_without_a_command_for_300_ms_it_leaves_the_api_mode_and_moves(bench: Bench) -> None:
     bench.send(ASK)
     assert not bench.hand.in_api
@@ -123,29 +108,12 @@ def test_a_finger_that_has_collided_is_barred_until_it_is_told_to_go_back(bench:
     assert bench.hand.angles[0] > 30.0
 
 
-def test_going_back_may_be_taken_for_a_collision(bench: Bench) -> None:
-    bench.hand.hold(20.0)
-    bench.keep(CLOSE_40, 1.0)
-    for motor in bench.hand.motors:
-        motor.ratchets = 1.0
-    bench.keep("7E 50 10 " + "00 " * 12 + "A0 7E", 0.5)
-    assert bench.hand.angles[0] > 20.0
-    assert bench.limited() == 0b011111
-
-
 @given(st.lists(st.binary(max_size=60), max_size=8))
 def test_bytes_at_random_never_raise(pieces: list[bytes]) -> None:
     bench = Bench()
     for piece in pieces:
         bench.send(piece)
     assert bench.send("7E " + ASK)[-1:] != []
-
-
-@given(st.integers(0, 255), st.lists(st.integers(-32768, 32767), max_size=6))
-def test_every_message_is_answered(header: int, values: list[int]) -> None:
-    frame = Bench().hand.answer(header, struct.pack(f"<{len(values)}h", *values))
-    assert frame[0] == frame[-1] == 0x7E
-    assert foreign(frame)[1] & 0xF0 == 0x40
 
 
 def test_an_emulator_that_nobody_enters_keeps_no_line_open() -> None:

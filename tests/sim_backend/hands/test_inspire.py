@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import struct
-import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.errors import raises
-from toolee_robot.errors import UserError
-from toolee_robot.sim_backend.hands.ability import AbilityEmulator
-from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, ModbusEmulator, foreign
-from toolee_robot.sim_backend.hands.kit import HandTime, LineFault, LineFaults, WriteFault, happen
-from toolee_robot.sim_backend.hands.shadow import ShadowEmulator
+from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, ModbusEmulator
 
 CLOSE_ALL = "EB 90 01 0F 12 CE 05 00 00 00 00 00 00 00 00 00 00 E8 03 E0"
 """All but the thumb's rotation to 0."""
@@ -84,14 +78,6 @@ def test_the_whole_range_takes_the_published_time_after_the_measured_delay(bench
     assert bench.bytes(1612)[3] == 2
 
 
-def test_a_target_of_minus_one_and_a_write_to_a_reading_change_nothing(bench: Bench) -> None:
-    bench.write(1486, 500, -1, -1, -1, -1, -1)
-    bench.now += 2.0
-    assert bench.words(1546) == (500, *(1000,) * 5)
-    assert bench.send("EB 90 01 05 12 0A 06 00 00 28") == ["90 EB 01 04 12 0A 06 00 27"]
-    assert bench.words(1546)[0] == 500
-
-
 @pytest.mark.parametrize(("speed", "at_most"), [(25, 1.15), (250, 2.3)])
 def test_it_stops_at_the_force_and_overshoots_the_more_the_faster_it_is(
     bench: Bench, speed: int, at_most: float
@@ -121,25 +107,6 @@ def test_a_hot_motor_stands_until_it_is_cool_whatever_is_cleared(bench: Bench) -
     assert bench.bytes(1606)[0] == 0
 
 
-def test_the_faults_of_the_line() -> None:
-    frame = bytes.fromhex("90 EB 01 04 12 CE 05 01 EB")
-    faults = LineFaults(foreign, seed=1)
-    assert [data for data, _ in faults.on_the_way(frame)] == [frame]
-    came = {}
-    for fault in LineFault:
-        faults.upcoming(fault)
-        came[fault] = [data for data, _ in faults.on_the_way(frame)]
-    assert faults.pending == 0
-    assert came[LineFault.GARBAGE][0].endswith(frame)
-    assert came[LineFault.CORRUPT][0] != frame
-    assert frame.startswith(came[LineFault.SHORT][0])
-    assert came[LineFault.DOUBLED] == [frame, frame]
-    assert came[LineFault.FOREIGN] == [bytes.fromhex("90 EB 02 04 12 CE 05 01 EC"), frame]
-    assert came[LineFault.LOST] == []
-    faults.muted = True
-    assert faults.on_the_way(frame) == []
-
-
 FRAMES = {
     InspireEmulator: ("EB 90 01 04 11 DA 05 0C 01", ["EB 90 01 0F 12 DA 05 " + "2C 01 " * 6 + "0F"]),
     ModbusEmulator: (
@@ -148,65 +115,3 @@ FRAMES = {
     ),
 }
 """The thresholds of the force: read, and written as 300 in every way that the wire has."""
-
-
-@pytest.mark.parametrize("fault", WriteFault)
-@pytest.mark.parametrize("kind", FRAMES)
-def test_reads_are_answered_and_writes_are_not(kind: type[InspireEmulator], fault: WriteFault) -> None:
-    hand, (read, writes) = kind(), FRAMES[kind]
-    hand.faults.writes = fault
-    for write in writes:
-        assert hand.answer(bytes.fromhex(write)) == []
-    assert hand.tell(lambda hand: hand.told)[0][1] == (500 if fault is WriteFault.DEAF else 300)
-    assert len(hand.answer(bytes.fromhex(read))) == 1
-    if isinstance(hand, ModbusEmulator):
-        hand.refusals.append(6)
-        assert hand.answer(bytes.fromhex(writes[0])) == []
-    hand.faults.writes = None
-    for write in writes:
-        assert len(hand.answer(bytes.fromhex(write))) == 1
-
-
-def test_events() -> None:
-    with InspireEmulator() as inspire, ModbusEmulator() as modbus:
-        for emulator in (inspire, modbus):
-            for fault in WriteFault:
-                happen(emulator, fault)
-                assert emulator.faults.writes is fault
-            happen(emulator, "acknowledge")
-            assert emulator.faults.writes is None
-            happen(emulator, "error middle 4")
-            happen(emulator, "error middle 16")
-            assert emulator.tell(lambda hand: hand.read(1606, 6)) == bytes([0, 0, 20, 0, 0, 0])
-            for nonsense in ("deaf 3", "error 4", "error middle", "error middle 0", "error middle 2", "error palm 4"):
-                with raises(UserError, "user.hand_event"):
-                    happen(emulator, nonsense)
-    with AbilityEmulator() as ability, ShadowEmulator() as shadow:
-        for other in (ability, shadow):
-            with raises(UserError, "user.hand_event"):
-                happen(other, "deaf")
-
-
-def test_a_motor_with_too_much_current_stands_until_it_is_cleared() -> None:
-    now = 100.0
-    hand = Hand(lambda: now)
-    hand.write(1486, struct.pack("<6h", *(0,) * 6))
-    now += 0.2
-    hand.run()
-    hand.motors[2].error |= 4
-    now += 2.0
-    angles = struct.unpack("<6h", hand.read(1546, 12))
-    assert angles[2] > 800
-    assert angles[3] == 0
-    assert (hand.read(1606, 6)[2], hand.read(1612, 6)[2]) == (4, 5)
-    assert hand.write(1004, b"\x01")
-    assert hand.read(1606, 6) == bytes(6)
-
-
-def test_it_runs_at_its_pace_and_never_back() -> None:
-    hand, begin = HandTime(0.5), time.monotonic()
-    times = [hand()]
-    while time.monotonic() - begin < 0.05:
-        times.append(hand())
-    assert times == sorted(times)
-    assert 0.0 < times[-1] - times[0] <= 0.5 * (time.monotonic() - begin)

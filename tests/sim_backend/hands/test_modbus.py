@@ -11,11 +11,9 @@ from pymodbus.client import ModbusTcpClient
 
 from tests.errors import raises
 from toolee_robot.errors import UserError
-from toolee_robot.sim_backend.hands.inspire import Hand, ModbusEmulator, foreign_transaction
-from toolee_robot.sim_backend.hands.kit import LineFault, happen
+from toolee_robot.sim_backend.hands.inspire import Hand, ModbusEmulator
 
 READ_ANGLES = "00 01 00 00 00 06 01 03 06 0A 00 06"
-ANGLES = "00 01 00 00 00 0F 01 03 0C " + "03 E8 " * 6
 
 
 class Bench:
@@ -72,54 +70,12 @@ def test_what_it_cannot_do_is_an_exception(bench: Bench, request_: str, code: in
     assert bench.emulator.answer(frame) == [bytes([0, 5, 0, 0, 0, 3, 1, body[0] | 0x80, code])]
 
 
-def test_requests_may_come_in_pieces_or_together(bench: Bench) -> None:
-    frame = bytes.fromhex(READ_ANGLES)
-    assert [len(bench.emulator.answer(bytes([byte]))) for byte in frame] == [0] * 11 + [1]
-    assert len(bench.emulator.answer(frame + frame + frame[:5])) == 2
-    bench.emulator.connected()
-    assert len(bench.emulator.answer(frame)) == 1
-
-
 @given(st.binary(max_size=400))
 def test_no_bytes_bring_it_down(data: bytes) -> None:
     bench = Bench()
     bench.emulator.answer(data)
     bench.emulator.connected()
     assert bench.send(READ_ANGLES)
-
-
-def test_events_of_this_wire() -> None:
-    with ModbusEmulator() as emulator:
-        assert "index 1000" in happen(emulator, "shift -1")
-        happen(emulator, "refuse 6 3")
-        happen(emulator, "refuse 2")
-        assert emulator.shift == -1
-        assert list(emulator.refusals) == [6, 6, 6, 2]
-        for nonsense in (
-            "echo",
-            "shift",
-            "shift x",
-            "refuse",
-            "refuse 0",
-            "refuse 256",
-            "refuse 1 2 3",
-            "shift index 1",
-        ):
-            with raises(UserError, "user.hand_event"):
-                happen(emulator, nonsense)
-        assert happen(emulator, "unplug") == "unplugged"
-
-
-def test_noise_hits_the_framing_only_as_tcp_sees_to_the_data() -> None:
-    frame = bytes.fromhex(ANGLES)
-    with ModbusEmulator(seed=3) as emulator:
-        for _ in range(50):
-            emulator.faults.upcoming(LineFault.CORRUPT)
-            ((data, _),) = emulator.faults.on_the_way(frame)
-            assert data[:9] != frame[:9]
-            assert data[9:] == frame[9:]
-    assert foreign_transaction(frame)[2:9] == frame[2:9]
-    assert foreign_transaction(frame)[:2] != frame[:2]
 
 
 def test_it_cannot_listen_where_another_does() -> None:

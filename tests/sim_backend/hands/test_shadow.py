@@ -68,13 +68,6 @@ def test_a_controller_refuses_in_silence(bench: Bench, wrong: str) -> None:
     assert set(controller.desired(bench.now + 1.0)) == {0.0}
 
 
-def test_an_empty_trajectory_stops(bench: Bench) -> None:
-    bench.command(1.0, FFJ3=1.0)
-    bench.wait(0.5)
-    bench.hand.controllers[FINGERS_TOPIC].command({"joint_names": [], "points": []}, bench.now)
-    assert max(bench.hand.controllers[FINGERS_TOPIC].desired(bench.now + 5.0)) == pytest.approx(0.5)
-
-
 def test_a_finger_presses_on_what_it_meets_and_lets_go_of_its_force_when_it_is_halted(bench: Bench) -> None:
     bench.hand.hold(40.0)
     bench.command(0.02, FFJ3=1.0)

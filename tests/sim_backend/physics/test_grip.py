@@ -13,16 +13,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.sim_backend.physics import grip
 from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb
 from toolee_robot.sim_backend.physics.grip import (
-    ANGULAR_DAMPING,
-    ANGULAR_STIFFNESS,
-    DAMPING,
-    STIFFNESS,
     TENDON_LOSS,
     AssistedGrip,
-    GripGains,
     GripLimits,
 )
 from toolee_robot.sim_backend.station import draw_hammer
@@ -119,12 +113,6 @@ def test_a_slipping_grip_takes_energy_out() -> None:
         assert energies.max() <= 1.001 * energies[0], body
 
 
-def test_gains_that_ignore_the_inertia_would_spin_a_light_hammer_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grip, "STABILITY_NUMBER", np.inf)
-    energies = kinetic_energies(body_of(151), NORMAL)
-    assert energies.max() > 10.0 * energies[0]
-
-
 @given(
     force=arrays(float, 3, elements=st.floats(-20.0, 20.0)),
     about=st.floats(-0.2, 0.2),
@@ -183,38 +171,3 @@ def test_a_tilt_beyond_the_bound_yields_without_jumps_and_takes_energy_out() -> 
         assert np.trapezoid(torque, angles) > 0.0
         assert torque[len(ways[0]) - 1] == pytest.approx(limit)
         assert torque[-len(back)] == pytest.approx((1.0 - TENDON_LOSS) * limit)
-
-
-@given(
-    factor=arrays(float, (6, 6), elements=st.floats(-1.0, 1.0)),
-    scale=st.floats(-4.0, 4.0),
-    handle=arrays(float, 3, elements=st.floats(-1.0, 1.0)).filter(lambda v: float(np.linalg.norm(v)) > 0.1),
-    time_step=st.sampled_from([NORMAL.time_step, IMPACT.time_step]),
-)
-def test_steps_with_stable_gains_are_stable_for_any_inertia(
-    factor: Array, scale: float, handle: Array, time_step: float
-) -> None:
-    handle = handle / np.linalg.norm(handle)
-    mobility = 10.0**scale * (factor @ factor.T + 1e-6 * np.eye(6))
-    gains = GripGains.stable(mobility, handle, NORMAL.time_step)
-    about = np.outer(handle, handle)
-
-    def blocks(shift: float, turn: float, tilt: float) -> Array:
-        matrix = np.zeros((6, 6))
-        matrix[:3, :3], matrix[3:, 3:] = shift * np.eye(3), turn * about + tilt * (np.eye(3) - about)
-        return matrix
-
-    K = blocks(gains.stiffness, gains.about_stiffness, gains.tilt_stiffness)
-    D = blocks(gains.damping, gains.about_damping, gains.tilt_damping)
-    # v' = v - h W (K x + D v), x' = x + h v', in coordinates where the map is well scaled.
-    L = np.linalg.cholesky(mobility)
-    K, D = time_step**2 * L.T @ K @ L, time_step * L.T @ D @ L
-    step = np.block([[np.eye(6) - K, np.eye(6) - D], [-K, np.eye(6) - D]])
-    assert np.abs(np.linalg.eigvals(step)).max() <= 1.0 + 1e-6
-
-
-def test_a_tool_of_much_inertia_is_held_as_stiffly_as_a_hand_can() -> None:
-    gains = GripGains.stable(np.diag([0.1] * 3 + [10.0] * 3), np.array([0.0, 0.0, 1.0]), NORMAL.time_step)
-    assert (gains.stiffness, gains.damping) == (STIFFNESS, DAMPING)
-    assert (gains.about_stiffness, gains.about_damping) == (ANGULAR_STIFFNESS, ANGULAR_DAMPING)
-    assert (gains.tilt_stiffness, gains.tilt_damping) == (ANGULAR_STIFFNESS, ANGULAR_DAMPING)

@@ -174,19 +174,3 @@ def test_an_overloaded_joint_yields_at_its_torque_and_comes_back() -> None:
         for _ in range(200):
             springs.step(HOME, np.zeros(6), HOME.tolist(), still, NORMAL.time_step)
         np.testing.assert_allclose(springs.motor, q, atol=1e-6)
-
-
-def test_an_arm_in_motion_goes_on_when_its_fingers_move() -> None:
-    """Another body is made of it, whose motors are switched off, too."""
-    with elastic_arm(ROBOTS["shadow"]) as (body, _):
-        speed = np.array([0.4, -0.3, 0.5, 0.2, -0.6, 0.7])
-        body.command_arm(HOME, speed)
-        run(body, 0.4)
-        body.command_hand(body.robot.hand_closed)
-        for now, wanted in zip(body.arm_state(), (HOME + 0.4 * speed, speed), strict=True):
-            np.testing.assert_allclose(now, wanted, atol=0.05)
-        run(body, 0.1)
-        np.testing.assert_allclose(body.arm_state()[0], HOME + 0.5 * speed, atol=0.003)
-        body.stiffen()
-        run(body, 0.1)
-        np.testing.assert_allclose(body.arm_state()[0], HOME + 0.6 * speed, atol=0.003)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,12 +20,11 @@ from toolee_robot.perception.detection.detector import TOOL
 from toolee_robot.perception.detection.inputs import STRIDE
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH, EeTable, Example
 from toolee_robot.perception.offline.dataset.scenes import load, write_scene
-from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.offline.evaluation.segmentation import true_instances
 from toolee_robot.perception.offline.training import images as camera_effects
-from toolee_robot.perception.offline.training.backgrounds import Backgrounds, Patches, stickers, wear
+from toolee_robot.perception.offline.training.backgrounds import Backgrounds, stickers, wear
 from toolee_robot.perception.offline.training.detector_training import SegmentationTraining, instances_from_maps
-from toolee_robot.perception.offline.training.image_training import DeviceStore, SceneStream
+from toolee_robot.perception.offline.training.image_training import SceneStream
 from toolee_robot.perception.offline.training.images import DeviceImages, ImageSample, augment
 from toolee_robot.types import CameraIntrinsics
 
@@ -92,26 +90,6 @@ def test_ranks_share_a_data_set_without_overlap_while_it_grows(folder: Path) -> 
             stream.close()
 
 
-def test_memory_is_taken_once_for_all_images_that_the_data_set_promises(tmp_path: Path) -> None:
-    """A growing copy beside the old one would need 2.5 times the memory, which a GPU has not."""
-    spec = DatasetSpec("hard", size=10, test_share=0.0, scene_size=4)
-    (tmp_path / DESCRIPTION).write_text(json.dumps(spec.to_json()))
-    for rank, count in ((0, 4 + 2), (1, 4)):
-        stream = SceneStream(tmp_path / "train", (rank, 2))
-        stream.close()
-        assert stream.expected == count
-    scenes = toy_scenes(2)
-    for expected, rows in ((7, (7, 7, 7, 12)), (0, (2, 4, 6, 12))):
-        store = DeviceStore(torch.device("cpu"), tools=True, expected=expected)
-        for k, more in enumerate((scenes, scenes, scenes, toy_scenes(6))):
-            place = store.rgb.data_ptr()
-            store.extend(more)
-            assert len(store.rgb) == rows[k], "also more than was promised"
-            assert not 0 < k < 3 or (store.rgb.data_ptr() == place) is (expected > 0)
-        assert len(store) == 12
-        torch.testing.assert_close(store.rgb[4:6], torch.from_numpy(scenes.rgb))
-
-
 def test_a_folder_without_data_is_named(tmp_path: Path) -> None:
     with raises(AssetError, code="asset.no_scene"):
         load(tmp_path)
@@ -152,23 +130,6 @@ def test_a_camera_effect_keeps_shape_and_range(effect: str) -> None:
     assert made.min() >= -1e-3
     assert made.max() <= 255 + 1e-3
     assert not torch.equal(made, images)
-
-
-def test_compression_leaves_a_plain_picture_as_it_was() -> None:
-    images = torch.full((2, 3, 48, 48), 120.0)
-    assert (camera_effects.compress(images) - images).abs().max() < 4
-
-
-def test_lost_depth_is_lost_on_the_tool_or_everywhere() -> None:
-    torch.manual_seed(0)
-    depth = torch.full((200, 24, 24), 0.8)
-    tool = torch.zeros_like(depth, dtype=torch.bool)
-    tool[:, 8:16, 8:16] = True
-    made = camera_effects.lose_depth(depth, tool, 1.0)
-    whole = (made == 0).all((1, 2))
-    assert 1 <= int(whole.sum()) <= 20
-    assert (made[~whole][:, 0, 0] > 0.78).all()
-    assert ((made[~whole] == 0) & tool[~whole]).any()
 
 
 def test_wide_augmentation_keeps_masks_depth_and_boxes_together(backgrounds: Backgrounds) -> None:
@@ -268,15 +229,6 @@ def test_a_sticker_covers_a_part_of_one_tool(
             long.append(int(columns.max() - columns.min()) / 120)
     assert len(long) > 8
     assert 0.1 < float(np.median(long)) < 0.7
-
-
-def test_the_middle_of_a_narrow_patch_is_opaque() -> None:
-    torch.manual_seed(2)
-    n = 200
-    half = torch.tensor([30.0, 2.5]).repeat(n, 1)
-    patches = Patches.random(torch.tensor([48.0, 32.0]).repeat(n, 1), half, torch.zeros(n), (64, 96))
-    assert (patches.cover[:, 32, 48] > 0.999).all()
-    assert (patches.cover[:, 0] == 0).all()
 
 
 @pytest.mark.parametrize("size", [0, 5], ids=["no tool", "a tool between the grid's pixels"])

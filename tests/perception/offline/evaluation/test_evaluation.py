@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import copy
 import json
 import re
 import shutil
@@ -22,7 +21,6 @@ from tests.errors import raises
 from tests.perception.data_sets import frames
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError
-from toolee_robot.frames import transform
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED
 from toolee_robot.perception.offline.dataset.scenes import SegmentationSet, load
@@ -90,19 +88,6 @@ def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:
         collect(tmp_path)
     with raises(AssetError, code="asset.missing"):
         load_estimator(tmp_path)
-
-
-def test_results_of_acting_on_usable_poses(examples: Examples) -> None:
-    right = [Ranked(i.image, i.category, 0.9, i.X_camera_ee, True) for i in examples.instances if i.target]
-    far = [replace(r, X_camera_ee=r.X_camera_ee @ transform(p=(0.0, 0.0, 0.5))) for r in right]
-    unsure = [replace(r, usable=False) for r in far]
-    found = pose.usable_poses(examples.instances, [*right, *far, *unsure], examples.images)
-    assert found["poses"] == 2 * len(right)
-    assert found["right_10deg2cm"] == pytest.approx(0.5)
-    assert found["wrong_per_image"] == pytest.approx(len(right) / examples.images)
-    assert found["found_10deg2cm"] == pytest.approx(1.0)
-    nothing = pose.usable_poses(examples.instances, unsure, examples.images)
-    assert (nothing["poses"], nothing["right_10deg2cm"], nothing["found_10deg2cm"]) == (0, None, 0.0)
 
 
 def test_an_end_effector_is_taken_once_and_what_is_not_asked_for_does_not_count(examples: Examples) -> None:
@@ -279,30 +264,6 @@ def test_the_segmentation_command(folder: Path, tmp_path: Path, capsys: pytest.C
     assert printed["images"] == 2
     assert set(STATISTICS) <= set(printed["average"])
     check_self_contained((tmp_path / "report.html").read_text())
-
-
-def test_coco_figures_are_pycocotools_own(task: CocoTask) -> None:
-    pycocotools = pytest.importorskip("pycocotools.coco")
-    from pycocotools.cocoeval import COCOeval
-
-    from toolee_robot.perception.detection.detector import CLASSES
-
-    ours = statistics(task)
-    truth = pycocotools.COCO()
-    truth.dataset = copy.deepcopy(task.truth)  # it writes into it
-    truth.createIndex()
-    found = truth.loadRes([dict(r) for r in task.results])
-    for label, name in enumerate(CLASSES):
-        if label == 0 or not ours[name]["instances"]:
-            continue
-        run_ = COCOeval(truth, found, "segm")
-        run_.params.catIds = [label]
-        run_.evaluate()
-        run_.accumulate()
-        run_.summarize()
-        theirs = [None if v < 0 else v for v in run_.stats[: len(STATISTICS)]]
-        for key, value in zip(STATISTICS, theirs, strict=True):
-            assert ours[name][key] == (None if value is None else pytest.approx(value, abs=1e-6)), (name, key)
 
 
 def test_what_is_no_target_is_neither_found_nor_missed(images: SegmentationSet, task: CocoTask) -> None:

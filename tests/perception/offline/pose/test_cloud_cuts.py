@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from tests.examples import examples
 from toolee_robot.frames import transform
 from toolee_robot.perception.offline.synthesis.example import _Reach
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig, TorchRng
 from toolee_robot.perception.offline.synthetic_clouds.point_splatting import GRID, measure
-from toolee_robot.perception.offline.synthetic_clouds.scene import Border, Cut
+from toolee_robot.perception.offline.synthetic_clouds.scene import Cut
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import NOWHERE
 from toolee_robot.types import CameraIntrinsics
 
@@ -56,39 +55,6 @@ def test_a_tool_with_one_end_loses_nothing_to_another(seed: int) -> None:
         assert bool(cut.holds(points).all())
 
 
-def test_shares_of_cuts() -> None:
-    B = 4000
-    focus = torch.tensor([[0.0, 0.0, 0.6]]).expand(B, 3)
-    radius = torch.full((B,), 0.05)
-    other = focus + torch.tensor([0.0, 0.1, 0.0])
-    config = CloudConfig(other_cut_share=0.5, other_cut=(0.5, 1.6), circle_share=0.4)
-    cut = Cut.drawn(focus, radius, other, 2 * radius, config, TorchRng(torch.device("cpu"), 0))
-    own = cut.radius == radius
-    assert float(own.float().mean()) == pytest.approx(0.5, abs=0.03)
-    assert float(cut.circle.float().mean()) == pytest.approx(0.2, abs=0.03)
-    assert not bool((cut.circle & own).any())
-    assert float(cut.radius.min()) == pytest.approx(0.025, abs=0.001)
-    assert float(cut.radius.max()) == pytest.approx(0.08, abs=0.001)
-    torch.testing.assert_close(cut.other_radius, 2 * cut.radius)
-
-
-def test_borders_cross_or_pass_the_end_effector_and_keep_the_middle() -> None:
-    B, radius = 4000, 0.05
-    g = torch.Generator().manual_seed(0)
-    focus = torch.cat([1.2 * torch.rand((B, 2), generator=g) - 0.6, torch.ones((B, 1))], 1) * 0.8
-    border = Border.drawn(focus, torch.full((B,), radius), 0.25, TorchRng(torch.device("cpu"), 0))
-    rays = (focus / focus[:, 2:])[:, None, None]
-    ends = border.limit.isfinite()
-    assert float(ends.float().mean()) == pytest.approx(0.25, abs=0.03)
-    assert bool(border.shows(torch.tensor([0.0, 0.0, 1.0]).expand(B, 1, 1, 3)).all())
-    # As seen from the EE the image ends on its own side, and always within a radius of it unless that hides the middle.
-    assert bool(border.shows(rays)[~ends].all())
-    beyond = rays + torch.cat([border.normal * radius / 0.8, torch.zeros((B, 1))], 1)[:, None, None]
-    across = (border.normal * rays[:, 0, 0, :2]).sum(1)
-    assert not bool(border.shows(beyond)[ends & (across > 0.05)].any())
-    assert 0.2 < float(1 - border.shows(rays)[ends & (across > 0.1)].float().mean()) < 0.5
-
-
 @pytest.mark.parametrize("z", [0.5, 0.8, 1.1])
 @pytest.mark.parametrize("degrees", [0.0, 40.0, 65.0])
 def test_axial_noise_has_the_published_deviation(z: float, degrees: float) -> None:
@@ -100,10 +66,3 @@ def test_axial_noise_has_the_published_deviation(z: float, degrees: float) -> No
     expected = 1e-3 * (1.5 - 0.5 * z + 0.3 * z**2 + 0.1 * z**1.5 * theta**2 / (np.pi / 2 - theta) ** 2)
     inner = read[:, 8:-8, 8:-8]
     assert float(inner[inner > 0].std()) == pytest.approx(expected, rel=0.05)
-
-
-def test_without_noise_the_depth_is_read_as_it_is() -> None:
-    depth = torch.full((1, GRID, GRID), 0.8)
-    generator = torch.Generator().manual_seed(1)
-    read = measure(depth, torch.ones_like(depth), torch.zeros(1), torch.tensor([365.0]), generator, level=0.0)
-    torch.testing.assert_close(read, depth)

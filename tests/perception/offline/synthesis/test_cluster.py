@@ -7,8 +7,6 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -19,7 +17,6 @@ import pytest
 
 from tests.errors import raises
 from tests.perception.folders import assert_same
-from tests.runtime.test_runtime import alive
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.offline.dataset.spec import DatasetSpec, SceneJob
 from toolee_robot.perception.offline.dataset.validate import validate
@@ -126,32 +123,6 @@ def test_a_task_whose_process_dies_is_tried_again(tmp_path: Path) -> None:
     assert sorted(done, key=jobs.index) == jobs
     with pytest.raises(TooleeError, match=r"^a Ray task failed: WorkerCrashedError: .*it resumes"):
         list(on_ray(_killed, jobs, 2))
-
-
-PARENT = """
-import os, time
-from toolee_robot.perception.offline.processes import WorkerPool
-
-if __name__ == "__main__":
-    with WorkerPool(1) as pool:
-        print(pool.submit(os.getpid).result(), flush=True)
-        time.sleep(600)
-"""
-
-
-@pytest.mark.nightly
-def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
-    script = tmp_path / "parent.py"
-    script.write_text(PARENT)
-    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as parent:
-        assert parent.stdout is not None
-        worker = int(parent.stdout.readline())
-        assert alive(worker)
-        parent.kill()
-    deadline = time.monotonic() + 30
-    while alive(worker) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not alive(worker)
 
 
 def begin() -> list[int]:

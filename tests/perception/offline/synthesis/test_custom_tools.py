@@ -289,10 +289,9 @@ def test_custom_tools_cannot_be_trained_on(tools: Path, tmp_path: Path, capsys: 
     assert not (tmp_path / "out").exists()
 
 
-def test_one_tool_alone_can_be_looked_at(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_tool_alone_can_be_looked_at(tmp_path: Path) -> None:
     bring(tmp_path / "tools/alone")
     options = ["--config", "paper", "--size", "2", "--workers", "1", "--tools", str(tmp_path / "tools")]
     assert run(["dataset", "generate", *options, "--out", str(tmp_path / "out")]) == 0
     assert run(["dataset", "inspect", str(tmp_path / "out"), "--out", str(tmp_path / "pictures")]) == 0
-    assert "no category has two instances" in capsys.readouterr().out
     assert sorted(p.name for p in (tmp_path / "pictures").glob("*.png")) == ["montage_test.png"]

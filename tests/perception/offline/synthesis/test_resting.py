@@ -10,13 +10,9 @@ import pytest
 from scipy.spatial import ConvexHull, KDTree
 
 from toolee_robot.frames import inverse, is_rigid, transform_points
-from toolee_robot.perception.offline.dataset.records import WIDTH
 from toolee_robot.perception.offline.synthesis.bench import across, leaning, lying, standing
-from toolee_robot.perception.offline.synthesis.bodies import HandStyle
 from toolee_robot.perception.offline.synthesis.hard import hard_scene
-from toolee_robot.perception.offline.synthesis.placement import Pool, Stance, random_intrinsics
-from toolee_robot.render.lab import uneven_light
-from toolee_robot.render.material import any_glove_color, any_skin_tone
+from toolee_robot.perception.offline.synthesis.placement import Pool, Stance
 from toolee_robot.tools import Family, Tool, ToolKind, kinds_of, make_tool
 
 POINT = np.array([0.3, -0.2, -0.45])
@@ -133,48 +129,3 @@ def test_scenes_show_held_lying_standing_leaning_and_stacked_tools() -> None:
     assert sum(stances[s] for s in ON_SURFACE) / total > 0.25
     for stance, least in ((Stance.LYING, 0.1), (Stance.STANDING, 0.02), (Stance.LEANING, 0.02), (Stance.STACKED, 0.01)):
         assert stances[stance] / total > least, stance
-
-
-def test_focal_lengths_reach_from_a_kinects_to_a_long_lens() -> None:
-    rng = np.random.default_rng(6)
-    focal = np.array([random_intrinsics(rng).fx for _ in range(2000)]) / WIDTH
-    kinect = np.abs(focal - 365.5 / WIDTH) < 0.03
-    assert kinect.mean() > 0.33
-    assert focal.min() >= 0.6
-    assert 1.5 < focal.max() <= 1.6
-
-
-def test_uneven_light_is_finite_and_its_lamps_stand_out() -> None:
-    rng = np.random.default_rng(7)
-    for _ in range(100):
-        lights, ambient = uneven_light(rng)
-        assert 1 <= len(lights) <= 3
-        colours = [*(light.color for light in lights), ambient.zenith, *(lobe.color for lobe in ambient.lobes)]
-        assert np.isfinite(colours).all()
-        assert np.min(colours) >= 0.0
-        assert max(max(light.color) for light in lights) > max(ambient.horizon) / 2
-        for lobe in ambient.lobes:
-            assert np.linalg.norm(lobe.direction) == pytest.approx(1.0)
-
-
-def test_skin_covers_the_monk_scale_and_stays_skin() -> None:
-    rng = np.random.default_rng(0)
-    tones = np.array([any_skin_tone(rng) for _ in range(2000)])
-    assert tones.min() >= 0.0
-    assert tones.max() <= 1.0
-    bright = tones.mean(axis=1)
-    assert np.quantile(bright, 0.05) < 0.2
-    assert np.quantile(bright, 0.95) > 0.83
-    red, green, blue = tones.T
-    assert np.mean((red >= green - 0.03) & (green >= blue - 0.06)) > 0.95, "neither blue nor green"
-
-
-def test_gloves_and_hands_have_many_colours() -> None:
-    rng = np.random.default_rng(1)
-    gloves = np.array([any_glove_color(rng) for _ in range(500)])
-    assert np.all(gloves.std(axis=0) > 0.2)
-    styles = [HandStyle.varied(rng) for _ in range(300)]
-    assert 0.3 < np.mean([style.mirrored for style in styles]) < 0.5
-    bare = np.mean([style.palm is style.sleeve for style in styles])
-    assert 0.1 < bare < 0.35, "hands with bare forearms"
-    assert len({style.palm.color for style in styles}) > 150

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.examples import examples
-from tests.sim_backend.ur_controller.server.wire import Recorder, robot
+from tests.sim_backend.ur_controller.server.wire import robot
 from toolee_robot.sim_backend.ur_controller.process import Q_START
 from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
 from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
-from toolee_robot.sim_backend.ur_controller.server.primary import MAX_SCRIPT, ScriptReader, ScriptSession, StateSession
+from toolee_robot.sim_backend.ur_controller.server.primary import ScriptReader
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
 
 SWING = "def swing():\n  speedj([1.5, 0, 0, 0, 0, 0], 40, 5)\nend\n"
@@ -214,29 +214,3 @@ def test_programs_are_cut_out_of_any_stream(data: st.DataObject) -> None:
         "sec aside():\n  sync()\nend\n",
         program,
     ]
-
-
-@examples(100)
-@given(
-    st.lists(
-        st.one_of(st.binary(max_size=80), st.sampled_from([b"def a():\n", b"end\n", b" movej(q)\n", b"sec b():\n"]))
-    )
-)
-def test_any_bytes_on_a_script_port_leave_the_robot_alive(chunks: list[bytes]) -> None:
-    served = robot()
-    for session in (ScriptSession(Recorder(), served), StateSession(Recorder(), served)):
-        for chunk in chunks:
-            session.feed(chunk)
-            served.step()
-            session.tick()
-    served.program.upload("def job():\n  while True:\n    sync()\n  end\nend\n")
-    ticks(served, 0.05)
-    assert served.program.state is RuntimeState.PLAYING
-
-
-def test_an_endless_program_text_ends_the_connection() -> None:
-    sink = Recorder()
-    session = ScriptSession(sink, robot())
-    session.feed(b"def job():\n")
-    session.feed(b"x" * MAX_SCRIPT)
-    assert not sink.open

@@ -87,18 +87,6 @@ def test_a_step_of_servoj_is_walked_not_jumped(model: ControllerModel) -> None:
     assert np.all(trace <= high + grain)
 
 
-def test_servoj_over_a_longer_time_is_even() -> None:
-    robot = ScriptRobot(UR10E)
-    robot.start("def a():\n servoj([0.3, -1.4, 1.6, -1.8, -1.5, 0.25], t=0.1)\n sleep(1)\nend")
-    robot.tick(25)
-    assert robot.plant.q[5] == pytest.approx(0.2 + 0.05 / 2, abs=2e-3)
-    robot.tick(25)
-    assert robot.plant.q[5] == pytest.approx(0.25, abs=1e-3)
-    robot.tick(200)  # nothing refreshes it: it waits at its goal
-    assert robot.plant.q[5] == pytest.approx(0.25, abs=1e-9)
-    assert not robot.machine.moving
-
-
 def streaming(model: ControllerModel) -> ScriptRobot:
     """A robot whose script sends what is in the registers to servoj, tick by tick."""
     robot = ScriptRobot(model)
@@ -151,22 +139,6 @@ def test_a_late_packet_costs_a_few_ticks(share: Array, late: list[bool], model: 
             robot.registers.float_in[:6] = q.tolist()
         robot.tick()
     np.testing.assert_allclose(robot.plant.q, q, atol=1e-6)
-    assert_within_limits(robot)
-
-
-@given(st.lists(st.tuples(shares, st.integers(1, 60)), min_size=1, max_size=6), either)
-@examples(25)
-def test_any_goals_are_reached_within_the_limits(goals: list[tuple[Array, int]], model: ControllerModel) -> None:
-    """Jumps of the goal in every direction, while the arm still moves for the one before."""
-    robot = streaming(model)
-    goal = np.array(READY)
-    for share, ticks in goals:
-        goal = np.array(READY) + 0.4 * share
-        robot.registers.float_in[:6] = goal.tolist()
-        robot.tick(ticks)
-    robot.tick(round(1.5 * model.rate))
-    np.testing.assert_allclose(robot.plant.q, goal, atol=1e-6)
-    np.testing.assert_allclose(robot.plant.qd, 0.0, atol=1e-6)
     assert_within_limits(robot)
 
 
@@ -239,28 +211,6 @@ def test_a_controller_takes_a_labs_own_lag_and_stops(model: ControllerModel, nam
     assert plain.servo_lag == machine_profile(name, model.e_series).servo
 
 
-@given(kind=either_of_lagging_servoj, gain=gains, lookahead=lookaheads)
-@examples(8)
-def test_the_lag_is_what_the_profile_computes(
-    kind: tuple[ControllerModel, Profile], gain: float, lookahead: float
-) -> None:
-    model, profile = kind
-    expected = lag_of(profile).lag(gain, lookahead, model.period)
-    assert measured_lag(model, profile, gain, lookahead) == pytest.approx(expected, abs=2e-3)
-
-
-@given(kind=either_of_lagging_servoj, gain=gains, lookahead=lookaheads, more=st.floats(1.05, 4.0))
-@examples(5)
-def test_the_lag_grows_with_the_lookahead_and_shrinks_with_the_gain(
-    kind: tuple[ControllerModel, Profile], gain: float, lookahead: float, more: float
-) -> None:
-    model, profile = kind
-    here = measured_lag(model, profile, gain, lookahead)
-    longer, stiffer = min(lookahead * more, 0.2), min(gain * more, 2000.0)
-    assert measured_lag(model, profile, gain, longer) >= here - 1e-6
-    assert measured_lag(model, profile, stiffer, lookahead) <= here + 1e-6
-
-
 @given(
     kind=either_of_lagging_servoj,
     gain=gains,
@@ -287,20 +237,6 @@ def test_any_goals_are_reached_within_the_limits_with_a_lag(
     change = np.abs(np.diff(speeds, axis=0)).max() * model.rate
     assert change <= 2.1 * model.acceleration, "halves of two ticks' changes may add up, no more"
     assert np.abs(q).max() < 4.0
-
-
-@both_of_lagging_servoj
-def test_a_step_overshoots_where_the_gain_is_high_and_the_lookahead_short(
-    model: ControllerModel, profile: Profile
-) -> None:
-    goals = np.vstack([np.zeros((1, 6)), np.full((round(3.0 * model.rate), 6), 0.02)])
-
-    def overshoot(gain: float, lookahead: float) -> float:
-        return float(stream(model, profile, goals, gain, lookahead).max() / 0.02 - 1.0)
-
-    assert 0.03 < overshoot(2000.0, 0.03) < 0.25
-    assert overshoot(2000.0, 0.2) < 1e-3
-    assert overshoot(300.0, 0.1) < 1e-3
 
 
 @both_of_lagging_servoj

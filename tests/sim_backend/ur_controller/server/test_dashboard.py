@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import Recorder, robot
 from toolee_robot.sim_backend.ur_controller.robot.safety_system import UNLOCK_DELAY, RobotMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
-from toolee_robot.sim_backend.ur_controller.server.dashboard import MAX_LINE, DashboardSession
+from toolee_robot.sim_backend.ur_controller.server.dashboard import DashboardSession
 
 FOREVER = "def job():\n  while True:\n    sync()\n  end\nend\n"
 
@@ -65,10 +62,6 @@ def test_answers(model: str, line: str, answer: str) -> None:
     assert Client(robot(model)).ask(line) == answer
 
 
-def test_serial_number_is_digits() -> None:
-    assert Client(robot("UR10e")).ask("get serial number").isdigit()
-
-
 def test_program_control() -> None:
     served = robot()
     client = Client(served)
@@ -116,23 +109,3 @@ def test_quit_ends_the_connection() -> None:
     client = Client(robot())
     assert client.ask("quit") == "Disconnected"
     assert not client.sink.open
-
-
-def test_a_line_without_end_ends_the_connection() -> None:
-    client = Client(robot())
-    client.session.feed(b"x" * (MAX_LINE + 1))
-    assert not client.sink.open
-
-
-@examples(300)
-@given(
-    st.lists(st.one_of(st.binary(max_size=100), st.sampled_from([b"play\n", b"power on\n", b"stop\n", b"popup \n"])))
-)
-def test_any_bytes_leave_the_server_alive(chunks: list[bytes]) -> None:
-    served = robot()
-    client = Client(served)
-    for chunk in chunks:
-        if client.sink.open:
-            client.session.feed(chunk)
-    served.step()
-    assert Client(served).ask("robotmode").startswith("Robotmode: ")

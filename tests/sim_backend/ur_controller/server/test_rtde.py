@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import RtdeServer
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import FORMATS, packet
-from toolee_robot.sim_backend.ur_controller.server.rtde_variables import INPUTS, OUTPUTS
+from toolee_robot.sim_backend.ur_controller.server.rtde_variables import OUTPUTS
 
 
 @pytest.mark.parametrize(("model", "version"), [("UR10", (3, 15)), ("UR10e", (5, 11))])
@@ -194,12 +194,6 @@ def test_a_client_that_does_not_read_loses_data_and_nobody_else_does() -> None:
     assert slow.session.skipped == 1
 
 
-def test_a_lost_framing_ends_the_connection() -> None:
-    client = RtdeServer().connect()
-    client.session.feed(b"\x00\x02V")
-    assert not client.sink.open
-
-
 @examples(100)
 @given(st.data())
 def test_packets_survive_any_cut(data: st.DataObject) -> None:
@@ -221,34 +215,3 @@ def test_packets_survive_any_cut(data: st.DataObject) -> None:
         stream = stream[size:]
     assert pieces.sink.take() == whole.sink.take()
     assert pieces.server.robot.registers.int_in[3] == -7
-
-
-@examples(300)
-@given(st.lists(st.one_of(st.binary(max_size=200), st.builds(packet, st.integers(0, 255), st.binary(max_size=60)))))
-def test_any_bytes_leave_the_server_alive(chunks: list[bytes]) -> None:
-    server = RtdeServer()
-    client = server.connect()
-    for chunk in chunks:
-        if client.sink.open:
-            client.session.feed(chunk)
-    server.robot.step()
-    client.session.tick()
-    fresh = server.connect()
-    assert fresh.outputs("timestamp") == b"\x01DOUBLE"
-
-
-@examples(200)
-@given(
-    st.lists(st.sampled_from(sorted(INPUTS)), min_size=1, max_size=8, unique=True),
-    st.binary(min_size=200, max_size=200),
-)
-def test_any_bits_may_be_written_to_any_input(names: list[str], noise: bytes) -> None:
-    server = RtdeServer()
-    client = server.connect()
-    types = client.inputs(*names)[1:].decode().split(",")
-    size = struct.calcsize(">" + "".join(FORMATS[name] for name in types))
-    client.send("U", b"\x01" + noise[:size])
-    client.outputs("actual_q", "actual_digital_output_bits", "speed_scaling")
-    client.ask("S")
-    assert client.tick()
-    assert 0.0 <= server.robot.machine.speed_fraction <= 1.0

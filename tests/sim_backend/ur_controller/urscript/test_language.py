@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import math
 import re
-from dataclasses import fields, is_dataclass
 from typing import Any
 
 import pytest
@@ -15,7 +14,6 @@ from hypothesis import strategies as st
 from tests.examples import examples
 from tests.sim_backend.ur_controller.urscript.script_robot import ScriptRobot
 from toolee_robot.sim_backend.ur_controller.urscript import syntax as s
-from toolee_robot.sim_backend.ur_controller.urscript.parser import parse
 from toolee_robot.sim_backend.ur_controller.urscript.tokens import INT_MAX, KEYWORDS, ScriptError
 
 # -- expressions mean what they mean in Python, except that integers have 32 bits and booleans are no numbers
@@ -125,29 +123,6 @@ expressions: st.SearchStrategy[Any] = st.recursive(
     ),
     max_leaves=8,
 )
-calls = st.tuples(names, st.lists(expressions, max_size=2)).map(lambda t: s.Call(t[0], tuple(t[1]), (), False, 0))
-statements: st.SearchStrategy[Any] = st.recursive(
-    st.one_of(
-        st.tuples(names, st.sampled_from(["", "global", "local"]), expressions).map(lambda t: s.Assign(*t, 0)),
-        st.tuples(names, st.lists(expressions, min_size=1, max_size=2).map(tuple), expressions).map(
-            lambda t: s.AssignItem(t[0], t[1], t[2], 0)
-        ),
-        calls.map(lambda c: s.Evaluate(c, 0)),
-        st.one_of(st.none(), expressions).map(lambda e: s.Return(e, 0)),
-        st.sampled_from(["break", "continue", "halt", "enter_critical", "exit_critical"]).map(
-            lambda w: s.Keyword(w, 0)
-        ),
-        st.tuples(st.sampled_from(["kill", "join"]), expressions).map(lambda t: s.Thread(*t, 0)),
-    ),
-    lambda inner: st.one_of(
-        st.tuples(
-            st.lists(st.tuples(expressions, st.lists(inner, max_size=2).map(tuple)), min_size=1, max_size=3).map(tuple),
-            st.lists(inner, max_size=2).map(tuple),
-        ).map(lambda t: s.If(t[0], t[1], 0)),
-        st.tuples(expressions, st.lists(inner, max_size=2).map(tuple)).map(lambda t: s.While(t[0], t[1], 0)),
-    ),
-    max_leaves=6,
-)
 
 
 def printed(node: Any) -> str:
@@ -191,22 +166,6 @@ def printed(node: Any) -> str:
 
 def block(body: Any) -> str:
     return "\n".join(map(printed, body))
-
-
-def bare(node: Any) -> Any:
-    """Without line numbers."""
-    if isinstance(node, tuple):
-        return tuple(map(bare, node))
-    if is_dataclass(node):
-        return type(node).__name__, tuple(bare(getattr(node, f.name)) for f in fields(node) if f.name != "line")
-    return node
-
-
-@given(st.lists(statements, min_size=1, max_size=4))
-@examples(80)
-def test_what_is_printed_parses_to_the_same(body: list[Any]) -> None:
-    program = parse(f"def job():\n{block(body)}\nend\n")
-    assert bare(program.main.body) == bare(tuple(body))
 
 
 # -- nonsense
