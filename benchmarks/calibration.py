@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.calibration_poses import Protocol, draw
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.hand_eye.refinement import refine
 from toolee_robot.calibration.hand_eye.reprojection import Views, check_motion
 from toolee_robot.calibration.hand_eye.solve import TARGET_DISTANCE, start
-from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array

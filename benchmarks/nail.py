@@ -12,21 +12,90 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
-from toolee_robot.calibration.board import SHEETS
-from toolee_robot.calibration.nail import combine, see_nail
+from benchmarks.calibration_poses import Protocol, draw
+from toolee_robot.calibration.board import SHEETS, Sheet
+from toolee_robot.calibration.hand_eye.refinement import refine
+from toolee_robot.calibration.hand_eye.reprojection import Views
+from toolee_robot.calibration.hand_eye.solve import start
+from toolee_robot.calibration.nail import LocatedNail, combine, see_nail
+from toolee_robot.calibration.observation import camera_board
+from toolee_robot.calibration.touches import KnownCamera
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import angle_between
-from toolee_robot.station import sim_station
-from toolee_robot.stations.simulated import simulated_nail_board
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.station import StationConfig, sim_station
+from toolee_robot.stations.simulated import WOOD_TILT, PrintOnWood, print_on_wood
 from toolee_robot.tasks.calibration.collect import mean_frame
 
 ASKED = {"beside [mm]": 1.0, "height [mm]": 0.3, "tilt [deg]": 1.0}
 """Largest medians that are asked for."""
 NAMES = (*ASKED, "beside, touched too [mm]", "height, touched too [mm]")
+MOVED = 0.03
+"""Largest distance of the block from where the station file has it, along each axis of the table [m]."""
+RAISED = 0.005
+"""Largest error of the wood's height in the file [m]."""
+TOUCH = 3e-4
+"""Standard deviation of a touch with a tip about each axis: kinematics, tip and eye [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedNailBoard(PrintOnWood):
+    """A board on the wood of a simulated station, and what is known of it.
+
+    Attributes:
+        true: The station as it is.
+        camera: The camera by its calibration.
+        touched: The head by touches.
+        seed: Seed of room and noise.
+    """
+
+    true: StationConfig
+    camera: KnownCamera
+    touched: LocatedNail
+    seed: int
+
+    def build(self) -> SimStation:
+        """Build the simulated station with the board on the wood."""
+        return SimStation.build(self.true, self.seed, SimOptions(hands_over=False, boards=(self.placed,)))
+
+
+def simulated_nail_board(config: StationConfig, sheet: Sheet, seed: int, tilt: float = WOOD_TILT) -> SimulatedNailBoard:
+    """Print a board and lay it on the wood of a station with a calibrated camera.
+
+    Args:
+        config: The station; its camera stands where the station file says, and not where a calibration's record does.
+        sheet: The sheet that is printed.
+        seed: Seed of what is drawn.
+        tilt: Standard deviation of each component of the wood's tilt [rad].
+
+    Returns:
+        The board.
+    """
+    rng = np.random.default_rng([seed, 32])
+    config = replace(config, camera=config.camera.uncalibrated)
+    dx, dy = rng.uniform(-MOVED, MOVED, 2).tolist()
+    true = replace(config, work=config.work.moved(dx, dy, float(rng.uniform(-RAISED, RAISED))))
+    laid = print_on_wood(true, sheet, rng, tilt)
+    head = laid.entry + true.work.nail_protrusion * true.work.nail_axis
+    touched = LocatedNail(head + rng.normal(0.0, TOUCH, 3), 0.0, np.eye(3) * TOUCH**2)
+    return SimulatedNailBoard(
+        laid.board, laid.on_wood, laid.placed, laid.entry, laid.up, true, _calibrated(config, sheet, rng), touched, seed
+    )
+
+
+def _calibrated(config: StationConfig, sheet: Sheet, rng: np.random.Generator) -> KnownCamera:
+    """The camera by a calibration with drawn poses and noise."""
+    k = config.camera.intrinsics
+    drawn = draw(Protocol(), sheet.board, k, config.camera.X_base_camera, rng)
+    Xs_camera_board = [camera_board(o.view, sheet.board, k)[0] for o in drawn.observations]
+    refined = refine(Views(drawn.observations, sheet.board, k), start(drawn.observations, Xs_camera_board))
+    return KnownCamera(refined.estimate.X_base_camera, refined.covariance[:6, :6], k, refined.noise.pixel)
 
 
 def errors(sheet: str, seed: int) -> tuple[tuple[float, ...], bool]:

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.calibration_poses import Protocol, draw
 from toolee_robot.calibration.board import SHEETS, Board
-from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.record import rows
 from toolee_robot.calibration.session import Session, SessionPose, write_session
 from toolee_robot.frames import Array, BaseFrame, inverse

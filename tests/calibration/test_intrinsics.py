@@ -25,9 +25,7 @@ from toolee_robot.cli.app import EXIT_USER, run
 from toolee_robot.devices.cameras import Lens, LensModel
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array, transform
-from toolee_robot.runtime.clock import HostClock
-from toolee_robot.station import SIMULATED, load_lab_station, load_station
-from toolee_robot.stations.camera import open_camera
+from toolee_robot.station import load_lab_station, load_station
 from toolee_robot.stations.template import open_questions
 
 SIZE = (CAMERA.width, CAMERA.height)
@@ -179,7 +177,7 @@ def test_the_record_gives_what_the_file_leaves_out(tmp_path: Path) -> None:
     path = lab(tmp_path)
     camera = load_lab_station(path).camera
     assert camera.intrinsics == record().intrinsics
-    assert (camera.distortion, camera.lens_serial) == (DISTORTION, SERIAL)
+    assert (camera.distortion, camera.intrinsics_record) == (DISTORTION, "intrinsics.json")
     asked = {question.name for question in open_questions(yaml.safe_load(path.read_text()))}
     assert not asked & {f"camera.{name}" for name in (*PINHOLE, "distortion")}
 
@@ -194,15 +192,12 @@ def test_numbers_of_the_file_must_be_the_records(tmp_path: Path) -> None:
         assert next(iter(camera)) in str(error.value)
 
 
-def test_a_record_of_another_camera_and_a_rehearsed_one_are_refused(tmp_path: Path) -> None:
+def test_a_record_of_another_camera_is_refused(tmp_path: Path) -> None:
     with raises(ConfigError, "config.intrinsics_serial") as error:
         load_station(lab(tmp_path, "F1370001"))
     assert "toolee calibrate intrinsics" in str(error.value)
-    rehearsed = load_station(lab(tmp_path, SIMULATED)).camera
-    with raises(ConfigError, "config.intrinsics_rehearsed"):
-        open_camera(rehearsed, HostClock())
     with raises(ConfigError, "config.invalid"):
-        load_station(lab(tmp_path, lens_serial=SERIAL))
+        load_station(lab(tmp_path, intrinsics_record="intrinsics.json"))
 
 
 @pytest.mark.parametrize(
@@ -283,42 +278,6 @@ def test_a_lost_record_does_not_keep_the_camera_from_being_measured_again(tmp_pa
     assert "intrinsics.json" in str(error.value), "which gave them"
 
 
-@pytest.mark.parametrize("typed", [{"fx": 400.1}, {"cy": 241.6}, {"distortion": list(DISTORTION)}])
-def test_a_rehearsal_writes_over_no_number_of_a_real_camera(
-    typed: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said = yaml.safe_load(LAB.read_text())
-    del said["calibration"]
-    said["camera"] = {name: value for name, value in said["camera"].items() if name not in PINHOLE}
-    said["camera"] |= {"width": 640, "height": 480, **typed}
-    path = tmp_path / "lab.yaml"
-    path.write_text(yaml.safe_dump(said))
-    before = path.read_bytes()
-    out = tmp_path / "intrinsics.json"
-    assert (
-        run(["calibrate", "intrinsics", "--station", str(path), "--rehearse", "--write", "--out", str(out)])
-        == EXIT_USER
-    )
-    told = " ".join(capsys.readouterr().err.split())
-    assert f"gives camera.{next(iter(typed))}, which a rehearsal must not replace" in told
-    assert path.read_bytes() == before
-    assert not out.exists(), "nothing was measured"
-
-
-@pytest.mark.parametrize("lost", [False, True])
-def test_a_rehearsal_replaces_no_record_of_a_real_camera(
-    lost: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = lab(tmp_path, width=640, height=480)
-    path.write_text(yaml.safe_dump({n: v for n, v in yaml.safe_load(path.read_text()).items() if n != "calibration"}))
-    if lost:
-        (tmp_path / "intrinsics.json").unlink()
-    command = ["calibrate", "intrinsics", "--station", str(path), "--rehearse", "--write"]
-    assert run([*command, "--out", str(tmp_path / "other.json")]) == EXIT_USER
-    assert "a copy of the file without camera.intrinsics" in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "other.json").exists()
-
-
 def test_images_that_were_undistorted_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy_recording(tmp_path / "r", 2)
     for images in (tmp_path / "r", tmp_path / "r" / "rgb"):
@@ -340,17 +299,13 @@ def test_images_that_were_undistorted_are_refused(tmp_path: Path, capsys: pytest
     [
         ([], "give --station"),
         (["--images", "views"], "--camera-serial is missing"),
-        (["--images", "views", "--camera-serial", "7"], "Measure the two scale bars"),
-        (["--station", str(LAB)], "Measure the two scale bars"),
-        (["--station", str(LAB), "--rehearse", "--bars-mm", "360", "257"], "the emulated person measures"),
-        (["--rehearse"], "give --station"),
-        (["--station", str(LAB), "--rehearse", "--images", "views"], "give --rehearse with --station alone"),
-        (["--station", str(LAB), "--rehearse", "--write"], "Delete its section `calibration`"),
-        (["--images", "v", "--camera-serial", "7", "--bars-mm", "360", "257", "--write"], "--write needs --station"),
+        (["--station", str(LAB), "--camera-serial", "7"], "leave --camera-serial out"),
+        (["--station", str(LAB), "--write"], "Delete its section `calibration`"),
+        (["--images", "v", "--camera-serial", "7", "--write"], "--write needs --station"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(
     options: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["calibrate", "intrinsics", *options]) == EXIT_USER
+    assert run(["calibrate", "intrinsics", "--bars-mm", "360", "257", *options]) == EXIT_USER
     assert words in " ".join(capsys.readouterr().err.split())

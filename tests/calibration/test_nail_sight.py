@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.nail import SimulatedNailBoard, simulated_nail_board
 from tests.errors import raises
 from toolee_robot.app.calibrate_nail import known_camera
 from toolee_robot.calibration.board import SHEETS
@@ -20,7 +21,7 @@ from toolee_robot.frames import angle_between
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.station import SIMULATED_CALIBRATION, sim_station
-from toolee_robot.stations.simulated import SimulatedNailBoard, place_board, simulated_nail_board
+from toolee_robot.stations.simulated import place_board
 from toolee_robot.tasks.calibration.collect import mean_frame
 
 CONFIG = sim_station()
@@ -97,12 +98,12 @@ def test_a_calibration_that_does_not_hold_is_refused() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        [],
-        ["--camera", "--bars-mm", "361.3", "258.1"],
-        ["--camera", "--rehearse"],
-        ["--touches", "touches.yaml"],
+        ["--station", "examples/lab.yaml"],
         ["--camera", "--station", "examples/lab.yaml"],
-        ["--camera", "--nail", "another"],
+        ["--camera", "--station", "examples/lab.yaml", "--rehearse", "--bars-mm", "361.3", "258.1"],
+        ["--camera", "--station", "examples/lab.yaml", "--rehearse", "--nail", "another"],
+        ["--camera", "--station", "examples/lab.yaml", "--rehearse", "--touches", "t.yaml", "--tip-mm", "0", "0", "1"],
+        ["--station", "examples/lab.yaml", "--touches", "touches.yaml"],
     ],
 )
 def test_options_that_contradict_each_other_are_refused(options: list[str]) -> None:

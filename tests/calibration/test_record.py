@@ -24,8 +24,9 @@ from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import HALF_TURN, BaseFrame, transform, transform_points
 from toolee_robot.station import SIMULATED, SIMULATED_CALIBRATION, load_station
 
+LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 BARS = [f"{length * 1e3:.4f}" for length in BOARD.size]
-STATION = "frame: base_link\ncamera: {position: [0.93, -0.60, 0.86], target: [0.61, -0.17, 0.7]}\n"
+STATION = "version: 3\nframe: base_link\ncamera: {position: [0.93, -0.60, 0.86], target: [0.61, -0.17, 0.7]}\n"
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("calibration")
     draw_session(folder, 12, BaseFrame.PENDANT_BASE, lambda X: HALF_TURN @ X)
     (folder / "lab.yaml").write_text(STATION)
-    code = run(["calibrate", "camera", "--images", str(folder), "--config", str(folder / "lab.yaml"), "--bars-mm",
+    code = run(["calibrate", "camera", "--images", str(folder), "--station", str(folder / "lab.yaml"), "--bars-mm",
                 *BARS, "--out", str(folder / "out")])  # fmt: skip
     assert code == 0
     (out,) = (folder / "out").iterdir()
@@ -205,7 +206,7 @@ def test_joints_in_degrees_are_noticed(tmp_path: Path, capsys: pytest.CaptureFix
         pose.pop("X_base_flange", None)
         pose["q"] = [0.0, -90.0, 90.0, -90.0, -90.0, 0.0]
     (tmp_path / "poses.json").write_text(json.dumps(poses))
-    code = run(["calibrate", "camera", "--images", str(tmp_path), "--bars-mm", *BARS])
+    code = run(["calibrate", "camera", "--station", str(LAB), "--images", str(tmp_path), "--bars-mm", *BARS])
     assert code == 2
     assert "looks like degrees" in " ".join(capsys.readouterr().err.split())
 
@@ -223,8 +224,8 @@ def test_a_recording_whose_lens_was_not_known_is_refused(
         data = json.loads((session / "poses.json").read_text())
         data["poses"][0]["image"] = "frames/rgb/000000.png"
         (session / "poses.json").write_text(json.dumps(data))
-    command = ["calibrate", "camera", "--images", str(session), "--bars-mm", *BARS, "--out", str(tmp_path / "out")]
-    assert run(command) == 2
+    command = ["calibrate", "camera", "--station", str(LAB), "--images", str(session), "--bars-mm", *BARS]
+    assert run([*command, "--out", str(tmp_path / "out")]) == 2
     told = " ".join(capsys.readouterr().err.split())
     assert "says `undistorted: false`" in told
     assert "toolee calibrate intrinsics --station" in told
@@ -234,7 +235,7 @@ def test_a_recording_whose_lens_was_not_known_is_refused(
 def test_poses_in_the_other_frame_of_the_base_are_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     draw_session(tmp_path, 10, BaseFrame.BASE_LINK, lambda X: HALF_TURN @ X)
     (tmp_path / "lab.yaml").write_text(STATION)
-    code = run(["calibrate", "camera", "--images", str(tmp_path), "--config", str(tmp_path / "lab.yaml"), "--bars-mm",
+    code = run(["calibrate", "camera", "--images", str(tmp_path), "--station", str(tmp_path / "lab.yaml"), "--bars-mm",
                 *BARS, "--out", str(tmp_path / "out")])  # fmt: skip
     assert code == 2
     assert "half a turn" in " ".join(capsys.readouterr().err.split())
@@ -242,7 +243,7 @@ def test_poses_in_the_other_frame_of_the_base_are_noticed(tmp_path: Path, capsys
 
 
 def test_without_the_measured_bars_nothing_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["calibrate", "camera", "--images", str(tmp_path)]) == 2
+    assert run(["calibrate", "camera", "--station", str(LAB), "--images", str(tmp_path)]) == 2
     assert "--bars-mm" in capsys.readouterr().err
 
 
@@ -283,6 +284,5 @@ def test_a_session_with_joint_positions_and_poses_that_disagree_is_refused(tmp_p
     data = json.loads((tmp_path / "poses.json").read_text())
     data["poses"][0]["q"] = list(first.q or ())
     (tmp_path / "poses.json").write_text(json.dumps(data))
-    assert (
-        run(["calibrate", "camera", "--images", str(tmp_path), "--bars-mm", *BARS, "--out", str(tmp_path / "o")]) == 2
-    )
+    command = ["calibrate", "camera", "--station", str(LAB), "--images", str(tmp_path), "--bars-mm", *BARS]
+    assert run([*command, "--out", str(tmp_path / "o")]) == 2

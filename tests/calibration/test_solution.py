@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from benchmarks.calibration import LARGEST_ERROR, measure
+from benchmarks.calibration_poses import Protocol, SyntheticSet, draw
 from tests.calibration.pictures import BOARD, CAMERA
 from toolee_robot.calibration.hand_eye.diagnosis import check_depths
 from toolee_robot.calibration.hand_eye.reprojection import Estimate, Views
 from toolee_robot.calibration.hand_eye.solve import calibrate
-from toolee_robot.calibration.hand_eye.synthetic import Protocol, SyntheticSet, draw
 from toolee_robot.calibration.observation import Observation
 from toolee_robot.errors import UserError
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform

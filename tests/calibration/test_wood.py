@@ -143,7 +143,7 @@ def test_touches_of_wood_and_head_are_entered_in_the_station_file(
     lean = f"[{sign * 0.01}, {sign * 0.02}]  # a set square"
     work_text = f"work:\n  nail_xy: [{sign * 0.75}, {sign * 0.1}]\n  nail_lean: {lean}\n"
     lab.write_text(ARM.replace("base_link", frame) + work_text)
-    assert run(["calibrate", "nail", *options, "--config", str(lab), "--write", "--json"]) == 0
+    assert run(["calibrate", "nail", *options, "--station", str(lab), "--write", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["tilt_deg"] == pytest.approx(np.rad2deg(np.arctan(np.hypot(0.02, 0.03))), abs=1e-3)
     assert np.sqrt(told["wood_covariance"][0][0]) == pytest.approx(5.1e-4, abs=2e-5), "0.5 mm of the tip"
@@ -171,7 +171,7 @@ def test_a_nail_that_was_typed_in_wrongly_is_named_where_it_is_found(
     true, lab = WORK, tmp_path / "lab.yaml"
     options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])
     lab.write_text(f"{ARM}work:\n  nail_xy: {typed}\n")
-    command = ["calibrate", "nail", *options, "--config", str(lab)]
+    command = ["calibrate", "nail", *options, "--station", str(lab)]
     assert run(command) == 0
     said = capsys.readouterr().out
     assert (words is None and "swapped" not in said and "half a turn" not in said) or str(words) in said
@@ -189,7 +189,7 @@ def test_the_wood_alone_leaves_the_nail_where_it_is_and_counts_from_the_middle_o
     lab = tmp_path / "lab.yaml"
     lab.write_text(f"{ARM}work:\n  nail_xy: [0.75, 0.1]\n  block_xy: [0.76, 0.11]  # a rule\n")
     wood_only = [*options[:2], *options[4:]]
-    assert run(["calibrate", "nail", *wood_only, "--config", str(lab), "--write"]) == 0
+    assert run(["calibrate", "nail", *wood_only, "--station", str(lab), "--write"]) == 0
     work = load_station(lab).work
     assert work.nail_xy == (0.75, 0.1)
     assert "[0.76, 0.11]  # a rule" in lab.read_text()
@@ -203,11 +203,11 @@ def test_wood_that_is_too_steep_and_a_head_at_another_height_are_refused(
     (tmp_path / "lab.yaml").write_text(f"{ARM}work: {{nail_xy: [0.75, 0.1]}}\n")
     level = WORK
     options = _touched(tmp_path, level, level.X_base_nail(0.016)[:3, 3])
-    assert run(["calibrate", "nail", *options, "--config", str(tmp_path / "lab.yaml")]) == 2
+    assert run(["calibrate", "nail", *options, "--station", str(tmp_path / "lab.yaml")]) == 2
     assert "the nail stands 16.0 mm over the wood" in " ".join(capsys.readouterr().err.split())
     steep = [level.p_base_entry + np.array([x, y, 0.2 * x]) for x, y in TRIANGLE]
     (tmp_path / "wood.yaml").write_text(yaml.safe_dump({"touches": _joints(steep, np.random.default_rng(0))}))
-    assert run(["calibrate", "nail", *options[:2], *options[4:], "--config", str(tmp_path / "lab.yaml")]) == 2
+    assert run(["calibrate", "nail", *options[:2], *options[4:], "--station", str(tmp_path / "lab.yaml")]) == 2
     assert "the touches tilt the wood by 11.3°" in " ".join(capsys.readouterr().err.split())
 
 
@@ -221,7 +221,7 @@ def test_the_plane_is_not_carried_to_a_nail_that_nobody_measured_or_that_is_far_
 ) -> None:
     true, lab = replace(WORK, nail_xy=(0.45, 0.40), wood_rise=(0.035, -0.035)), tmp_path / "lab.yaml"
     options = _touched(tmp_path, true, true.X_base_nail()[:3, 3])
-    wood_only = [*options[:2], *options[4:], "--config", str(lab)]
+    wood_only = [*options[:2], *options[4:], "--station", str(lab)]
     lab.write_text(ARM)
     assert "leaves out work.nail_xy" in _refusal(wood_only, capsys)
     lab.write_text(f"{ARM}work: {{nail_xy: [0.75, 0.1]}}\n")
@@ -263,7 +263,7 @@ def test_a_lab_that_does_not_say_which_arm_it_has_and_how_it_stands_is_refused(
         tmp_path / "lab.yaml",
     )
     lab.write_text(f"{text}work: {{nail_xy: [0.75, 0.1]}}\n")
-    assert reason in _refusal([*options, "--config", str(lab), "--write"], capsys)
+    assert reason in _refusal([*options, "--station", str(lab), "--write"], capsys)
 
 
 @pytest.mark.parametrize(
@@ -282,7 +282,7 @@ def test_what_the_file_would_not_load_with_is_not_entered(
     head = true.p_base_entry + true.nail_protrusion * lean / np.linalg.norm(lean)
     options, lab = _touched(tmp_path, true, head), tmp_path / "lab.yaml"
     lab.write_text(before := f"{ARM}work:\n  {work}\n")
-    told = _refusal([*options, "--config", str(lab), "--write"], capsys)
+    told = _refusal([*options, "--station", str(lab), "--write"], capsys)
     assert "nothing was entered" in told
     assert reason in told
     assert lab.read_text() == before
@@ -337,13 +337,14 @@ def test_mount_and_nail_from_joint_positions(tmp_path: Path, capsys: pytest.Capt
         assert np.allclose((inverse(robot.arm.fk(joints[-1])) @ X_base_nail)[:3, 3], TIP, atol=1e-6)
     file = tmp_path / "touches.yaml"
     file.write_text(yaml.safe_dump({"touches": [q.tolist() for q in joints]}))
-    assert run(["calibrate", "mount", "--touches", str(file), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    np.testing.assert_allclose(found["p_flange_tip"], TIP, atol=1e-5)
     lab = "version: 3\nframe: base_link\narm: {model: UR10, up: [0, 0, 1]}\n"
     (tmp_path / "lab.yaml").write_text(lab)
+    command = ["calibrate", "mount", "--touches", str(file), "--station", str(tmp_path / "lab.yaml"), "--json"]
+    assert run(command) == 0
+    found = json.loads(capsys.readouterr().out)
+    np.testing.assert_allclose(found["p_flange_tip"], TIP, atol=1e-5)
     tip = [f"{1e3 * v:.4f}" for v in TIP]
-    command = ["calibrate", "nail", "--touches", str(file), "--tip-mm", *tip, "--config", str(tmp_path / "lab.yaml")]
+    command = ["calibrate", "nail", "--touches", str(file), "--tip-mm", *tip, "--station", str(tmp_path / "lab.yaml")]
     assert run([*command, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     np.testing.assert_allclose(found["head"], X_base_nail[:3, 3], atol=1e-5)

@@ -66,7 +66,7 @@ def test_the_wood_is_found_by_guarded_touches(tmp_path: Path, capsys: pytest.Cap
         tip = (robot.X_flange_hand(q_hand) @ X_hand_ee)[:3, 3] * 1e3
     lab = tmp_path / "lab.yaml"
     lab.write_text("version: 3\nframe: base_link\narm: {model: UR10, up: [0, 0, 1]}\nwork: {nail_xy: [0.75, 0.1]}\n")
-    options = ["--wood", str(touches), "--tip-mm", *(f"{v:.4f}" for v in tip), "--config", str(lab)]
+    options = ["--wood", str(touches), "--tip-mm", *(f"{v:.4f}" for v in tip), "--station", str(lab)]
     assert run(["calibrate", "nail", *options, "--write", "--json"]) == 0
     told, work = json.loads(capsys.readouterr().out), load_station(lab).work
     print(told, work.stand_height, work.wood_rise)

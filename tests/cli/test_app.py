@@ -168,7 +168,7 @@ def test_a_number_that_is_none_is_refused_before_anything_is_done(
     words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    needed = {"camera record": ["--out", "x", "--config", "x.yaml"], "train pose": ["--out", "x"]}
+    needed = {"camera record": ["--out", "x", "--config", "x.yaml"], "calibrate camera": ["--station", "x.yaml"]}
     assert run([*words.split(), *needed.get(" ".join(words.split()[:2]), []), "--json"]) == 2
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "user.option"
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""`toolee calibrate` on a simulated lab, and a station that works with the record and not with the truth."""
+"""A calibration in a simulated lab, and a station that works with its record and not with the truth."""
 
 from __future__ import annotations
 
@@ -8,15 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from tests.errors import raises
+from toolee_robot.app.calibrate_camera import CameraJob, PlateViews
+from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.record import read_record, rows, write_record
 from toolee_robot.cli.app import run
+from toolee_robot.cli.output import ConsoleListener
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import inverse
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.station import load_station, sim_station
+from toolee_robot.stations.simulated import simulated_board
 
 pytestmark = pytest.mark.sim(seconds=30)
 TRUTH = sim_station().camera.X_base_camera
@@ -24,9 +29,11 @@ TRUTH = sim_station().camera.X_base_camera
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("lab")
-    assert run(["calibrate", "camera", "--seed", "4", "--poses", "12", "--out", str(out)]) == 0
-    (folder,) = out.iterdir()
+    folder = tmp_path_factory.mktemp("lab")
+    lab = simulated_board(sim_station(), SHEETS["a3"], 0.12, 1.2, 4)
+    job = CameraJob(sim_station(), "a3", folder, ConsoleListener(Console()))
+    with lab.build(4) as sim:
+        job.collect(sim.station, lab.measured, lab.plate, lab.bars, PlateViews(12, 0.12, 1.2, 4))
     return folder
 
 
@@ -47,8 +54,11 @@ def test_the_recorded_images_give_the_same_calibration_again(calibrated: Path, t
     record = read_record(calibrated / "camera.json")
     assert record.bars is not None
     bars = [f"{1e3 * length:.6f}" for length in record.bars]
-    assert run(["calibrate", "camera", "--images", str(calibrated), "--bars-mm", *bars, "--out", str(tmp_path)]) == 0
-    (again,) = tmp_path.iterdir()
+    (tmp_path / "lab.yaml").write_text("version: 3\narm: {model: UR10}\n")
+    command = ["calibrate", "camera", "--station", str(tmp_path / "lab.yaml"), "--images", str(calibrated)]
+    assert run([*command, "--bars-mm", *bars, "--out", str(tmp_path / "out"), "--write"]) == 0
+    assert load_station(tmp_path / "lab.yaml").calibration is not None, "entered beside the file"
+    (again,) = (tmp_path / "out").iterdir()
     np.testing.assert_allclose(read_record(again / "camera.json").pose, record.pose, atol=1e-6)
 
 

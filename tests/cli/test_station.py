@@ -211,10 +211,9 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (["calibrate", "camera", "--rehearse"], "--rehearse needs --station FILE"),
         (["calibrate", "camera", "--station", str(LAB)], "Measure the two scale bars"),
         (["calibrate", "camera", "--station", str(LAB), "--bars-mm", "360", "257"], "--plate-distance"),
-        (["calibrate", "camera", "--write"], "--write needs --station"),
+        (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--images", "x"], "not both"),
         (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--bars-mm", "1", "2"], "with --rehearse"),
         (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--write"], "gives a calibration by hand"),
         (["calibrate", "nail", "--camera", "--station", str(LAB), "--rehearse", "--write"], "leave --write out"),

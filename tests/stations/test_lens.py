@@ -10,14 +10,18 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
+from tests.rigs.held_board import calibrate_held, held_pose
+from toolee_robot.app.calibrate_intrinsics import IntrinsicsJob, camera_of, enter
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import Observation, find_board
-from toolee_robot.calibration.record import rows
+from toolee_robot.calibration.record import rows, write_record
 from toolee_robot.cli.app import run
+from toolee_robot.cli.output import ConsoleListener
 from toolee_robot.devices.cameras.lens_choice import LensSource
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array, inverse, transform
@@ -30,7 +34,6 @@ from toolee_robot.sim_backend.visuals import BoardVisuals, VisualBody
 from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station, sim_station
 from toolee_robot.stations.camera import REALSENSE, open_camera
 from toolee_robot.stations.rehearsal.camera import EmulatedLens, emulated_stream, lens_of
-from toolee_robot.stations.rehearsal.person import held_pose
 
 BOARD = SHEETS["a3"].board
 WEAK = (-0.0125, 1e-3, 3e-4, -2e-4)
@@ -223,22 +226,21 @@ def rehearsal(folder: Path) -> Path:
 
 @pytest.mark.realtime
 @pytest.mark.nightly
-def test_a_rehearsed_lens_is_measured_and_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_lens_is_measured_and_holds(tmp_path: Path) -> None:
     """From a file without a calibration to the record in it, through librealsense's software device."""
     pytest.importorskip("pyrealsense2", exc_type=ImportError)
     path = rehearsal(tmp_path)
     said = yaml.safe_load(path.read_text())
-    for name in ("fx", "fy", "cx", "cy"):  # over which no rehearsal writes
+    for name in ("fx", "fy", "cx", "cy"):
         del said["camera"][name]
     path.write_text(yaml.safe_dump(said))
-    out = str(tmp_path / "intrinsics.json")
-    command = ["calibrate", "intrinsics", "--station", str(path), "--rehearse", "--write", "--out", out, "--json"]
-    assert run(command) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert 2.0 < told["largest_distortion"] < 9.0
-    assert told["true_error_px"] < 1.0, "of a lens that displaces pixels by 4 to 8 px"
+    record, true_error = calibrate_held(IntrinsicsJob("a3", ConsoleListener(Console())), camera_of(path), count=30)
+    write_record(tmp_path / "intrinsics.json", record)
+    enter(path, tmp_path / "intrinsics.json")
+    assert 2.0 < record.largest_distortion < 9.0
+    assert true_error < 1.0, "of a lens that displaces pixels by 4 to 8 px"
     config = load_lab_station(path).camera
-    assert config.distortion == tuple(told["distortion"])
+    assert config.distortion == record.distortion
     scene = Scene(config)
     with (
         emulated_stream(config, clock := HostClock(), scene.seen) as stream,

@@ -20,7 +20,7 @@ import yaml
 
 from tests.calibration.pictures import BOARD, CAMERA, draw_session
 from tests.devices.cameras.test_recording import toy_recording
-from toolee_robot.app import calibrate_camera
+from toolee_robot.app.calibrate_camera import CameraJob, PlateViews
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.session import read_session
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
@@ -34,7 +34,7 @@ from toolee_robot.sim_backend.hands.inspire import InspireEmulator
 from toolee_robot.station import CameraConfig, CameraDevice, sim_station
 from toolee_robot.stations import camera
 from toolee_robot.stations.rehearsal import emulated_lab
-from toolee_robot.stations.simulated import SimulatedBoard, simulated_board
+from toolee_robot.stations.simulated import simulated_board
 from toolee_robot.tasks.calibration.collect import UNSEEN
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
@@ -67,7 +67,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _other_print(_: Path) -> list[str]:
-    return ["--bars-mm", *(f"{1.03e3 * length:.1f}" for length in BOARD.size)]
+    return ["--bars-mm", *(f"{1.03e3 * length:.1f}" for length in BOARD.size), "--station", str(LAB)]
 
 
 def _swapped_poses(folder: Path) -> list[str]:
@@ -76,13 +76,13 @@ def _swapped_poses(folder: Path) -> list[str]:
     for pose in poses["poses"]:
         pose["X_base_flange"] = (P @ np.array(pose["X_base_flange"]) @ P).tolist()
     (folder / "poses.json").write_text(json.dumps(poses))
-    return ["--bars-mm", *BARS]
+    return ["--bars-mm", *BARS, "--station", str(LAB)]
 
 
 def _camera_in_file(folder: Path, x: float, y: float) -> list[str]:
-    text = f"frame: base_link\ncamera: {{position: [{x}, {y}, 0.86], target: [0.61, -0.17, 0.7]}}\n"
+    text = f"version: 3\nframe: base_link\ncamera: {{position: [{x}, {y}, 0.86], target: [0.61, -0.17, 0.7]}}\n"
     (folder / "lab.yaml").write_text(text)
-    return ["--bars-mm", *BARS, "--config", str(folder / "lab.yaml")]
+    return ["--bars-mm", *BARS, "--station", str(folder / "lab.yaml")]
 
 
 def _swapped_camera(folder: Path) -> list[str]:
@@ -99,7 +99,7 @@ def _depth_in_millimetres(folder: Path) -> list[str]:
         pose["depth"] = f"depth_{pose['image']}"
         cv2.imwrite(str(folder / pose["depth"]), np.full((CAMERA.height, CAMERA.width), 800, np.uint16))
     (folder / "poses.json").write_text(json.dumps({**poses, "depth_unit": 1.0}))
-    return ["--bars-mm", *BARS]
+    return ["--bars-mm", *BARS, "--station", str(LAB)]
 
 
 @pytest.mark.sim(seconds=5)
@@ -129,18 +129,31 @@ def test_the_arm_does_not_go_on_before_a_camera_that_stands_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Say
 ) -> None:
     """x and y of its place are swapped in the file: the views are before the place that the file says."""
+    printed = simulated_board(sim_station(), SHEETS["a3"], 0.12, 1.2, 3)
+    camera = printed.measured.camera
+    assert camera.position is not None
+    assert camera.target is not None
+    (x, y, z), (a, b, c) = camera.position, camera.target
+    measured = replace(printed.measured, camera=replace(camera, position=(y, x, z), target=(b, a, c)))
 
-    def swapped(*drawn: Any) -> SimulatedBoard:
-        printed = simulated_board(*drawn)
-        camera = printed.measured.camera
-        assert camera.position is not None
-        assert camera.target is not None
-        (x, y, z), (a, b, c) = camera.position, camera.target
-        camera = replace(camera, position=(y, x, z), target=(b, a, c))
-        return replace(printed, measured=replace(printed.measured, camera=camera))
+    def live(job: CameraJob, views: PlateViews, _: tuple[float, float]) -> dict[str, Any]:
+        with printed.build(3) as sim:
+            return job.collect(sim.station, measured, printed.plate, printed.bars, views)[1]
 
-    monkeypatch.setattr(calibrate_camera, "simulated_board", swapped)
-    assert run(["calibrate", "camera", "--poses", "10", "--seed", "3", "--out", str(tmp_path)]) == EXIT_USER
+    monkeypatch.setattr(CameraJob, "live", live)
+    options = [
+        "--plate-distance",
+        "0.12",
+        "--plate-mass",
+        "1.2",
+        "--poses",
+        "10",
+        "--seed",
+        "3",
+        "--out",
+        str(tmp_path),
+    ]
+    assert run(["calibrate", "camera", "--station", str(LAB), "--bars-mm", *BARS, *options]) == EXIT_USER
     told = said()
     assert "none of the first 4 images shows the board" in told
     assert "x and y swapped, or half a turn of the base" in told

@@ -25,10 +25,10 @@ from toolee_robot.hal import Station
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import draw_handover
-from toolee_robot.station import StationConfig
+from toolee_robot.station import StationConfig, unmeasured
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import Cell, EmulatedLab
-from toolee_robot.stations.simulated import SimulatedBoard, simulated_board
+from toolee_robot.stations.simulated import simulated_board
 from toolee_robot.tasks.calibration.collect import Collector, save, session_of
 from toolee_robot.tasks.calibration.views import Plate, missing, plan_views
 
@@ -71,23 +71,6 @@ class CameraJob:
     folder: Path
     listener: Listener
 
-    def simulate(self, views: PlateViews) -> dict[str, Any]:
-        """Calibrate a simulated lab.
-
-        Args:
-            views: The views to take, and the plate in them.
-
-        Returns:
-            Figures by name.
-
-        Raises:
-            TooleeError: The calibration failed, or was refused.
-        """
-        lab = self._printed(views, "Simulated lab")
-        with lab.build(views.seed) as simulation:
-            calibration, figures = self._collect(simulation.station, lab.measured, lab.plate, lab.bars, views)
-        return figures | self._true_error(calibration)
-
     def rehearse(self, views: PlateViews, factor: float) -> dict[str, Any]:
         """Calibrate a lab whose devices are emulated, with its own drivers.
 
@@ -101,7 +84,12 @@ class CameraJob:
         Raises:
             TooleeError: The calibration failed, or was refused.
         """
-        board = self._printed(views, "Rehearsal, every device emulated")
+        board = simulated_board(self.config, SHEETS[self.sheet], views.distance, views.mass, views.seed)
+        x, y = (f"{length * 1e3:.1f}" for length in board.bars)
+        self.listener.say(
+            f"[bold]Rehearsal, every device emulated[/bold]  [dim]seed {views.seed}[/dim]\n  the bars of the print, "
+            f"whose scale is random, measure {x} and {y} mm"
+        )
         options = SimOptions(hands_over=False, boards=(board.placed,))
         # Without the calibration of the real robot, whose serial number the record would have.
         measured = replace(board.measured, calibration=None)
@@ -111,7 +99,7 @@ class CameraJob:
             EmulatedLab(cell, listener.prompt, factor, "harsh", Purpose.CALIBRATION, listener.doing) as lab,
             lab.blaming_the_machine(),
         ):
-            calibration, figures = self._collect(lab.station, measured, board.plate, board.bars, views)
+            calibration, figures = self.collect(lab.station, measured, board.plate, board.bars, views)
         return figures | self._true_error(calibration)
 
     def live(self, views: PlateViews, bars: Bars) -> dict[str, Any]:
@@ -131,15 +119,15 @@ class CameraJob:
         config = plate.station(replace(self.config, camera=self.config.camera.uncalibrated))
         listener = self.listener
         with LabStation(config, listener.prompt, purpose=Purpose.CALIBRATION, doing=listener.doing) as lab:
-            return self._collect(lab.station, config, plate, bars, views)[1]
+            return self.collect(lab.station, config, plate, bars, views)[1]
 
-    def from_images(self, images: Path, bars: Bars, *, measured_camera: bool) -> dict[str, Any]:
+    def from_images(self, images: Path, bars: Bars, station: Path) -> dict[str, Any]:
         """Calibrate from a folder of images and poses.
 
         Args:
             images: The folder.
             bars: Measured lengths of the print's scale bars [m].
-            measured_camera: Whether the station says where the camera was measured by hand.
+            station: The station file, which may say where the camera was measured by hand.
 
         Returns:
             Figures by name.
@@ -152,26 +140,33 @@ class CameraJob:
         session = read_session(images)
         for place in {images, *((images / pose.image).parent for pose in session.poses)}:
             _check_undistorted(place)
-        expected = self.config.camera.uncalibrated.X_base_camera[:3, 3] if measured_camera else None
-        if expected is None:
+        expected: Array | None = self.config.camera.uncalibrated.X_base_camera[:3, 3]
+        if "camera.position" in unmeasured(station):
+            expected = None
             self.listener.warn(
-                "without --config the camera's position is not compared with the station file, and half a turn of "
-                "the base goes unnoticed"
+                f"{station} does not say where the camera is (camera.position), so half a turn of the base goes "
+                "unnoticed"
             )
         return self._solve(session, board, bars, RobotModel.of_station(self.config), expected, images)[1]
 
-    def _printed(self, views: PlateViews, what: str) -> SimulatedBoard:
-        lab = simulated_board(self.config, SHEETS[self.sheet], views.distance, views.mass, views.seed)
-        x, y = lab.bars
-        self.listener.say(
-            f"[bold]{what}[/bold]  [dim]seed {views.seed}[/dim]\n  the bars of the simulated print, whose scale is "
-            f"random, measure {x * 1e3:.1f} and {y * 1e3:.1f} mm: squares of {lab.plate.board.square * 1e3:.2f} mm"
-        )
-        return lab
-
-    def _collect(
+    def collect(
         self, station: Station, config: StationConfig, plate: Plate, bars: Bars, views: PlateViews
     ) -> tuple[CameraCalibration, dict[str, Any]]:
+        """Take the views with a station's devices, and solve.
+
+        Args:
+            station: The devices.
+            config: What is known of the station, with the plate on the flange.
+            plate: The plate.
+            bars: Measured lengths of the print's scale bars [m].
+            views: The views to take.
+
+        Returns:
+            The calibration, and figures by name.
+
+        Raises:
+            TooleeError: A device failed, or the calibration was refused.
+        """
         robot = RobotModel.of_station(config)
         with self.listener.waiting("planning views of the board"):
             planned = plan_views(robot, config, plate, views.count, views.seed)

@@ -9,37 +9,31 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import toolee_robot
 from toolee_robot.app.sources import Listener, Waiting
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.intrinsics import calibrate_intrinsics, read_views
 from toolee_robot.calibration.observation import BoardView
 from toolee_robot.calibration.record import IntrinsicsRecord, read_intrinsics
-from toolee_robot.devices.cameras import StatedLens, StreamedCamera
+from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.recording import recording_of
 from toolee_robot.errors import ConfigError, DeviceError, StaleDataError, UserError
 from toolee_robot.hal import Clock
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.yaml_files import to_record
-from toolee_robot.station import SIMULATED, CameraConfig, read_station, write_measured
+from toolee_robot.station import CameraConfig, read_station, write_measured
 from toolee_robot.station.camera_files import CAMERA, INTRINSICS, PINHOLE
 from toolee_robot.stations.camera import WITH_MODE, open_camera
-from toolee_robot.stations.rehearsal.camera import emulated_stream, lens_of
-from toolee_robot.stations.rehearsal.person import HeldBoard, drawn_camera
 from toolee_robot.tasks.calibration.collect import HandHeldViews, Offered
 
 PATIENCE = 120.0
 """Time without a new view after which nobody is taken to hold the board [s]."""
 IMAGE_TIME = 2.0
-"""Longest wait for an image: an emulated camera renders each new view [s]."""
+"""Longest wait for an image [s]."""
 NOMINAL_FOCAL = 0.72
-"""Focal length of a rehearsed camera of which the file says none yet, in widths of the image."""
+"""Focal length of a camera of which the file says none yet, in widths of the image."""
 ANY_PLACE = {"position": [1.0, 0.0, 1.0], "target": [0.0, 0.0, 0.0]}
 """A place of the camera, which its intrinsics do not depend on [m]."""
-NUMBERS = ("fx", "fy", "cx", "cy", "distortion")
-"""Fields of the section that a measurement changes; the size stays."""
 
 
 @dataclass(frozen=True)
@@ -96,42 +90,24 @@ class IntrinsicsJob:
         board, clock = SHEETS[self.sheet].board.measured(*bars), HostClock()
         with open_camera(camera, clock, check_intrinsics=False) as opened:
             _check_raw("camera.device", opened.profile.undistorted)
-            return self._collect(opened, clock, board, count, opened.profile.serial)
+            return self.collect(opened, clock, board, count, opened.profile.serial)
 
-    def rehearse(self, camera: CameraConfig, count: int, seed: int, factor: float) -> tuple[IntrinsicsRecord, float]:
-        """Calibrate an emulated camera, whose lens is drawn.
+    def collect(self, camera: StreamedCamera, clock: Clock, board: Board, count: int, serial: str) -> IntrinsicsRecord:
+        """Take views of a board that somebody holds before a camera, and solve.
 
         Args:
-            camera: The camera as it tells itself.
+            camera: The camera, opened.
+            clock: The station's clock.
+            board: The board, as measured.
             count: Number of views.
-            seed: Seed of what is drawn.
-            factor: Rate of the station's time relative to wall-clock time.
+            serial: Serial number for the record.
 
         Returns:
-            The record, and its largest true error but for a turn of the camera [px].
+            The record.
 
         Raises:
-            DeviceError: The camera failed.
             UserError: As `calibrate_intrinsics`.
         """
-        true = drawn_camera(camera, np.random.default_rng([seed, 41]))
-        clock = HostClock(factor)
-        held = HeldBoard(true, SHEETS[self.sheet], seed, clock)
-        board = SHEETS[self.sheet].board.measured(*held.bars)
-        x, y = held.bars
-        self.listener.say(
-            f"[bold]Rehearsal, camera and person emulated[/bold]  [dim]seed {seed}[/dim]\n  the bars of the "
-            f"simulated print, whose scale is random, measure {x * 1e3:.1f} and {y * 1e3:.1f} mm"
-        )
-        with (
-            emulated_stream(camera, clock, held.seen_from) as stream,
-            open_camera(camera, clock, check_intrinsics=False, stream=stream) as opened,
-        ):
-            record = self._collect(opened, clock, board, count, SIMULATED)
-        found = StatedLens(record.intrinsics, record.distortion).lens
-        return record, lens_of(true).largest_difference(found, but_for_a_turn=True)
-
-    def _collect(self, camera: StreamedCamera, clock: Clock, board: Board, count: int, serial: str) -> IntrinsicsRecord:
         k = camera.profile.color.intrinsics
         views = HandHeldViews(board, (k.width, k.height), count)
         self.listener.say(
@@ -237,17 +213,15 @@ def camera_of(path: Path) -> CameraConfig:
     return to_record({**ANY_PLACE, **kept}, path, CameraConfig, "station's camera")
 
 
-def check_entry(path: Path, *, rehearsed: bool) -> None:
-    """Refuse, before anything is measured, what could not be entered, or must not.
+def check_entry(path: Path) -> None:
+    """Refuse, before anything is measured, what could not be entered.
 
     Args:
         path: The station file.
-        rehearsed: Whether the camera is emulated.
 
     Raises:
         UserError: The file names a calibration of the camera's place, which holds with the intrinsics of then only
-            (`user.calibration_is_older`), or numbers or a record of a real camera, which rehearsed ones would replace
-            (`user.calibration_is_real`); a record that cannot be read may be one.
+            (`user.calibration_is_older`).
     """
     if read_station(path).get("calibration"):
         raise UserError(
@@ -255,20 +229,6 @@ def check_entry(path: Path, *, rehearsed: bool) -> None:
             "its section `calibration` (of measured.yaml, if a command wrote it), measure the intrinsics, then "
             "calibrate the pose again",
             code="user.calibration_is_older",
-        )
-    camera = _camera(path)
-    name = camera.get(INTRINSICS)
-    if rehearsed and (typed := [number for number in NUMBERS if camera.get(number) is not None]):
-        raise UserError(
-            f"{path} gives {', '.join(f'camera.{number}' for number in typed)}, which a rehearsal must not replace. "
-            "Rehearse without --write, or with a copy of the file without them",
-            code="user.calibration_is_real",
-        )
-    if rehearsed and isinstance(name, str) and not _rehearsed(path.parent / name):
-        raise UserError(
-            f"{path} names a real camera's intrinsics, or an unreadable record, and a rehearsal must not replace "
-            "either. Rehearse without --write, or with a copy of the file without camera.intrinsics",
-            code="user.calibration_is_real",
         )
 
 
@@ -283,13 +243,6 @@ def enter(path: Path, record_file: Path) -> None:
         ConfigError: The station would be refused with it; nothing was written.
     """
     write_measured(path, camera={INTRINSICS: os.path.relpath(record_file, path.parent)})
-
-
-def _rehearsed(record_file: Path) -> bool:
-    try:
-        return read_intrinsics(record_file).camera_serial == SIMULATED
-    except ConfigError:
-        return False
 
 
 def _camera(path: Path) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from toolee_robot.station.work import LARGEST_TILT
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.stations.rehearsal.emulated_lab import camera_covariance
-from toolee_robot.stations.simulated import print_on_wood, simulated_nail_board
+from toolee_robot.stations.simulated import print_on_wood
 from toolee_robot.tasks.calibration.collect import mean_frame
 
 PIXEL_NOISE = 0.3
@@ -193,43 +193,22 @@ class NailSight:
 
     Attributes:
         config: The station; its work is about the nail.
+        station_file: Its file.
         printed: The board on the wood.
         listener: Who hears of it.
         touched: The head by touches, which is combined with what is seen; None without.
     """
 
     config: StationConfig
+    station_file: Path
     printed: Print
     listener: Listener
     touched: LocatedNail | None = None
 
-    def simulate(self, seed: int) -> Sight:
-        """Look at a simulated lab's nail.
-
-        Args:
-            seed: Seed of what is drawn.
-
-        Returns:
-            What was seen.
-
-        Raises:
-            TooleeError: The image is refused.
-        """
-        lab = simulated_nail_board(self.config, SHEETS[self.printed.sheet], seed)
-        self.listener.say(
-            f"[bold]Simulated lab[/bold]  [dim]seed {seed}: a calibrated camera, a print of random scale, and wood "
-            "that is not where the station file has it[/dim]"
-        )
-        with lab.build() as simulation:
-            images = mean_frame(simulation.station.camera)
-        on_wood = replace(lab.on_wood, placing_error=self.printed.placing)
-        return Sight(self._see(lab.camera, lab.board, on_wood, *images), (lab.entry, lab.up))
-
-    def rehearse(self, station_file: Path, seed: int, factor: float) -> Sight:
+    def rehearse(self, seed: int, factor: float) -> Sight:
         """Look at a nail with a lab's own camera driver, every device emulated.
 
         Args:
-            station_file: The station file.
             seed: Seed of the cell and of what a person measured there.
             factor: Rate of the station's time relative to wall-clock time.
 
@@ -239,7 +218,7 @@ class NailSight:
         Raises:
             TooleeError: The image or the calibration is refused.
         """
-        cell = job_cell(self.config, station_file, seed)
+        cell = job_cell(self.config, self.station_file, seed)
         laid = print_on_wood(cell.true, SHEETS[self.printed.sheet], np.random.default_rng([seed, 33]))
         cell = replace(cell, options=replace(cell.options, hands_over=False, boards=(laid.placed,)))
         listener = self.listener
@@ -248,14 +227,13 @@ class NailSight:
             EmulatedLab(cell, listener.prompt, factor, "harsh", Purpose.CALIBRATION, listener.doing) as lab,
             lab.blaming_the_machine(),
         ):
-            seen = self._look(lab.station, station_file, laid.board, laid.on_wood)
+            seen = self._look(lab.station, laid.board, laid.on_wood)
         return Sight(seen, (laid.entry, laid.up))
 
-    def live(self, station_file: Path, bars: tuple[float, float], thickness: float) -> Sight:
+    def live(self, bars: tuple[float, float], thickness: float) -> Sight:
         """Look at a nail with a lab's camera; nothing moves.
 
         Args:
-            station_file: The station file.
             bars: Measured lengths of the print's scale bars [m].
             thickness: Height of the printed side over the wood [m].
 
@@ -270,14 +248,11 @@ class NailSight:
         on_wood = OnWood(at, thickness, self.printed.placing)
         listener = self.listener
         with LabStation(self.config, listener.prompt, purpose=Purpose.CALIBRATION, doing=listener.doing) as lab:
-            return Sight(self._look(lab.station, station_file, board, on_wood))
+            return Sight(self._look(lab.station, board, on_wood))
 
-    def _look(self, station: Station, station_file: Path, board: Board, on_wood: OnWood) -> SeenNail:
-        camera = known_camera(self.config, station_file, station)
-        return self._see(camera, board, on_wood, *mean_frame(station.camera))
-
-    def _see(self, camera: KnownCamera, board: Board, on_wood: OnWood, rgb: Any, depth: Any) -> SeenNail:
-        seen = see_nail(camera, board, on_wood, rgb, depth)
+    def _look(self, station: Station, board: Board, on_wood: OnWood) -> SeenNail:
+        camera = known_camera(self.config, self.station_file, station)
+        seen = see_nail(camera, board, on_wood, *mean_frame(station.camera))
         if self.touched is None:
             return seen
         work = self.config.work

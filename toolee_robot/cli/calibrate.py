@@ -2,7 +2,7 @@
 
 Example: toolee calibrate board --sheet a3 --out board.pdf
 
-Example: toolee calibrate camera
+Example: toolee calibrate camera --station lab.yaml --rehearse
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ _BARS_MISSING = (
     "printers change the scale"
 )
 _PLATE = 0.12, 1.2
-"""Distance of a simulated print from the flange [m], and mass of its plate [kg]."""
+"""Distance of a rehearsed print from the flange [m], and mass of its plate [kg]."""
 _MIN_VIEWS = 15
 """Fewest views that are asked of a person."""
-_STATION_MISSING = "--rehearse needs --station FILE, the station to rehearse"
 
 Rule = tuple[bool, str, str]
 """Whether options do not fit together, the message, and its code."""
@@ -73,20 +72,18 @@ class PrintBoard:
 
 @dataclass(frozen=True, kw_only=True)
 class BoardOptions(JsonOption):
-    """Options of what a camera sees of a printed board: on your own station, rehearsed, or simulated."""
+    """Options of what a station's camera sees of a printed board, for real or rehearsed."""
 
-    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """Your own station file, whose devices are opened."""
+    station: Annotated[Path, tyro.conf.arg(metavar="YAML")]
+    """The station file."""
     rehearse: Flag = False
-    """With --station: emulate every device and the person."""
+    """Emulate every device and the person."""
     sheet: Literal["a4", "a3"] = "a3"
     """The board, as `toolee calibrate board` drew it. An A4 is too small for a camera of 512 pixels at 0.95 m."""
     bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
-    """Lengths of the board's two scale bars, measured on the print. A simulated or rehearsed lab measures its own."""
+    """Lengths of the board's two scale bars, measured on the print. A rehearsed person measures its own."""
     seed: int = 0
-    """Seed of the planned views. In a simulation or rehearsal also of the station's errors, the lens, the print and
-    the noise.
-    """
+    """Seed of the planned views. In a rehearsal also of the station's errors, the print and the noise."""
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
     """With --rehearse: speed of the rehearsal; 1 is real time, 0.5 half of it."""
     write: Flag = False
@@ -102,15 +99,14 @@ class BoardOptions(JsonOption):
 class Camera(BoardOptions):
     """Measure where the fixed camera stands, by a board on the flange.
 
-    Example: toolee calibrate camera
+    Example: toolee calibrate camera --station lab.yaml --rehearse
 
     Example: toolee calibrate camera --station lab.yaml --bars-mm 361.3 258.1 --plate-distance 0.12 --plate-mass 1.2
 
-    Example: toolee calibrate camera --images session --config lab.yaml --bars-mm 361.3 258.1
+    Example: toolee calibrate camera --station lab.yaml --images session --bars-mm 361.3 258.1
 
-    With --station the arm moves the board through poses in front of the camera, slowly, while a person holds the
-    hold-to-run switch. With --rehearse every device is emulated. With --images the command uses a folder of poses and
-    images. Without either, it calibrates a simulated lab.
+    The arm moves the board through poses in front of the camera, slowly, while a person holds the hold-to-run switch.
+    With --rehearse every device is emulated. With --images the command uses a folder of poses and images.
 
     Exit code 0: the record is written; 1: a device failed; 2: poses or images are refused, with the reason. Images
     taken so far are kept for --images.
@@ -118,26 +114,21 @@ class Camera(BoardOptions):
 
     images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder with images and poses.json, see docs/how-to/calibrate.md."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """The station file, with --images: it gives the arm's kinematics and the camera's position as measured by hand."""
     poses: Annotated[int, tyro.conf.arg(metavar="N")] = 20
     """Number of poses to drive to."""
-    plate_distance: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="(simulated: 0.12)")] = None
+    plate_distance: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="(rehearsed: 0.12)")] = None
     """Distance of the print from the flange."""
-    plate_mass: Annotated[float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="(simulated: 1.2)")] = None
+    plate_mass: Annotated[float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="(rehearsed: 1.2)")] = None
     """Mass of plate and holder."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("calibrations")
     """Parent of the calibration's folder, which holds camera.json, the record, report.html and the images."""
 
     def run(self) -> int:
         self._check()
-        from toolee_robot.station import load_lab_station, load_station, sim_station
+        from toolee_robot.station import load_lab_station
 
-        if self.station is not None:
-            config = load_lab_station(self.station)
-            self._check_entry(self.station, config)
-        else:
-            config = sim_station() if self.config is None else load_station(self.config)
+        config = load_lab_station(self.station, complete=self.images is None)
+        self._check_entry(config)
         from toolee_robot.app.calibrate_camera import RECORD
         from toolee_robot.calibration.session import FILE
         from toolee_robot.runtime.files import run_folder
@@ -154,7 +145,6 @@ class Camera(BoardOptions):
                 raise
             place = folder.keep()
         if self.write:
-            assert self.station is not None
             record = os.path.relpath(place / RECORD, self.station.parent)
             write_measured(self.station, calibration={"record": record})
         self._show(figures, place)
@@ -167,9 +157,7 @@ class Camera(BoardOptions):
         job = CameraJob(config, self.sheet, folder, listener)
         views = PlateViews(self.poses, self.plate_distance or _PLATE[0], self.plate_mass or _PLATE[1], self.seed)
         if self.images is not None:
-            return job.from_images(self.images, _metres(self.bars_mm), measured_camera=self.config is not None)
-        if self.station is None:
-            return job.simulate(views)
+            return job.from_images(self.images, _metres(self.bars_mm), self.station)
         if self.rehearse:
             return job.rehearse(views, self.real_time_factor)
         return job.live(views, _metres(self.bars_mm))
@@ -185,8 +173,8 @@ class Camera(BoardOptions):
             ("noise", f"corners {f['pixel_noise']:.2f} px, arm {f['arm_noise_mm']:.2f} mm {f['arm_noise_deg']:.3f}°"),
             ("poses", f"{f['poses']}" + (f", not fitting: {', '.join(f['wrong'])}" if f["wrong"] else "")),
         ]
-        simulated = "true_error_mm" in f
-        if simulated:
+        rehearsed = "true_error_mm" in f
+        if rehearsed:
             rows.append(("true error *", f"{f['true_error_mm']:.2f} mm"))
         rows += [("record", record), ("report", escape(str(folder / REPORT)))]
         if self.write:
@@ -194,11 +182,11 @@ class Camera(BoardOptions):
         else:
             entry = ["calibration:", f"  record: {record}"]
             lines = ["Read the report, then enter this in the station file:", "", *entry]
-        if simulated:
+        if rehearsed:
             lines += ["", "[dim]* known to the simulation only[/dim]"]
         _panel(self.console, "the camera is calibrated", rows, lines)
 
-    def _check_entry(self, station: Path, config: StationConfig) -> None:
+    def _check_entry(self, config: StationConfig) -> None:
         """Refuse before anything moves what --write could not enter, or must not."""
         from toolee_robot.station import SIMULATED
 
@@ -208,44 +196,33 @@ class Camera(BoardOptions):
         _refuse(
             (
                 known.record is None,
-                f"{station} already gives a calibration by hand (measured_on and others). Delete that section, then "
-                "use --write",
+                f"{self.station} already gives a calibration by hand (measured_on and others). Delete that section, "
+                "then use --write",
                 "user.calibration_by_hand",
             ),
             (
                 self.rehearse and known.robot_serial != SIMULATED,
-                f"{station} names the calibration of the real robot {known.robot_serial}, and a rehearsal must not "
-                "replace it. Rehearse with a copy of the file, or without --write",
+                f"{self.station} names the calibration of the real robot {known.robot_serial}, and a rehearsal must "
+                "not replace it. Rehearse with a copy of the file, or without --write",
                 "user.calibration_is_real",
             ),
         )
 
     def _check(self) -> None:
-        moves = self.station is not None and not self.rehearse and self.images is None
-        real = self.images is not None or moves
-        plate = self.plate_distance, self.plate_mass
-        where = "with --rehearse" if self.rehearse else "without --images or --station"
+        moves = not self.rehearse and self.images is None
         self.refuse(
+            _option(self.images is not None and self.rehearse, "give --images or --rehearse, not both"),
             _option(
-                self.images is not None and self.station is not None,
-                "give --images or --station, not both. --images uses images that exist; --station takes new ones",
+                self.rehearse and self.bars_mm is not None,
+                "leave --bars-mm out: with --rehearse the emulated person measures the print",
             ),
-            _option(
-                self.station is not None and self.config is not None,
-                "leave --config out: --station already names the station file",
-            ),
-            (self.rehearse and self.station is None, _STATION_MISSING, "user.no_station"),
-            _option(
-                not real and self.bars_mm is not None, f"--bars-mm {where}: the simulated lab measures its own print"
-            ),
-            (real and self.bars_mm is None, _BARS_MISSING, "user.board_scale_unknown"),
+            (not self.rehearse and self.bars_mm is None, _BARS_MISSING, "user.board_scale_unknown"),
             (
-                moves and None in plate,
+                moves and None in (self.plate_distance, self.plate_mass),
                 "--plate-distance and --plate-mass are missing. Measure the distance from the flange to the print, "
                 "and weigh plate and holder. The arm's motions depend on both",
                 "user.plate_unmeasured",
             ),
-            _option(self.write and self.station is None, "--write needs --station, the station file to write to"),
             _option(not 8 <= self.poses <= 100, "give --poses 8 to 100"),
         )
 
@@ -321,29 +298,35 @@ class Check(JsonOption):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Intrinsics(BoardOptions):
+class Intrinsics(JsonOption):
     """Measure a camera's intrinsics by a board that is held before it.
 
     Example: toolee calibrate intrinsics --station lab.yaml --bars-mm 361.3 258.1 --write
 
-    Example: toolee calibrate intrinsics --station lab.yaml --rehearse
-
     Example: toolee calibrate intrinsics --images views --bars-mm 361.3 258.1 --camera-serial F1370001
 
-    With --station the command takes an image each time the board is held still in a new pose. With --rehearse camera
-    and person are emulated. With --images it uses a folder of raw images. Frames of `toolee camera record` are
-    undistorted, so they do not serve. Tilt the board by 30 to 45° in most images, and show it in all corners of the
-    image. A camera with factory intrinsics needs this only as a check.
+    With --station the command takes an image each time the board is held still in a new pose. With --images it uses a
+    folder of raw images. Frames of `toolee camera record` are undistorted, so they do not serve. Tilt the board by 30
+    to 45° in most images, and show it in all corners of the image. A camera with factory intrinsics needs this only as
+    a check.
 
     Exit code 0: the record is written; 1: the camera failed; 2: the images are refused, with the reason.
     """
 
+    bars_mm: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]
+    """Lengths of the board's two scale bars, measured on the print."""
+    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The station file."""
     images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder of images, all of one size."""
     camera_serial: Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")] = None
     """Serial number of the camera, without --station."""
+    sheet: Literal["a4", "a3"] = "a3"
+    """The board, as `toolee calibrate board` drew it."""
     views: Annotated[int, tyro.conf.arg(metavar="N")] = 30
     """Number of images that are taken with --station."""
+    write: Flag = False
+    """Enter the result in `measured.yaml` beside the station file."""
     out: Annotated[Path, tyro.conf.arg(metavar="JSON")] = Path("intrinsics.json")
     """The record."""
 
@@ -355,29 +338,26 @@ class Intrinsics(BoardOptions):
         camera = None if self.station is None else camera_of(self.station)
         if self.write:
             assert self.station is not None
-            check_entry(self.station, rehearsed=self.rehearse)
-        console, true_error = self.console, None
+            check_entry(self.station)
+        console, bars = self.console, _metres(self.bars_mm)
         job = IntrinsicsJob(self.sheet, ConsoleListener(console), console.bell)
         if self.images is not None:
             serial = self.camera_serial if camera is None or camera.device is None else camera.device.serial
             assert serial is not None
-            record = job.from_images(self.images, _metres(self.bars_mm), serial)
+            record = job.from_images(self.images, bars, serial)
         else:
             assert camera is not None
-            if self.rehearse:
-                record, true_error = job.rehearse(camera, self.views, self.seed, self.real_time_factor)
-            else:
-                record = job.live(camera, self.views, _metres(self.bars_mm))
+            record = job.live(camera, self.views, bars)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         write_record(self.out, record)
         if self.write:
             assert self.station is not None
             enter(self.station, self.out)
-        self._show(record, true_error)
-        self.tell({**asdict(record), **({} if true_error is None else {"true_error_px": round(true_error, 3)})})
+        self._show(record)
+        self.tell(asdict(record))
         return 0
 
-    def _show(self, record: IntrinsicsRecord, true_error: float | None) -> None:
+    def _show(self, record: IntrinsicsRecord) -> None:
         K = record.intrinsics
         values = zip(("fx", "fy", "cx", "cy"), (K.fx, K.fy, K.cx, K.cy), record.sigma, strict=True)
         rows = [(name, f"{value:9.3f} ± {2 * sigma:.3f} px") for name, value, sigma in values]
@@ -385,45 +365,31 @@ class Intrinsics(BoardOptions):
         rows += [(name, f"{value:+9.5f} ± {2 * sigma:.5f}") for name, value, sigma in names]
         left_out = f"; {record.left_out} outlier corners left out" if record.left_out else ""
         effect = "images must be undistorted" if record.distorts else "negligible"
+        out = escape(str(self.out))
         rows += [
             ("reprojection", f"{record.reprojection:.3f} px, on images left out of the fit {record.held_out:.3f} px"),
             ("views", f"{record.views}, {100 * record.covered:.0f} % of the image{left_out}"),
             ("lens", f"shifts pixels by up to {record.largest_distortion:.2f} px: {effect}"),
+            ("record", out),
         ]
-        if true_error is not None:
-            rows.append(("true error *", f"{true_error:.2f} px at most, apart from a rotation of the camera"))
-        out = escape(str(self.out))
-        rows.append(("record", out))
         if self.write:
             lines = [f"Entered in {_measured(self.station)}. Next, calibrate the camera's pose."]
         else:
             lines = ["The line for the station file:", "", "camera:", f"  intrinsics: {out}"]
-        if true_error is not None:
-            lines += ["", "[dim]* known to the simulation only; a rotation is absorbed by the camera's pose[/dim]"]
         _panel(self.console, "the intrinsics are measured", rows, lines, width=16)
 
     def _check(self) -> None:
         serial = self.camera_serial is not None
-        self.refuse(
+        _refuse(
             _option(
                 self.images is None and self.station is None,
                 "give --station to take images with its camera, or --images with a folder of images",
-            ),
-            (
-                self.rehearse and (self.station is None or self.images is not None),
-                "give --rehearse with --station alone",
-                "user.no_station",
             ),
             _option(self.station is not None and serial, "leave --camera-serial out: the station file gives it"),
             _option(
                 self.station is None and not serial,
                 "--camera-serial is missing. Intrinsics belong to one camera: give its serial number, or --station",
             ),
-            _option(
-                self.rehearse and self.bars_mm is not None,
-                "leave --bars-mm out: with --rehearse the emulated person measures the print",
-            ),
-            (not self.rehearse and self.bars_mm is None, _BARS_MISSING, "user.board_scale_unknown"),
             _option(self.write and self.station is None, "--write needs --station, the station file to write to"),
             _option(not _MIN_VIEWS <= self.views <= 200, f"give --views {_MIN_VIEWS} to 200"),
         )
@@ -433,7 +399,7 @@ class Intrinsics(BoardOptions):
 class Mount(JsonOption):
     """Locate a tip on the flange from touches of one fixed point.
 
-    Example: toolee calibrate mount --touches touches.yaml --config lab.yaml
+    Example: toolee calibrate mount --touches touches.yaml --station lab.yaml
 
     Clamp a pointed pin in the mount. Bring its tip to one fixed point in at least five orientations. They must differ
     by 25° or more about two axes. The file lists the joint positions: `touches: [[q1, ..., q6], ...]`. The result is
@@ -444,15 +410,15 @@ class Mount(JsonOption):
 
     touches: Annotated[Path, tyro.conf.arg(metavar="YAML")]
     """The joint positions."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    station: Annotated[Path, tyro.conf.arg(metavar="YAML")]
     """The station file: the arm's model and kinematics."""
 
     def run(self) -> int:
         from toolee_robot.calibration.touches import locate_tip, read_touches
         from toolee_robot.control import RobotModel
-        from toolee_robot.station import load_station, sim_station
+        from toolee_robot.station import load_station
 
-        arm = RobotModel.of_station(sim_station() if self.config is None else load_station(self.config)).arm
+        arm = RobotModel.of_station(load_station(self.station)).arm
         tip = locate_tip([arm.fk(np.array(q)) for q in read_touches(self.touches).touches])
         sigmas = 2.0 * np.sqrt(np.diag(tip.covariance))
         x, y, z = tip.p_flange_tip
@@ -469,26 +435,23 @@ class Mount(JsonOption):
 class Nail(BoardOptions):
     """Locate a nail and the wood, by the camera or by touches.
 
-    Example: toolee calibrate nail --camera
+    Example: toolee calibrate nail --camera --station lab.yaml --rehearse
 
     Example: toolee calibrate nail --camera --station lab.yaml --bars-mm 361.3 258.1 --thickness-mm 0.2 --write
 
-    Example: toolee calibrate nail --wood wood.yaml --touches nail.yaml --tip-mm 0.3 -0.2 151.4 --config lab.yaml
+    Example: toolee calibrate nail --wood wood.yaml --touches nail.yaml --tip-mm 0.3 -0.2 151.4 --station lab.yaml
 
     With --camera nothing moves. Lay a board from `toolee calibrate board` flat on the wood, glued or on a stiff plate,
     with the nail through its white cross. With --touches as well, the command weights both by their uncertainties. For
     --touches, touch the middle of the nail's head at least three times, from different sides. For --wood, touch the
     wood around the nail at three points or more, at least 30 mm apart; a fourth reveals a wrong one. Both files list
     joint positions, and `toolee arm touch --touches` writes them. Locate the tip first with `toolee calibrate mount`.
-    With --camera alone, it measures a simulated lab.
 
     Exit code 0: the nail is located; 1: a device failed; 2: images or touches are refused, with the reason.
     """
 
     camera: Flag = False
     """Locate it by the camera."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """The station file, if --station is not given: it gives the arm's kinematics and the nail's expected position."""
     nail: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Which of several nails (work.nails)."""
     thickness_mm: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
@@ -536,34 +499,27 @@ class Nail(BoardOptions):
                 wood = touch_wood(config, self.wood, touching, touched)
         if self.camera:
             printed = Print(self.sheet, None if self.at_mm is None else _metres(self.at_mm), self.placing_mm / 1e3)
-            look = NailSight(config, printed, listener, touched)
-            if self.station is None:
-                sight = look.simulate(self.seed)
-            elif self.rehearse:
-                sight = look.rehearse(self.station, self.seed, self.real_time_factor)
+            look = NailSight(config, self.station, printed, listener, touched)
+            if self.rehearse:
+                sight = look.rehearse(self.seed, self.real_time_factor)
             else:
-                sight = look.live(self.station, _metres(self.bars_mm), (self.thickness_mm or 0.0) / 1e3)
-        located, path = Located(config, name, touched, wood, sight), self.station or self.config
+                sight = look.live(_metres(self.bars_mm), (self.thickness_mm or 0.0) / 1e3)
+        located = Located(config, name, touched, wood, sight)
         if self.write:
-            assert path is not None
-            located.write(path)
-        self._show(located, path)
+            located.write(self.station)
+        self._show(located)
         self.tell(located.figures())
         return 0
 
     def _station(self) -> StationConfig:
         from toolee_robot.app.calibrate_nail import touched_station
-        from toolee_robot.station import load_lab_station, load_station, sim_station
+        from toolee_robot.station import load_lab_station
 
-        if self.station is not None:
+        if self.camera:
             return load_lab_station(self.station)
-        if self.config is None:
-            return sim_station()
-        if self.camera:  # a simulated one
-            return load_station(self.config)
-        return touched_station(self.config, wood_alone=self.touches is None)
+        return touched_station(self.station, wood_alone=self.touches is None)
 
-    def _show(self, located: Located, path: Path | None) -> None:
+    def _show(self, located: Located) -> None:
         from toolee_robot.app.calibrate_nail import mistake
 
         rows, by_file = _nail_rows(located), located.config.work.p_base_entry
@@ -574,8 +530,8 @@ class Nail(BoardOptions):
         if true:
             beside, height, tilt = true.values()
             rows.append(("true errors *", f"beside {beside} mm, height {height} mm, tilt {tilt}°"))
-        entries = located.entries(None if self.write else path)  # measured.yaml is in base_link
-        where = f"Entered in {_measured(path)}, in base_link:" if self.write else "In the station file:"
+        entries = located.entries(None if self.write else self.station)  # measured.yaml is in base_link
+        where = f"Entered in {_measured(self.station)}, in base_link:" if self.write else "In the station file:"
         lines = [where, "work:"]
         lines += [f"  {name}: {value}" for name, value in entries.items() if name != "nails"]
         lines += [f"  nails, {nail['name']}: xy: {nail['xy']}" for nail in entries.get("nails", ())]
@@ -585,8 +541,8 @@ class Nail(BoardOptions):
 
     def _check(self) -> None:
         touches = [f"--{name}" for name in ("touches", "wood") if getattr(self, name) is not None]
-        file = self.station or self.config
-        real = self.station is not None and not self.rehearse
+        sees = self.camera and not self.rehearse
+        of_print = self.bars_mm, self.thickness_mm
         deviations = self.placing_mm, self.touch_mm, self.repeat_mm
         self.refuse(
             (
@@ -595,49 +551,32 @@ class Nail(BoardOptions):
                 "user.nail_no_source",
             ),
             _option(
-                bool(touches) and (self.tip_mm is None or file is None),
-                f"{''.join(touches[:1])} needs --tip-mm (from `toolee calibrate mount`) and the station file "
-                "(--config or --station)",
+                bool(touches) and self.tip_mm is None,
+                f"{''.join(touches[:1])} needs --tip-mm (from `toolee calibrate mount`)",
             ),
             _option(
                 self.wood is not None and self.camera,
                 "give --wood or --camera, not both: the board already shows how the wood lies",
             ),
             _option(
-                self.touches is not None and self.camera and not real,
-                "--touches need your own --station: they are not touches of the simulated nail",
+                self.rehearse and bool(touches), "give --rehearse with --camera alone: touches are of the real nail"
             ),
-            _option(
-                self.station is not None and (self.config is not None or not self.camera),
-                "give --station with --camera, and --config without it. Never give both",
-            ),
-            (self.rehearse and self.station is None, _STATION_MISSING, "user.no_station"),
-            *self._print_rules(real),
-            _option(self.write and file is None, "--write needs --station or --config, the file to write to"),
-            _option(
-                self.write and self.camera and not real,
-                "leave --write out: a simulated nail would replace your real one",
-            ),
-            _option(
-                not all(0.01 <= value <= 10.0 for value in deviations),
-                "give --placing-mm, --touch-mm and --repeat-mm 0.01 to 10",
-            ),
-        )
-
-    def _print_rules(self, real: bool) -> tuple[Rule, ...]:
-        given = self.bars_mm is not None, self.thickness_mm is not None
-        return (
             (
-                real and not all(given),
+                sees and None in of_print,
                 "--bars-mm and --thickness-mm are missing. Measure the two scale bars on your print, and the "
                 "height of its printed side over the wood",
                 "user.board_scale_unknown",
             ),
             _option(
-                not real and any(given),
-                "leave --bars-mm and --thickness-mm out: the simulated lab measures its own print",
+                not sees and of_print != (None, None),
+                "leave --bars-mm and --thickness-mm out: they are of a real print that the camera sees",
             ),
             _option(not 0.0 <= (self.thickness_mm or 0.0) <= 50.0, f"--thickness-mm {self.thickness_mm}: give 0 to 50"),
+            _option(self.write and self.rehearse, "leave --write out: a rehearsed nail would replace your real one"),
+            _option(
+                not all(0.01 <= value <= 10.0 for value in deviations),
+                "give --placing-mm, --touch-mm and --repeat-mm 0.01 to 10",
+            ),
         )
 
 
@@ -667,7 +606,7 @@ def _option(broken: bool, message: str) -> Rule:
 def _measured(station: Path | None) -> str:
     from toolee_robot.station import measured_path
 
-    assert station is not None
+    assert station is not None, "checked before"
     return escape(str(measured_path(station)))
 
 

@@ -147,7 +147,7 @@ class Show(CameraOptions):
             age = clock.now() - frame.stamp
             profile, chosen = camera.profile, camera.lens
         if refused is not None:
-            config = replace(config, distortion=None, intrinsics_record=None, lens_serial=None)
+            config = replace(config, distortion=None, intrinsics_record=None)
             told = f"[yellow]Shown without the station file's lens. A job refuses it:[/yellow] {escape(refused)}\n"
             console.print(told, soft_wrap=True)
         k = frame.intrinsics
@@ -196,7 +196,7 @@ class Show(CameraOptions):
         try:
             return stack.enter_context(self.open(clock)), None
         except TooleeError as error:
-            if error.code not in {*REFUSED, "config.intrinsics_rehearsed"}:
+            if error.code not in REFUSED:
                 raise
             return stack.enter_context(self.open(clock, own_lens=True)), str(error)
 

@@ -11,12 +11,9 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.calibration.record import read_intrinsics, rows, same_distortion
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, BaseFrame, transform
-from toolee_robot.station.calibration import SIMULATED
 
 CAMERA, INTRINSICS, HELD = "camera", "intrinsics", "intrinsics_record"
 """Section and field that name the record, and the field of `CameraConfig` that holds the name."""
-SERIAL = "lens_serial"
-"""Field of `CameraConfig` that holds the serial number of the record."""
 PINHOLE = ("fx", "fy", "cx", "cy", "width", "height")
 """Fields of the section that the record gives, beside `distortion`."""
 ROUNDED = 0.01
@@ -41,9 +38,9 @@ def take_intrinsics(data: dict[str, Any], path: Path) -> dict[str, Any]:
     camera = data.get(CAMERA)
     if not isinstance(camera, dict):
         return data
-    if by_hand := [name for name in (HELD, SERIAL) if name in camera]:
+    if HELD in camera:
         raise ConfigError(
-            f"{path}: {CAMERA}.{by_hand[0]} cannot be given by hand. Name a record of `toolee calibrate intrinsics` "
+            f"{path}: {CAMERA}.{HELD} cannot be given by hand. Name a record of `toolee calibrate intrinsics` "
             f"in {CAMERA}.{INTRINSICS}",
             code="config.invalid",
         )
@@ -71,13 +68,13 @@ def take_intrinsics(data: dict[str, Any], path: Path) -> dict[str, Any]:
         )
     device = others.get("device")
     serial = device.get("serial") if isinstance(device, dict) else None
-    if isinstance(serial, str) and record.camera_serial not in (serial, SIMULATED):
+    if isinstance(serial, str) and record.camera_serial != serial:
         raise ConfigError(
             f"{path}: the record in {CAMERA}.{INTRINSICS} belongs to camera {record.camera_serial!r}, the file "
             f"names {serial!r}. Measure this one by `toolee calibrate intrinsics --station {path} --write`",
             code="config.intrinsics_serial",
         )
-    given = {**pinhole, "distortion": distortion, HELD: name, SERIAL: record.camera_serial}
+    given = {**pinhole, "distortion": distortion, HELD: name}
     return {**data, CAMERA: {**others, **given}}
 
 

@@ -109,8 +109,6 @@ class CameraConfig:
     """File of `toolee calibrate intrinsics`, relative to the station file. It replaces the seven fields above and
     what the camera reports.
     """
-    lens_serial: str | None = field(default=None, metadata={IN_FILE: ""})
-    """Serial number of the camera in that record; null without one."""
     device: CameraDevice | None = None
     """The camera itself, for its driver; null for the simulated one."""
     pose: Rows | None = field(default=None, metadata={IN_FILE: ""})

@@ -21,7 +21,7 @@ from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.errors import ConfigError, NotReadyError, UserError, words_of
 from toolee_robot.hal import Clock
 from toolee_robot.runtime.device_plugins import installed, load
-from toolee_robot.station import SIMULATED, CameraConfig, CameraDevice
+from toolee_robot.station import CameraConfig, CameraDevice
 
 REALSENSE, ORBBEC, AIRO, RECORDED = "realsense", "orbbec", "airo", "recorded"
 """Names of drivers: of a camera whose SDK has software devices, of another one, of those of airo-camera-toolkit, and of
@@ -67,18 +67,12 @@ def open_camera(
             code="config.camera_device",
         )
     if stream is None:
-        if check_intrinsics and config.lens_serial == SIMULATED:
-            raise ConfigError(
-                f"camera.intrinsics: {config.intrinsics_record} comes from a rehearsal. Measure this camera by "
-                "`toolee calibrate intrinsics --station`",
-                code="config.intrinsics_rehearsed",
-            )
         driver = _driver(device.driver)
         if device.camera_class is not None and device.driver != AIRO:
             message = f"camera.device.camera_class is for the driver {AIRO}, not {device.driver}: leave it out"
             raise ConfigError(message, code="config.camera_class")
         stream = driver(config, device, clock)
-    measured = config.lens_serial is not None
+    measured = config.intrinsics_record is not None
     stated = StatedLens(config.intrinsics, config.distortion, measured) if check_intrinsics else None
     return StreamedCamera(_OfSerial(stream, device.serial), clock, stated)
 

@@ -1,8 +1,8 @@
-"""Simulated stations: of a job, and of labs that calibrate their camera or find their nail by a printed board.
+"""The simulated station of a job, and printed boards in simulated and rehearsed labs.
 
 Drawn from the seed, and unknown to whoever calibrates or looks: the print's scale, where the board really is, where the
-camera really stands and how its calibration is off, where the block is and how its top is tilted. What a person has
-measured is off by what a rule, a tape measure and a calliper are.
+camera really stands, and how the block's top is tilted. What a person has measured is off by what a rule, a tape
+measure and a calliper are.
 """
 
 from __future__ import annotations
@@ -14,14 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board, Sheet
-from toolee_robot.calibration.hand_eye.refinement import refine
-from toolee_robot.calibration.hand_eye.reprojection import Views
-from toolee_robot.calibration.hand_eye.solve import start
-from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
-from toolee_robot.calibration.nail import LocatedNail, OnWood
-from toolee_robot.calibration.observation import camera_board
+from toolee_robot.calibration.nail import OnWood
 from toolee_robot.calibration.record import rows
-from toolee_robot.calibration.touches import KnownCamera
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.options import PlacedBoard, SimOptions
 from toolee_robot.sim_backend.station import SimStation
@@ -135,10 +129,6 @@ def _by_tape(camera: CameraConfig, rng: np.random.Generator) -> CameraConfig:
     return replace(camera, measured_pose=rows(transform(turn.as_matrix() @ X[:3, :3], position)))
 
 
-MOVED = 0.03
-"""Largest distance of the block from where the station file has it, along each axis of the table [m]."""
-RAISED = 0.005
-"""Largest error of its height in the file [m]."""
 WOOD_TILT = float(np.deg2rad(1.0))
 """Standard deviation of each component of the tilt of the block's top [rad]."""
 THICKNESS = 0.0002, 0.005
@@ -147,8 +137,6 @@ PLACING = 3e-4
 """Standard deviation of the nail's place at the board's cross about each axis: punched by hand [m]."""
 CALLIPER = 5e-5
 """Standard deviation of a thickness that is measured with a calliper [m]."""
-TOUCH = 3e-4
-"""Standard deviation of a touch with a tip about each axis: kinematics, tip and eye [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,27 +156,6 @@ class PrintOnWood:
     placed: PlacedBoard
     entry: Array
     up: Array
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedNailBoard(PrintOnWood):
-    """A board on the wood of a simulated station, and what is known of it.
-
-    Attributes:
-        true: The station as it is.
-        camera: The camera by its calibration.
-        touched: The head by touches.
-        seed: Seed of room and noise.
-    """
-
-    true: StationConfig
-    camera: KnownCamera
-    touched: LocatedNail
-    seed: int
-
-    def build(self) -> SimStation:
-        """Build the simulated station with the board on the wood."""
-        return SimStation.build(self.true, self.seed, SimOptions(hands_over=False, boards=(self.placed,)))
 
 
 def place_board(config: StationConfig, board: Board, height: float, turn: float, tilt: Array) -> PlacedBoard:
@@ -234,36 +201,3 @@ def print_on_wood(true: StationConfig, sheet: Sheet, rng: np.random.Generator, t
     on_wood = OnWood((float(board.mark[0]), float(board.mark[1])), height + float(rng.normal(0.0, CALLIPER)), PLACING)
     entry = true.work.p_base_entry
     return PrintOnWood(board, on_wood, placed, entry, -placed.X_frame_board[:3, 2])
-
-
-def simulated_nail_board(config: StationConfig, sheet: Sheet, seed: int, tilt: float = WOOD_TILT) -> SimulatedNailBoard:
-    """Print a board and lay it on the wood of a station with a calibrated camera.
-
-    Args:
-        config: The station; its camera stands where the station file says, and not where a calibration's record does.
-        sheet: The sheet that is printed.
-        seed: Seed of what is drawn.
-        tilt: Standard deviation of each component of the wood's tilt [rad].
-
-    Returns:
-        The board.
-    """
-    rng = np.random.default_rng([seed, 32])
-    config = replace(config, camera=config.camera.uncalibrated)
-    dx, dy = rng.uniform(-MOVED, MOVED, 2).tolist()
-    true = replace(config, work=config.work.moved(dx, dy, float(rng.uniform(-RAISED, RAISED))))
-    laid = print_on_wood(true, sheet, rng, tilt)
-    head = laid.entry + true.work.nail_protrusion * true.work.nail_axis
-    touched = LocatedNail(head + rng.normal(0.0, TOUCH, 3), 0.0, np.eye(3) * TOUCH**2)
-    return SimulatedNailBoard(
-        laid.board, laid.on_wood, laid.placed, laid.entry, laid.up, true, _calibrated(config, sheet, rng), touched, seed
-    )
-
-
-def _calibrated(config: StationConfig, sheet: Sheet, rng: np.random.Generator) -> KnownCamera:
-    """The camera by a calibration with drawn poses and noise."""
-    k = config.camera.intrinsics
-    drawn = draw(Protocol(), sheet.board, k, config.camera.X_base_camera, rng)
-    Xs_camera_board = [camera_board(o.view, sheet.board, k)[0] for o in drawn.observations]
-    refined = refine(Views(drawn.observations, sheet.board, k), start(drawn.observations, Xs_camera_board))
-    return KnownCamera(refined.estimate.X_base_camera, refined.covariance[:6, :6], k, refined.noise.pixel)
