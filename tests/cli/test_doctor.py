@@ -70,7 +70,7 @@ def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_
     assert code == 0, said
     assert "Ready for the job" in said
     assert record["worst"] in ("ok", "warn")
-    assert {f["section"] for f in record["findings"]} == {"Station file", "Devices", "Calibration", "This computer"}
+    assert {f["section"] for f in record["findings"]} == {"Station file", "Calibration", "This computer"}
     assert not (tmp_path / "runs").exists(), "a look leaves nothing behind"
 
 

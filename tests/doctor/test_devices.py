@@ -1,4 +1,4 @@
-"""What the doctor says of arm, hand, camera and person, on the simulated station with things broken in it."""
+"""What the doctor says of hand and camera, on the simulated station with things broken in it."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
+from toolee_robot.doctor.devices import check_camera, check_hand
 from toolee_robot.findings import Finding, Level
 from toolee_robot.hal import Clock, HandState, RgbdCamera
 from toolee_robot.sim_backend import SimStation
-from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.hand import SimHand
-from toolee_robot.station import StationConfig, sim_station
+from toolee_robot.station import sim_station
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 pytestmark = pytest.mark.sim
@@ -30,70 +29,14 @@ def simulation() -> Iterator[SimStation]:
         yield simulation
 
 
-@pytest.fixture
-def arm(simulation: SimStation) -> Iterator[SimArm]:
-    arm = simulation.station.arm
-    assert isinstance(arm, SimArm)
-    yield arm
-    arm.restore_link()
-    arm.make_ready()
-    arm.reset()
-
-
-def _arm(simulation: SimStation, config: StationConfig = _CONFIG) -> Finding:
-    return check_arm(simulation.station.arm, simulation.station.hand, config)
-
-
 def test_devices_as_they_should_be(simulation: SimStation) -> None:
     station = simulation.station
     findings = [
-        _arm(simulation),
         check_hand(station.hand, _CONFIG),
         *check_camera(station.camera, station.clock, _CONFIG),
-        check_person(station.person),
     ]
     assert {f.level for f in findings} == {Level.OK}, findings
-    assert [f.name for f in findings] == ["arm", "hand", "camera", "depth", "person"]
-
-
-def test_nothing_moves(simulation: SimStation) -> None:
-    station = simulation.station
-    before = station.arm.state().joints.q, station.hand.state().joints.q
-    _arm(simulation)
-    check_hand(station.hand, _CONFIG)
-    np.testing.assert_allclose(station.arm.state().joints.q, before[0], atol=1e-4)
-    np.testing.assert_allclose(station.hand.state().joints.q, before[1], atol=1e-2)
-
-
-def test_a_stopped_arm(simulation: SimStation, arm: SimArm) -> None:
-    arm.protective_stop()
-    assert (_arm(simulation).level, _arm(simulation).message) == (Level.FAIL, "protective stop")
-    arm.make_ready()
-    arm.emergency_stop()
-    assert (_arm(simulation).level, _arm(simulation).message) == (Level.FAIL, "emergency stop")
-
-
-def test_an_arm_that_tells_nothing_new(simulation: SimStation, arm: SimArm) -> None:
-    arm.cut_link()
-    simulation.station.clock.sleep(0.5)
-    finding = _arm(simulation)
-    assert finding.level is Level.FAIL
-    assert "old" in finding.message
-
-
-@pytest.mark.parametrize(
-    ("section", "changes", "expected_text"),
-    [
-        ("scene", {"workspace_lower": (-1.0, -1.2, 1.2), "workspace_upper": (1.2, 1.2, 1.6)}, "outside the workspace"),
-        ("strike", {"clearance": 0.2}, "stands too near"),
-    ],
-)
-def test_an_arm_that_cannot_be_planned_for(
-    simulation: SimStation, section: str, changes: dict[str, Any], expected_text: str
-) -> None:
-    finding = _arm(simulation, replace(_CONFIG, **{section: replace(getattr(_CONFIG, section), **changes)}))
-    assert finding.level is Level.FAIL
-    assert expected_text in finding.message
+    assert [f.name for f in findings] == ["hand", "camera", "depth"]
 
 
 @pytest.fixture

@@ -19,15 +19,14 @@ from toolee_robot.doctor.configuration import (
     check_reach,
     check_sides,
 )
-from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_lens, check_person, check_range
+from toolee_robot.doctor.devices import check_camera, check_hand, check_lens, check_range
 from toolee_robot.doctor.frames import check_base
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time, check_weights, examine_robot
 from toolee_robot.errors import ConfigError, DeviceError, UserError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock, is_loopback
-from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.station import UPRIGHT_WITHIN, StationConfig
+from toolee_robot.station import SIMULATED, UPRIGHT_WITHIN, StationConfig
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.stations.lab import ur_driver
 
@@ -75,26 +74,16 @@ class DoctorReport:
             if self.host is not None:
                 findings.insert(0, check_measured(self.path, is_loopback(self.host)))
         yield "Station file", findings
-        yield from self._simulated() if self.host is None else self._controller(self.host)
-        serials = self._robot_serial, self._camera_serial
+        serials: tuple[str | None, str | None] = SIMULATED, SIMULATED
+        if self.host is not None:
+            yield from self._controller(self.host)
+            serials = self._robot_serial, self._camera_serial
         yield "Calibration", [check_calibration(config, *serials, date.today(), self.host is not None)]
         with self.doing("loading the networks, trying the clock"):
             findings = [check_weights(), check_disk(self.out), *check_processor()]
             if self._rate is not None:
                 findings += check_real_time(self._rate)
         yield "This computer", findings
-
-    def _simulated(self) -> Iterator[Section]:
-        with self.doing("building the simulated station"), SimStation.build(self.config, seed=0) as simulation:
-            station = simulation.station
-            self._robot_serial, self._camera_serial = station.robot_serial, station.camera_serial
-            findings = [
-                check_arm(station.arm, station.hand, self.config),
-                check_hand(station.hand, self.config),
-                *check_camera(station.camera, station.clock, self.config),
-                check_person(station.person),
-            ]
-        yield "Devices", findings
 
     def _controller(self, host: str) -> Iterator[Section]:
         with self.doing(f"asking the robot at {host}"):

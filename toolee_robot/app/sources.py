@@ -208,7 +208,7 @@ class JobObserver(TaskObserver):
             recorder: The recorder of the job.
         """
 
-    def live(self) -> AbstractContextManager[None]:
+    def live(self) -> AbstractContextManager[object]:
         """Context in which the task runs."""
         return nullcontext()
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.panel import Panel
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from toolee_robot.app.sources import JobObserver
 from toolee_robot.control.arm_dynamics import StrikeLoad
@@ -58,7 +57,6 @@ class ConsoleObserver(JobObserver):
 
     Args:
         console: The console.
-        flush: Largest protrusion that counts as flush [m].
         nails: Number of nails that are to be driven.
         ask: Asks the person at the terminal; None where nobody is there.
         page: The page in the browser that shows the job, too; None for none.
@@ -67,35 +65,19 @@ class ConsoleObserver(JobObserver):
     def __init__(
         self,
         console: Console,
-        flush: float,
         nails: int = 1,
         ask: Callable[[str], str] | None = None,
         page: LivePage | None = None,
     ) -> None:
         self._console, self._ask, self._page = console, ask, page
-        self._start = self._last = flush
-        self._flush, self._nails, self._nail = flush, nails, 0
-        self._progress = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            TextColumn("{task.fields[protrusion]}"),
-            TimeElapsedColumn(),
-            console=console,
-            transient=True,
-        )
-        self._task: TaskID | None = None
+        self._start = self._last = 0.0
+        self._nails, self._nail = nails, 0
+        self._status = console.status("starting")
         self._phase, self._phase_seconds, self._plan_shown = "", 0.0, False
 
-    @contextmanager
-    def live(self) -> Iterator[None]:
-        """Context in which a progress line is shown, if the console is a terminal."""
-        if not self._console.is_terminal:
-            yield
-            return
-        with self._progress:
-            self._task = self._progress.add_task("starting", total=self._start - self._flush, protrusion="")
-            yield
+    def live(self) -> AbstractContextManager[object]:
+        """Context in which a line says what goes on, if the console is a terminal."""
+        return self._status
 
     def doing(self, text: str) -> None:
         self._console.print(f"[dim]{escape(text)}[/dim]")
@@ -118,8 +100,7 @@ class ConsoleObserver(JobObserver):
             self._close_phase()
             self._phase, self._phase_seconds, self._plan_shown = _PHASES[stage], 0.0, False
             self._console.print(f"[bold]{self._phase}[/bold]")
-        if self._task is not None:
-            self._progress.update(self._task, description=_DOING[stage])
+        self._status.update(_DOING[stage])
 
     def stage_ended(self, stage: Stage, seconds: float) -> None:
         self._phase_seconds += seconds
@@ -158,8 +139,6 @@ class ConsoleObserver(JobObserver):
         if self._nails > 1:
             self._close_phase()
             self._console.print(f"[bold magenta]Nail {escape(name)}[/bold magenta]  ({self._nail} of {self._nails})")
-        if self._task is not None:
-            self._progress.reset(self._task, total=protrusion - self._flush)
 
     def nail_ended(self, result: NailResult) -> None:
         if self._nails > 1:
@@ -182,9 +161,6 @@ class ConsoleObserver(JobObserver):
             f"  strike {strike.number:>2}  {strike.protrusion * 1e3:5.1f} mm left  [dim]({gained:+.1f})[/dim]  "
             f"[blue]{bar:<10}[/blue]  [dim]{strike.peak_force:.0f} N, {load_text(strike.load)}[/dim]"
         )
-        if self._task is not None:
-            driven = max(self._start - strike.protrusion, 0.0)
-            self._progress.update(self._task, completed=driven, protrusion=f"{strike.protrusion * 1e3:.1f} mm left")
 
     def planned(self, stamp: float, plan: StrikePlan) -> None:
         if not self._plan_shown:
@@ -193,9 +169,7 @@ class ConsoleObserver(JobObserver):
 
     def ended(self, result: HammerResult) -> None:
         self._close_phase()
-        if self._task is not None:
-            self._progress.stop()
-            self._task = None
+        self._status.stop()
 
 
 def load_text(load: StrikeLoad) -> str:

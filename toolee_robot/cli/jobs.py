@@ -122,9 +122,8 @@ def console_observer(spec: JobSpec, console: Console, page: LivePage | None = No
     """
     from toolee_robot.cli.job_console import ConsoleObserver  # takes seconds to import
 
-    config = spec.source.config
     ask = (lambda question: console.input(question, markup=False)) if asked else None
-    return ConsoleObserver(console, config.task.flush_protrusion, len(spec.nails or config.work.names), ask, page)
+    return ConsoleObserver(console, len(spec.nails or spec.source.config.work.names), ask, page)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Checks of arm, hand, camera and person through the hardware abstraction, and of a camera alone; nothing is moved."""
+"""Checks of hand and camera through the hardware abstraction, and of a camera alone; nothing is moved."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.control import CollisionWorld, RobotModel
+from toolee_robot.control import RobotModel
 from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.devices.cameras import StreamedCamera
 from toolee_robot.devices.cameras.lens_choice import UNKNOWN_LENS, LensSource
 from toolee_robot.errors import TooleeError
 from toolee_robot.findings import Finding, fail, ok, warn
-from toolee_robot.hal import Arm, ArmStatus, Clock, Hand, Person, RgbdCamera
+from toolee_robot.hal import Clock, Hand, RgbdCamera
 from toolee_robot.station import StationConfig
 from toolee_robot.types import RgbdFrame
 
@@ -24,40 +24,6 @@ EARLY = 0.05
 """Tolerated deviation of a frame's stamp, since clocks differ [s]."""
 SLOW = 0.5
 """Duration of reading a frame above which the camera counts as slow [s]."""
-
-
-def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
-    """Check the arm's status, and whether a motion can be planned from its present position.
-
-    Args:
-        arm: The arm.
-        hand: The hand on it.
-        config: Configuration of the station.
-
-    Returns:
-        OK, or FAIL with the first problem.
-    """
-    try:
-        state = arm.state(config.supervisor.max_data_age)
-        q_hand = hand.state().joints.q
-    except TooleeError as error:
-        return Finding.of_error("arm", error, "check its connection")
-    if state.status is not ArmStatus.READY:
-        return fail("arm", state.status.replace("_", " "), "make it ready at the teach pendant")
-    q = state.joints.q
-    robot = RobotModel.of_station(config)
-    lower, upper = robot.description.lower[:6], robot.description.upper[:6]
-    if not (q.shape == (6,) and np.all(np.isfinite(q)) and np.all((lower <= q) & (q <= upper))):
-        return fail("arm", f"joints {np.round(q, 2)} rad are outside the limits", "jog it back inside")
-    flange = robot.arm.fk(q)[:3, 3]
-    scene = config.scene
-    if not (np.all(flange >= scene.workspace_lower) and np.all(flange <= scene.workspace_upper)):
-        message = f"the flange, at {np.round(flange, 2)} m, is outside the workspace"
-        return fail("arm", message, "jog it inside, or change scene.workspace_lower and _upper")
-    closest = CollisionWorld(robot, config, q_hand).closest(q)
-    if closest.distance < config.strike.clearance:
-        return fail("arm", f"stands too near: {closest}", "jog it away, or correct the station file")
-    return ok("arm", f"ready, {arm.rate:.0f} Hz, clear of everything by {closest.distance * 1e3:.0f} mm")
 
 
 def check_hand(hand: Hand, config: StationConfig) -> Finding:
@@ -132,13 +98,6 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
         yield fail("depth", f"known for {known:.0%} of the image", "check for sun, glass, or a covered lens")
     else:
         yield ok("depth", f"known for {known:.0%} of the image")
-
-
-def check_person(person: Person) -> Finding:
-    """Report whether a person is in the zone, which is no fault before a handover but prevents fast motion."""
-    if person.zone_occupied():
-        return ok("person", "somebody is inside, or the inputs are unclear: no fast motion")
-    return ok("person", "nobody is inside")
 
 
 BRIGHT, DARK = 250, 5
