@@ -11,7 +11,7 @@ from dataclasses import replace
 import pytest
 
 from tests.faults.record import Measurement, Phase
-from tests.faults.rows.arm import slider_at_rest
+from tests.faults.rows.arm import ARM_FAULTS, arm_rows, slider_at_rest
 from tests.faults.rows.collisions import (
     COLLISIONS,
     RESTRICTED,
@@ -81,6 +81,25 @@ def test_every_detection_has_a_row() -> None:
     # tests/sim_backend/ur_controller/ur_rtde/test_harsh_script.py: no stream that this script ends is a sudden stop.
     assert set(UNREACHABLE) == {"C204A3"}
     assert not codes & set(UNREACHABLE)
+
+
+_IN_EVERY_RUN = (
+    "connection closed (FIN)", "controller reboots", "servo loop late by 60 ms", "speed slider moved to 50 %",
+)  # fmt: skip
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(fault.fault, marks=() if fault.fault in _IN_EVERY_RUN else pytest.mark.nightly)
+        for fault in ARM_FAULTS
+    ],
+)
+def test_a_fault_of_the_arm_is_handled(name: str, arm_rig: Rig, machine: LatencyMonitor) -> None:
+    for measurement in arm_rows(arm_rig):
+        if measurement.fault == name and (measurement.phase is Phase.SWING or name not in _IN_EVERY_RUN):
+            check(measurement, machine)
 
 
 @pytest.mark.nightly

@@ -11,8 +11,8 @@ import pytest
 
 from tests.errors import raises
 from tests.rigs.wired_hands import eventually, told
-from toolee_robot.devices.hands.ability import ATTEMPTS, AbilityHand, AbilityLine, Reply
-from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
+from toolee_robot.devices.hands.ability import AbilityHand, AbilityLine, Reply
+from toolee_robot.errors import DeviceError, NoAnswerError
 from toolee_robot.frames import Array
 from toolee_robot.robots import HandModel
 from toolee_robot.runtime.clock import HostClock
@@ -127,17 +127,6 @@ def test_heat_is_a_fault_while_it_holds_and_a_grip_alone_is_none(
     assert told(ability_hand).holding
 
 
-def test_a_finger_that_does_not_move_passes_neither_for_open_nor_for_closed(
-    ability: AbilityEmulator, ability_hand: AbilityHand
-) -> None:
-    ability.tell(lambda hand: setattr(hand.motors[1], "jammed", True))
-    with raises(DeviceError, "device.hand_stall"):
-        ability_hand.close()
-    ability.tell(lambda hand: setattr(hand.motors[2], "jammed", True))
-    with raises(DeviceError, "device.hand_blocked"):
-        ability_hand.open()
-
-
 def always_ratchets_twice(hand: Hand) -> None:
     """Going back after a collision is taken for another one: the interface document's false positives."""
     draws = iter([0.0, 0.0])
@@ -156,19 +145,6 @@ def test_it_opens_although_that_is_taken_for_a_collision(ability: AbilityEmulato
     ability.tell(always_ratchets_twice)
     ability_hand.open()
     assert max(map(abs, ability.angles[:5])) < 1.0
-
-
-def test_a_silent_hand_is_told_on_what_it_holds_and_an_error_says_so(
-    ability: AbilityEmulator, ability_hand: AbilityHand
-) -> None:
-    held(ability, ability_hand)
-    ability.faults.muted = True
-    time.sleep(0.6)
-    with raises(StaleDataError, "stale_data.hand"):
-        ability_hand.state()
-    assert in_api(ability), "commands go on, whether they are answered or not"
-    ability.faults.muted = False
-    eventually(lambda: told(ability_hand).holding)
 
 
 def test_a_driver_that_was_held_up_does_not_close_again_what_the_hand_may_have_opened(
@@ -244,17 +220,6 @@ def ask(line: AbilityLine) -> tuple[float, Reply]:
     return line.exchange(None)
 
 
-@pytest.mark.parametrize("fault", LineFault)
-def test_a_reading_survives_it(ability: AbilityEmulator, fault: LineFault) -> None:
-    put(ability)
-    with closing(AbilityLine(ability.port, 0x50, HostClock())) as line:
-        line.find()
-        for _ in range(3):
-            ability.faults.upcoming(fault)
-            for _ in range(2):
-                np.testing.assert_allclose(ask(line)[1].positions, HERE, atol=0.01)
-
-
 def test_a_late_reply_is_never_taken_for_newer_than_it_is(ability: AbilityEmulator) -> None:
     ability.faults.late_by = 0.09
     with closing(AbilityLine(ability.port, 0x50, HostClock())) as line:
@@ -274,21 +239,3 @@ def test_a_late_reply_is_never_taken_for_newer_than_it_is(ability: AbilityEmulat
             time.sleep(0.3)
             with suppress(NoAnswerError):
                 line.exchange(None)
-
-
-def test_an_adapter_that_echoes_is_no_hindrance(ability: AbilityEmulator) -> None:
-    ability.faults.echo = True
-    put(ability)
-    with closing(AbilityLine(ability.port, 0x50, HostClock())) as line:
-        line.find()
-        np.testing.assert_allclose(ask(line)[1].positions, HERE, atol=0.01)
-
-
-def test_a_hand_that_does_not_answer_is_asked_a_bounded_number_of_times(ability: AbilityEmulator) -> None:
-    ability.faults.muted = True
-    with closing(AbilityLine(ability.port, 0x50, HostClock())) as line:
-        began = time.monotonic()
-        with raises(NoAnswerError, "no_answer.hand_silent"):
-            line.find()
-        assert line.counts.requests == line.counts.unanswered == ATTEMPTS
-        assert time.monotonic() - began < 1.0

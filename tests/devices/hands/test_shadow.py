@@ -99,37 +99,11 @@ def test_the_grip_is_kept_up_and_a_slip_and_a_loss_are_seen(shadow: ShadowEmulat
     assert told(shadow_hand).fault == ""
 
 
-def test_heat_is_a_fault_with_its_temperature(shadow: ShadowEmulator, shadow_hand: ShadowHand) -> None:
-    held(shadow, shadow_hand)
-    assert told(shadow_hand).temperature == pytest.approx(32.0)
-    happen(shadow, "heat MFJ0 64")
-    eventually(lambda: "MFJ0: too hot" in told(shadow_hand).fault)
-    assert told(shadow_hand).temperature == pytest.approx(64.0)
-    with raises(DeviceError, "device.hand_over_temperature"):
-        shadow_hand.close()
-    happen(shadow, "heat MFJ0 40")
-    eventually(lambda: "too hot" not in told(shadow_hand).fault)
-
-
 def test_a_broken_motor_is_a_fault(shadow: ShadowEmulator, shadow_hand: ShadowHand) -> None:
     happen(shadow, "break THJ5")
     eventually(lambda: "THJ5: A3950 H-bridge" in told(shadow_hand).fault)
     with raises(DeviceError, "device.hand_motor"):
         shadow_hand.close()
-
-
-def test_a_finger_that_does_not_move_passes_neither_for_open_nor_for_closed(
-    shadow: ShadowEmulator, shadow_hand: ShadowHand
-) -> None:
-    shadow_hand.open()
-    happen(shadow, "jam MFJ3")
-    with raises(DeviceError, "device.hand_stall") as stuck:
-        shadow_hand.close()
-    assert "middle (MFJ3)" in str(stuck.value)
-    happen(shadow, "jam RFJ0")
-    with raises(DeviceError, "device.hand_blocked") as blocked:
-        shadow_hand.open()
-    assert "ring (RFJ0)" in str(blocked.value)
 
 
 def test_commands_that_the_controllers_do_not_take_are_an_error(
@@ -166,38 +140,6 @@ def test_motors_of_which_nothing_is_known_are_a_fault(shadow: ShadowEmulator, sh
     eventually(lambda: "nothing of its motors" in told(shadow_hand).fault)
     happen(shadow, "diagnostics on")
     eventually(lambda: told(shadow_hand).fault == "")
-
-
-@pytest.mark.parametrize("fault", list(LineFault))
-def test_messages_survive_what_becomes_of_them(
-    shadow: ShadowEmulator, shadow_hand: ShadowHand, fault: LineFault
-) -> None:
-    shadow.faults.upcoming(fault, 10)
-    number = shadow_hand.readings
-    eventually(lambda: shadow.faults.pending == 0 and shadow_hand.readings > number + 5)
-    eventually(lambda: shadow_hand.readings > number + 10)
-    assert told(shadow_hand).fault == ""
-    counts = shadow_hand.line_counts
-    if fault in (LineFault.DOUBLED, LineFault.LATE):
-        eventually(lambda: shadow_hand.line_counts.late > 0)
-    elif fault in (LineFault.CORRUPT, LineFault.SHORT, LineFault.GARBAGE):
-        assert counts.corrupt > 0
-
-
-def test_a_silent_hand_has_no_state_is_told_nothing_and_keeps_its_grip(
-    shadow: ShadowEmulator, shadow_hand: ShadowHand
-) -> None:
-    held(shadow, shadow_hand)
-    shadow.faults.muted = True
-    time.sleep(0.5)
-    with raises(StaleDataError, "stale_data.hand"):
-        shadow_hand.state()
-    sent = shadow_hand.line_counts.requests
-    with raises(StaleDataError, "stale_data.hand"):
-        shadow_hand.close()
-    assert shadow_hand.line_counts.requests == sent, "no old command waits in the network"
-    shadow.faults.muted = False
-    eventually(lambda: _answers(shadow_hand) and told(shadow_hand).holding)
 
 
 def _answers(hand: ShadowHand) -> bool:

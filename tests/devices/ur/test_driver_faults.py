@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from tests.devices.ur.swings import SLACK, Stop, shortest_stop, stop_after, swing, wait_for_mid_swing
+from tests.devices.ur.swings import SLACK, Stop, stop_after, swing, wait_for_mid_swing
 from tests.errors import raises
 from tests.stand_in import HOME, PATIENT, held, patient, stand_in
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
@@ -26,7 +26,6 @@ from toolee_robot.errors import (
     LinkLostError,
     MotionFaultError,
     NotReadyError,
-    OverrunError,
     ProtectiveStopError,
     ServoCrashError,
     StaleDataError,
@@ -148,23 +147,6 @@ def test_play_after_a_stop_never_resumes_the_old_motion(
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
-@pytest.mark.parametrize(
-    "pause",
-    [
-        "pause at the pendant",
-        *(pytest.param(pause, marks=pytest.mark.nightly) for pause in ("protective stop", "safeguard stop")),
-    ],
-)
-def test_play_after_a_stop_at_rest_resumes_nothing(
-    arm: UnsupervisedUrArm, controller: ControllerProcess, pause: str
-) -> None:
-    stop, release = PAUSES[pause]
-    stop(controller)
-    time.sleep(0.3)
-    plays_in_vain(controller, release)
-    expect_latch(arm)
-
-
 @pytest.mark.nightly
 def test_the_program_ends_although_the_dashboard_was_restarted(
     arm: UnsupervisedUrArm, controller: ControllerProcess
@@ -229,18 +211,6 @@ def test_the_program_ends_when_the_link_is_lost_beside_a_stop(
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
-@pytest.mark.nightly  # in a motion in every run
-def test_the_program_ends_when_the_link_is_lost_beside_a_stop_at_rest(
-    arm: UnsupervisedUrArm, controller: ControllerProcess
-) -> None:
-    controller.fault("drop", port="rtde")
-    controller.fault("protective_stop")
-    time.sleep(2.0 * WATCHDOG + 0.5)
-    plays_in_vain(controller, PAUSES["protective stop"][1])
-    with pytest.raises(LatchedError, match="link"):
-        arm.execute(swing(HOME))
-
-
 @pytest.mark.nightly
 def test_a_program_that_cannot_be_ended_after_a_lost_link_is_ended_when_the_dashboard_is_back(
     arm: UnsupervisedUrArm, controller: ControllerProcess
@@ -282,23 +252,6 @@ def test_a_program_that_cannot_be_ended_forbids_the_reset(
     with raises(NotReadyError, code="not_ready.checks_failed") as refused:
         arm.reset()
     assert "paused program" in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("fault", "code"),
-    [
-        ("speed_slider", "motion_fault.speed_slider"),
-        pytest.param("speed_scaling", "motion_fault.speed_scaling", marks=pytest.mark.nightly),
-    ],
-)
-def test_a_motion_that_is_slowed_down_stops(
-    arm: UnsupervisedUrArm, controller: ControllerProcess, fault: str, code: str
-) -> None:
-    stop, error = happens(arm, controller, lambda: controller.fault(fault, fraction=0.5))
-    assert isinstance(error, MotionFaultError)
-    assert error.code == code
-    assert stop.off_path < 1e-6
-    expect_latch(arm)
 
 
 @pytest.mark.parametrize(
@@ -351,32 +304,6 @@ def test_a_reset_that_meets_late_readings_alone_says_so(arm: UnsupervisedUrArm, 
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
-@pytest.mark.parametrize(
-    "reset", [pytest.param(False, id="FIN"), pytest.param(True, id="RST", marks=pytest.mark.nightly)]
-)
-def test_dropped_link(arm: UnsupervisedUrArm, controller: ControllerProcess, reset: bool) -> None:
-    """The robot's program holds the arm where it was sent last, until the robot's watchdog ends it."""
-    uploads = controller.state()["uploads"]
-    stop, error = happens(arm, controller, lambda: controller.fault("drop", port="rtde", reset=reset))
-    assert isinstance(error, LinkLostError | ServoCrashError)
-    assert stop.time < WATCHDOG + 0.5 + SLACK
-    assert stop.overshoot < 0.1  # ended at once it would be 0.2
-    assert stop.off_path < 1e-6
-    assert controller.state()["uploads"] == uploads
-    expect_latch(arm)
-    arm.reset()
-    assert arm.state(1.0).status is ArmStatus.READY
-
-
-@pytest.mark.nightly
-def test_half_open_link(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
-    stop, error = happens(arm, controller, lambda: controller.fault("half_open", port="rtde"), MotionWatch(0.5, 10, 40))
-    assert isinstance(error, LinkLostError)
-    assert stop.time < WATCHDOG + 0.5 + SLACK
-    with pytest.raises(StaleDataError):
-        arm.state(0.1)
-
-
 @pytest.mark.nightly
 def test_a_controller_that_pauses_at_rest_is_stale_meanwhile_and_no_more(
     arm: UnsupervisedUrArm, controller: ControllerProcess
@@ -403,14 +330,6 @@ def test_a_stall_of_three_seconds_is_a_lost_link(arm: UnsupervisedUrArm, control
     time.sleep(1.0)
 
 
-def test_reboot(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
-    began = time.monotonic()
-    _, error = happens(arm, controller, lambda: controller.fault("reboot", seconds=1.5, powered=True))
-    assert isinstance(error, MotionFaultError)
-    assert time.monotonic() - began < 5.0
-    expect_latch(arm)
-
-
 def test_killed_servo_process(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, partial(os.kill, arm.servo_pid, signal.SIGKILL))
     assert isinstance(error, ServoCrashError)
@@ -419,26 +338,3 @@ def test_killed_servo_process(arm: UnsupervisedUrArm, controller: ControllerProc
     assert len(error.report.stamps) > 10
     assert stop.time < WATCHDOG + 0.4 + SLACK
     expect_latch(arm)
-
-
-@pytest.mark.nightly
-def test_hanging_servo_process(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
-    stop, error = happens(arm, controller, partial(os.kill, arm.servo_pid, signal.SIGSTOP))
-    assert isinstance(error, ServoCrashError)
-    assert "hung" in str(error)
-    assert stop.time < WATCHDOG + 0.4 + SLACK
-
-
-def test_late_commands(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
-    pid = arm.servo_pid
-
-    def hold_up() -> None:
-        os.kill(pid, signal.SIGSTOP)
-        time.sleep(0.06)
-        os.kill(pid, signal.SIGCONT)
-
-    stop, error = happens(arm, controller, hold_up, MotionWatch(0.5, 40.0, 3))
-    assert isinstance(error, OverrunError)
-    assert error.report is not None
-    assert error.report.overruns >= 3
-    assert stop.time < shortest_stop(LIMITS, stop.speed) + 0.1 + SLACK

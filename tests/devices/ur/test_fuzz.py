@@ -129,14 +129,6 @@ def test_what_is_no_measurement_is_a_fault(
         assert np.abs(measured).max() < 1e3, "garbage is in the report"
 
 
-@pytest.mark.parametrize("variable", ["runtime_state", pytest.param("safety_status_bits", marks=pytest.mark.nightly)])
-def test_modes_that_do_not_exist_are_a_fault(
-    arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess, variable: str
-) -> None:
-    error = _swing_while_struck(arm, proxy, controller, poison(variable, 0xFFFFFF))
-    assert isinstance(error, MotionFaultError)
-
-
 @both
 def test_ur_rtde_does_not_connect_again_behind_our_back(
     arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess

@@ -5,8 +5,6 @@ from __future__ import annotations
 import struct
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, ModbusEmulator
 
@@ -54,14 +52,6 @@ def test_noise_other_hands_and_damaged_requests_get_no_answer(bench: Bench) -> N
     assert bench.send("00 EB EB 90 02 04 11 0A 06 0C 33 EB 90 01 04 11 0A 06 0C 31") == []
     assert bench.emulator.ignored == 2
     assert len(bench.send("EB EB 90 01 04 11 0A 06 0C 32 90")) == 1
-
-
-@given(st.binary(max_size=300))
-def test_no_bytes_bring_it_down(data: bytes) -> None:
-    bench = Bench()
-    bench.send(data)
-    bench.send(bytes(260))
-    assert len(bench.send("EB 90 01 04 11 0A 06 0C 32")) == 1
 
 
 def test_the_whole_range_takes_the_published_time_after_the_measured_delay(bench: Bench) -> None:
