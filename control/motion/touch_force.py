@@ -18,12 +18,13 @@ QUIET = 1.0
 """Standard deviation of the force up to which a touch goes at `strike.touch_speed` [N]; with more, slower."""
 SLOWEST = 0.2
 """Least speed of a touch as a share of `strike.touch_speed`."""
-PRECISE, RELEASE = 0.6, 2e-6
+PRECISE, RELEASE = 0.6, 3e-6
 """Standard deviation of the window's mean force up to which the way down tells where the force began [N]; with more,
 the face is released at a speed of this much [m/s] for every N/m of stiffness, times (QUIET / standard deviation)^2: the
 deviation of the height found falls with the root of stiffness and time. With a CB3's noise and a hand that yields by 1
-mm to 6.5 N that are 1 mm/s and 0.2 mm of deviation."""
-RELEASE_SPEEDS = 0.0005, 0.001
+mm to 6.5 N that are 1.4 mm/s and 0.3 mm of deviation, 0.2 mm with what the other releases tell. At 1 mm/s they are 0.2
+and 0.13 mm (360 drawn releases each), for 1.7 s more."""
+RELEASE_SPEEDS = 0.0007, 0.0014
 """Least and largest speed of a release [m/s]."""
 SIGMAS = 4.5
 """Threshold of a contact in standard deviations of the window's mean force: one touch in some fifty with a CB3's noise

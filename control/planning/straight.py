@@ -6,6 +6,7 @@ pose of every sample, and velocity and acceleration follow from the path's first
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +17,10 @@ from toolee_robot.control.inverse_kinematics import InverseKinematics
 from toolee_robot.control.kinematics import ArmKinematics, solve
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.timing import PathProfile, concatenate, travel_profile
-from toolee_robot.control.planning.transfer import NEED, plan_transfer
+from toolee_robot.control.planning.transfer import NEED, plan_transfer, transfer_limits
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.errors import UnreachableError
+from toolee_robot.errors import CollisionError, UnreachableError
 from toolee_robot.frames import Array
 from toolee_robot.station import StationConfig
 from toolee_robot.types import Trajectory
@@ -165,9 +166,18 @@ HIGHEST_RISE, RISE_STEP = 0.10, 0.005
 
 
 def plan_over_nail(
-    robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, plan: StrikePlan, before: float
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    q_start: Array,
+    plan: StrikePlan,
+    before: float,
+    *,
+    near: bool = False,
 ) -> Trajectory:
     """Plan a motion to rest on a strike's line, where a guarded touch begins.
+
+    It comes down that line from high over the nail, unless the face is over the nail already and the way is free.
 
     Args:
         robot: Kinematic model of arm and hand.
@@ -176,6 +186,7 @@ def plan_over_nail(
         q_start: Present joint positions of the arm, at rest, (6,) [rad].
         plan: The strike.
         before: Distance above the expected contact [m].
+        near: Whether the face is over the nail already.
 
     Returns:
         The trajectory, checked for collisions and limits, at rest at both ends.
@@ -184,6 +195,9 @@ def plan_over_nail(
         PlanningError: As `plan_transfer` and `plan_straight`.
     """
     line, high = _line_of(robot, plan), min(plan.run_up, HIGHEST_TOUCH)
+    if near:
+        with suppress(CollisionError):
+            return plan_transfer(robot, config, world, q_start, line.q(np.array([-before]))[0])
     lower = _travel(line, config, -high, -before, LOWERING_SPEED)
     approach = concatenate(plan_transfer(robot, config, world, q_start, lower.q[0]), lower)
     check_trajectory(approach, robot.arm, config.arm, config.scene, world)
@@ -227,7 +241,7 @@ def plan_straight(
     length: float,
     direction: ArrayLike = (0.0, 0.0, 1.0),
     speed: float = 0.25,
-    share: float | None = None,
+    share: float = 0.0,
 ) -> Trajectory:
     """Plan a straight motion of the flange with constant orientation, from rest to rest.
 
@@ -240,7 +254,7 @@ def plan_straight(
         direction: Direction in `base`; up by default.
         speed: Largest speed [m/s].
         share: Largest velocity and acceleration of the joints as a share of a strike's, where that is more than those
-            of transfers; None for those.
+            of transfers.
 
     Returns:
         The trajectory, checked for collisions and limits, at rest at both ends.
@@ -263,15 +277,12 @@ def _travel(
     start: float,
     end: float,
     speed: float = 0.25,
-    share: float | None = None,
+    share: float = 0.0,
 ) -> Trajectory:
     """Build a motion along the line from rest to rest, with the limits of transfers or a share of a strike's."""
-    arm = config.arm
-    scale, acceleration = arm.transfer_velocity_scale, min(arm.transfer_acceleration, *arm.acceleration)
-    if share is not None:
-        scale, acceleration = max(scale, share), max(acceleration, share * min(arm.acceleration))
+    velocity, acceleration = transfer_limits(config.arm, share)
     q = line.q(np.linspace(start, end, 9))
-    limits = line.travel_limits(q, scale * np.asarray(arm.velocity), acceleration, arm.jerk, speed)
+    limits = line.travel_limits(q, velocity, float(np.min(acceleration)), config.arm.jerk, speed)
     return line.timed(travel_profile(start, end, limits.speed, limits.acceleration, limits.jerk))
 
 

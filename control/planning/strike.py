@@ -43,6 +43,8 @@ SHORTLIST = 6
 """Number of contacts of one branch through which a swing may be planned."""
 ENOUGH, MOST = 2, 5
 """Number of swings of which the fastest is taken; more, up to MOST, while none can be reached on a straight way."""
+APPROACH_SHARE = 0.5
+"""Share of a strike's velocities and accelerations on the way to its start, with nobody in reach."""
 TRIES = 16
 """Number of contacts without a swing after which no further one is tried."""
 CONE_ERROR, HEIGHT = 0.001, 0.02
@@ -122,7 +124,7 @@ def plan_strike(
             if solved.branch in blocked:
                 continue
             try:
-                approach = plan_transfer(robot, config, world, q_start, solved.strike.q[0])
+                approach = plan_transfer(robot, config, world, q_start, solved.strike.q[0], share=APPROACH_SHARE)
             except (UnreachableError, LimitError, CollisionError) as error:
                 failure = error  # a swing without a way to it says more than a contact without a swing
                 blocked.add(solved.branch)

@@ -13,7 +13,7 @@ from toolee_robot.control.planning.timing import concatenate, joint_move
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, UserError
 from toolee_robot.frames import Array
-from toolee_robot.station import StationConfig
+from toolee_robot.station import ArmLimits, StationConfig
 from toolee_robot.types import Trajectory
 
 STEP = 0.03
@@ -23,7 +23,13 @@ NEED = 0.012
 
 
 def plan_transfer(
-    robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, q_goal: Array, seed: int = 0
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    q_start: Array,
+    q_goal: Array,
+    seed: int = 0,
+    share: float = 0.0,
 ) -> Trajectory:
     """Plan a motion from rest to rest that keeps the clearance.
 
@@ -37,6 +43,7 @@ def plan_transfer(
         q_start: Initial joint positions, (6,) [rad].
         q_goal: Final joint positions, (6,) [rad].
         seed: Seed of the search.
+        share: Largest velocity and acceleration as a share of a strike's, where that is more than those of transfers.
 
     Returns:
         The trajectory.
@@ -61,13 +68,27 @@ def plan_transfer(
     way = _Way(world, max(need - 1e-6, 0.0), q_start)
     path = _path(robot, config, way, q_start, q_goal, seed)
     limits = config.arm
-    velocity = limits.transfer_velocity_scale * np.asarray(limits.velocity)
-    acceleration = np.minimum(limits.transfer_acceleration, limits.acceleration)
+    velocity, acceleration = transfer_limits(limits, share)
     jerk = np.minimum(limits.jerk, 10 * acceleration)
     moves = [joint_move(a, b, velocity, acceleration, jerk) for a, b in itertools.pairwise(path)]
     trajectory = concatenate(*moves)
     check_trajectory(trajectory, robot.arm, limits, config.scene, world)
     return trajectory
+
+
+def transfer_limits(arm: ArmLimits, share: float = 0.0) -> tuple[Array, Array]:
+    """Limits of the joints on a transfer.
+
+    Args:
+        arm: Configuration of the arm.
+        share: A share of a strike's, where that is more.
+
+    Returns:
+        Velocities, (6,) [rad/s], and accelerations, (6,) [rad/s^2].
+    """
+    most = np.asarray(arm.acceleration)
+    acceleration = np.maximum(np.minimum(arm.transfer_acceleration, most), share * most)
+    return max(arm.transfer_velocity_scale, share) * np.asarray(arm.velocity), acceleration
 
 
 @dataclass(frozen=True)

@@ -81,8 +81,8 @@ class TaskConfig:
     views_again: Annotated[int, Number(1, 50)] = 2
     """Number of views of each later look."""
     strikes_between_looks: Annotated[int, Number(1, 100)] = 4
-    """Number of strikes between two looks at the tool; up to half as many more if these finish the nail and the
-    tool is steady.
+    """Number of strikes between two looks at the tool; three times as many while the hand holds it steadily, and up to
+    half as many more if these finish the nail.
     """
     watch_nail: bool = True
     """Whether the camera also watches the nail. A leaning or bent nail ends the job."""

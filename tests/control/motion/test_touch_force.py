@@ -18,7 +18,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME, ContactGuard
 from toolee_robot.sim_backend.ur_controller.profile import CB3
 from toolee_robot.station import sim_station
-from toolee_robot.tasks.hammering.touch import UNSURE
+from toolee_robot.tasks.hammering.touch import FREE, UNSURE
 
 
 @given(sigma=st.floats(0.05, 4.0), correlation=st.floats(0.0, 0.03), seed=st.integers(0, 10_000))
@@ -128,8 +128,8 @@ def _release(
 ) -> Course:
     """Forces of a CB3 that was zeroed before the touch, at a release of a nail that is pressed with a force [N]."""
     speed = settings.release_speed(stiffness)
-    assert 0.0005 <= speed <= 0.001
-    heights = np.arange(begin - force / stiffness, begin + 0.002, speed / RATE)
+    assert 0.0007 <= speed <= 0.0014
+    heights = np.arange(begin - force / stiffness, begin + FREE, speed / RATE)
     zeros = round(ZERO_TIME * RATE)
     readings = offset + noise(rng, zeros + len(heights), NOISE, CB3.force.correlation)[:, 0]
     forces = readings[zeros:] - np.mean(readings[:zeros]) + stiffness * np.maximum(begin - heights, 0.0)

@@ -40,6 +40,8 @@ SETTLE = 0.3
 STEADY, STEADY_ANGLE = 0.00075, np.deg2rad(0.5)
 """Largest slip per strike of a tool that is held steadily: in the plane of the face [m], since touches measure the slip
 along its normal, and of its normal [rad]."""
+STEADY_STRIKES = 4
+"""Number of strikes whose slip a steadily held tool may have between two looks, however many lie between them."""
 WELL_SEEN = 0.04
 """Distance of a face from where the views were planned to see it, up to which they see it as well [m]."""
 OWN_ERRORS = 0.5
@@ -373,7 +375,8 @@ def holding_between(
     """
     moved = inverse(before.X_hand_ee) @ now.X_hand_ee
     angle = angle_between(before.X_hand_ee[:3, 2], now.X_hand_ee[:3, 2])
-    steady = np.linalg.norm(moved[:2, 3]) <= strikes * STEADY and angle <= strikes * STEADY_ANGLE
+    counted = min(strikes, STEADY_STRIKES)
+    steady = np.linalg.norm(moved[:2, 3]) <= counted * STEADY and angle <= counted * STEADY_ANGLE
     axis = np.array([-moved[1, 2], moved[0, 2], 0.0])  # of the turn from one normal to the other
     sine = float(np.linalg.norm(axis))
     if sine < 1e-9:

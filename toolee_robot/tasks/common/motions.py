@@ -13,7 +13,7 @@ from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.collision_shapes import Body
 from toolee_robot.control.contact import ContactVerdict
 from toolee_robot.control.limits import Mode, slowed_by, slowed_to
-from toolee_robot.control.motion.contact_force import strike_guard
+from toolee_robot.control.motion.contact_force import strike_guard, swing_sway
 from toolee_robot.control.motion.touch_force import wrenches_at_rest
 from toolee_robot.control.planning.straight import plan_straight, rise_to_clear
 from toolee_robot.control.records import StrikePlan
@@ -21,7 +21,7 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor import Supervisor
 from toolee_robot.control.supervisor_checks import AT_REST
 from toolee_robot.errors import DeviceError, GripDoubtError, MotionFaultError, PersonNearError, PlanningError
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import ContactGuard, KeepsCourse, MotionOutcome, MotionReport, Station
 from toolee_robot.station import StationConfig, check_upright
 from toolee_robot.tasks.common.held_tool import HeldTool
@@ -213,7 +213,10 @@ class Motions:
             TooleeError: As `execute`.
         """
         self.check_hand()
-        guard = strike_guard(self.config.strike, plan.contact_time, self.noise, self.arm.rate)
+        X_flange_ee = inverse(self.robot.arm.fk(plan.q_contact)) @ plan.X_base_ee_contact
+        face = (self.robot.arm.fk(plan.strike.q) @ X_flange_ee)[:, :3, 3]
+        sway = 0.0 if held is None else swing_sway(held.payload.mass, plan.strike.times, face, plan.contact_time)
+        guard = strike_guard(self.config.strike, plan.contact_time, self.noise, self.arm.rate, sway)
         with self._watched(name, held) as hand:
             report, verdict = self.arm.swing(plan.strike, guard, plan.expected_contact)
         self._done(name, report, hand)
@@ -228,7 +231,7 @@ class Motions:
         guard: ContactGuard | None = None,
         *,
         speed: float = STRAIGHT_SPEED,
-        share: float | None = None,
+        share: float = 0.0,
     ) -> bool:
         """Move on a straight line with constant orientation; the tool may touch the work.
 
@@ -239,7 +242,7 @@ class Motions:
             held: What the hand holds.
             guard: Contact detection; None for none.
             speed: Largest speed [m/s]; less where the mode allows less.
-            share: Largest velocity and acceleration of the joints as a share of a strike's; those of transfers if None.
+            share: Largest velocity and acceleration of the joints as a share of a strike's, transfers' at least.
 
         Returns:
             Whether a contact ended the motion.

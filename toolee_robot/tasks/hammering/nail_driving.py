@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.control.contact import ContactVerdict, Meeting
-from toolee_robot.control.planning.straight import HIGHEST_TOUCH
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import inverse
 from toolee_robot.station import StationConfig
@@ -17,7 +16,7 @@ from toolee_robot.tasks.common.look import Look
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
 from toolee_robot.tasks.hammering.nail_forecast import FEWEST, NailForecast, NailStall
-from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge, Touches, deepest_strike
+from toolee_robot.tasks.hammering.nail_gauge import NailGauge, Touches, deepest_strike
 from toolee_robot.tasks.hammering.nail_watch import NailWatch, nail_of
 from toolee_robot.tasks.hammering.striking import Striking
 
@@ -31,6 +30,8 @@ STRIKES_BEFORE_SECOND_LOOK = 2
 """Number of strikes before the next look at a nail that looked bent."""
 LET_IN = "the nail went deep into very soft wood: check it"
 """What else may have become of a nail that is not where it should be after strikes."""
+STEADY_FACTOR = 3
+"""How many times as many strikes a tool may do before the next look that has hardly slipped between the last two."""
 BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
 STRIKES_BEFORE_GIVING_UP, LEAST_SHARE = 10, 0.5
@@ -243,7 +244,7 @@ class NailDriving:
         """Whether to look again after so many strikes; not if a steadily held tool is about to finish the nail."""
         if self._watch.suspected:
             return strikes >= STRIKES_BEFORE_SECOND_LOOK
-        usual = self._config.task.strikes_between_looks
+        usual = self._config.task.strikes_between_looks * (STEADY_FACTOR if held.steady else 1)
         return strikes >= usual and not (held.steady and strikes + self._forecast.left <= 1.5 * usual)
 
     def _look(self, held: HeldTool, views: int) -> HeldTool:
@@ -317,12 +318,10 @@ class NailDriving:
             held = held.struck()
             load = self._striking.load(report)
             measure = self._measure_after(plan, verdict, home=home, overload=bool(load.excess(self._config.strike)))
-            looks = self._look_due(held, held.strikes)
         height = None
         try:
             with self._motions.stages(Stage.STRIKE):
-                above = CLEAR if measure or looks else min(plan.run_up, HIGHEST_TOUCH)
-                self._striking.retract(plan, above, held)
+                self._striking.retract(plan, held)
             if verdict.meeting is Meeting.EARLY:
                 raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not at the point of the strike")
             if measure:
@@ -353,7 +352,7 @@ class NailDriving:
                 if self._striking.leans:
                     self._gauge.go_over(self._striking.plan_touch(before, held), held)
                 else:  # after a strike the face is no longer square to the nail
-                    self._gauge.go_over(plan, held)
+                    self._gauge.go_over(plan, held, near=True)
                 # With a corrected face pose, a head that is no longer there after a strike means a bent nail.
                 missed = Outcome.BENT if met and self._look_at is not None else Outcome.NAIL_MISSED
                 height, held = self._gauge.measure(before, held, self._forecast.unknown, missed)

@@ -14,16 +14,16 @@ import numpy as np
 
 from toolee_robot.control.contact import ContactVerdict
 
-FIRST, LONGEST = 2, 12
+FIRST, LONGEST = 2, 16
 """Number of strikes before the first measurement, unless one of them meets the nail elsewhere than expected: the deeper
 they have driven it, the farther their measurement tells the course of the others; and largest number of successive
 strikes without a measurement."""
 ACCURACY, UNCERTAIN = 0.0007, 0.004
-"""Accuracy of the depth between two measurements [m], and what the forecast may be off by for it [m]: a nail that was
-driven by less than `LITTLE` is measured after every strike."""
-LITTLE = 0.0025
-"""Depth that says little of the course [m]: a measurement that is 1.2 mm short of it would put the forecast off by more
-than 2 mm within three strikes."""
+"""Accuracy of the depth between two measurements [m], and what the forecast may be off by for it [m]. A nail that was
+driven by less than that accuracy is measured after every strike."""
+LITTLE, AHEAD = 0.0025, 0.8
+"""Depth that says little of the course [m], and what share of it the nail may be forecast to go before the next
+measurement: one that is 1.2 mm short of it then puts the forecast off by less than 2 mm."""
 MEASURED, FORECAST = 0.0005, 0.25
 """Standard deviation of a measured height [m], and of what strikes are forecast to drive, as a share of it."""
 DISAGREEMENT, LATENESS = 0.003, 1.5
@@ -146,7 +146,8 @@ class NailForecast:
             return bool(self.surprise) or self.unmeasured >= FIRST
         self.height = max(self._length - self._driven(), 0.0)
         driven, ahead = self._first - self._measured, self._measured - self.height
-        uncertain = driven < LITTLE or ahead * ACCURACY > UNCERTAIN * driven
+        little = driven < ACCURACY or (driven < LITTLE and ahead > AHEAD * driven)
+        uncertain = little or ahead * ACCURACY > UNCERTAIN * driven
         return bool(self.surprise) or self.finished or uncertain or self.unmeasured > LONGEST
 
     def unfelt(self, surprise: str) -> None:

@@ -65,6 +65,8 @@ TOLERANCE = 0.012
 CLEAR = 0.015
 """Height over the nail's head at which a measurement starts [m]; over others that stand beside it, where they are
 higher."""
+SEEN_MARGIN = 0.008
+"""The same of a tool that was touched with and seen since: a look shifts the face by millimetres."""
 LIFT = 0.006
 """Height over what was touched at which the face moves aside [m]."""
 MARGIN = 0.005
@@ -203,7 +205,8 @@ class NailGauge:
         # A strike may have driven the nail, which `expected` does not know of.
         lowest = self._height(held) - self._over - TOLERANCE - implausible
         self._over = CLEAR
-        head = self._lower("nail", held, expected + MARGIN if known else None, lowest, missed)
+        above = expected + (MARGIN if known else SEEN_MARGIN)
+        head = self._lower("nail", held, None if self._first is None else above, lowest, missed)
         nail = head.felt
         self._rise_to(nail + LIFT, held)
         # Towards the handle, so that the hand moves away from the block.
@@ -228,12 +231,13 @@ class NailGauge:
         self._corrected = held.X_hand_ee[:3, 3]
         return measured, held
 
-    def go_over(self, plan: StrikePlan, held: HeldTool) -> None:
+    def go_over(self, plan: StrikePlan, held: HeldTool, *, near: bool = False) -> None:
         """Move to over the nail and those that stand beside it, by CLEAR, the face square to it.
 
         Args:
             plan: The strike whose line leads to the nail.
             held: What the hand holds.
+            near: Whether the face is over the nail already, as after a strike.
 
         Raises:
             TooleeError: There is no way there, or the motion failed.
@@ -243,7 +247,8 @@ class NailGauge:
         head, out = plan.X_base_ee_contact[:3, 3], self._out
         higher = [float((nail_of(body).head - head) @ out) for body in motions.in_the_way]
         self._over = CLEAR + max([0.0, *higher])
-        way = plan_over_nail(motions.robot, self._config, motions.world(held), motions.q, plan, before=self._over)
+        world = motions.world(held)
+        way = plan_over_nail(motions.robot, self._config, world, motions.q, plan, self._over, near=near)
         motions.transfer("to the touch", way, held)
 
     def protrusion(self, touches: Touches) -> float:

@@ -113,14 +113,13 @@ class Striking:
         motions.arm.permit_swings(self._config.task.handover_timeout)
         return motions.swing("strike", plan, held)
 
-    def retract(self, plan: StrikePlan, above: float, held: HeldTool) -> None:
-        """Move straight out along the nail's axis from where a strike ended, by CLEAR at least.
+    def retract(self, plan: StrikePlan, held: HeldTool) -> None:
+        """Move straight out along the nail's axis from where a strike ended, to CLEAR over the nail at least.
 
         The strike may have been stopped above the nail by an obstacle: never down.
 
         Args:
             plan: The strike.
-            above: Height over the nail, which is at least reached [m].
             held: What the hand holds.
 
         Raises:
@@ -130,7 +129,7 @@ class Striking:
         X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
         out = self._config.work.nail_axis
         below = float((plan.X_base_ee_contact - X_base_ee)[:3, 3] @ out)
-        up = max(above + below, CLEAR)
+        up = CLEAR + max(below, 0.0)
         self._motions.straight("up", out, up, held, speed=RETRACT_SPEED, share=RETRACT_SHARE)
 
     def load(self, report: MotionReport) -> StrikeLoad:

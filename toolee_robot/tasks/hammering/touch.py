@@ -47,7 +47,7 @@ away the offset itself may have changed. A tool that swings comes to rest meanwh
 ZERO_SHARE = 0.1
 """A zero is kept when the force at rest differs from it by at most this share of the threshold; a force so noisy that
 the face is released slowly is zeroed before every touch."""
-FREE = 0.002
+FREE = 0.0015
 """Way of a release beyond the place where the force should be gone [m]."""
 UNSURE = 0.0003
 """Standard deviation of a height, as its release alone tells it, above which the thing is touched again [m]: of 6,000
