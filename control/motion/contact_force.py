@@ -22,17 +22,18 @@ class ContactForce:
     """
 
     def __init__(self, guard: ContactGuard, period: float) -> None:
-        self._force = guard.force
+        self._guard = guard
         self._window = max(round(guard.averaging_window / period), 1)
         self._baseline = max(round(guard.baseline / period), 1) if guard.baseline > 0.0 else 0
         self._readings: deque[Array] = deque()
         self._newest, self._older = np.zeros(3), np.zeros(3)  # sums over window and baseline
 
-    def add(self, force: Array) -> bool:
+    def add(self, force: Array, time: float) -> bool:
         """Add a reading.
 
         Args:
             force: Force at the flange, (3,) [N].
+            time: Time on the trajectory [s].
 
         Returns:
             Whether the newest readings are a contact.
@@ -45,12 +46,14 @@ class ContactForce:
             self._older += readings[-self._window - 1]
         if len(readings) > longest:
             self._older -= readings.popleft()
-        if len(readings) < longest:
+        guard = self._guard
+        if len(readings) < longest or time < guard.ignore_before:
             return False
         step = self._newest / self._window
         if self._baseline:
             step -= self._older / self._baseline
-        return float(step @ step) > self._force**2
+        least = guard.force + (guard.sway if time >= guard.sway_from else 0.0)
+        return float(step @ step) > least**2
 
 
 STEP_WINDOW, STEP_BASELINE = 0.008, 0.05
@@ -61,13 +64,13 @@ MAX_FACTOR = 1.5
 """The noise may raise the threshold to this multiple of `strike.contact_force`; with more there are no strikes."""
 ARMED_FROM = 0.5
 """Share of the time to the contact before which no force counts, because of the starting transients."""
-SWAY = 2.0
+SWAY, SWAYS = 2.0, 0.3
 """Step of the force with which a swung tool pulls at the hand, as a share of its mass times the step of its
-acceleration: a mass on an undamped spring swings between none and twice. Of 280 simulated strikes the largest was 1.9,
-with the noise of a CB3."""
+acceleration: a mass on an undamped spring swings between none and twice. And share of the largest step from which on it
+counts: before, in most of the run-up, a contact needs no more force."""
 
 
-def swing_sway(mass: float, times: Array, face: Array, contact_time: float) -> float:
+def swing_sway(mass: float, times: Array, face: Array, contact_time: float) -> tuple[float, float]:
     """Compute the step of the force with which a tool sways in the hand on its way to the nail.
 
     Payload compensation takes the tool for a part of the flange, and the hand yields.
@@ -79,7 +82,7 @@ def swing_sway(mass: float, times: Array, face: Array, contact_time: float) -> f
         contact_time: When the swing should meet the nail [s].
 
     Returns:
-        The largest step before the contact, as `ContactForce` forms it [N].
+        The largest step before the contact, as `ContactForce` forms it [N], and when it begins on the trajectory [s].
     """
     step = float(times[1] - times[0])
     acceleration = np.gradient(np.gradient(face, step, axis=0), step, axis=0)
@@ -88,11 +91,19 @@ def swing_sway(mass: float, times: Array, face: Array, contact_time: float) -> f
     steps = np.linalg.norm(rows[:, baseline:].mean(axis=1) - rows[:, :baseline].mean(axis=1), axis=1)
     ends = times[window + baseline - 1 :]
     counts = (ends >= ARMED_FROM * contact_time) & (ends <= contact_time)
-    return SWAY * mass * float(np.max(steps[counts], initial=0.0))
+    steps, ends = steps[counts], ends[counts]
+    if len(steps) == 0:
+        return 0.0, 0.0
+    largest = float(np.max(steps))
+    return SWAY * mass * largest, float(ends[np.argmax(steps >= SWAYS * largest)])
 
 
 def strike_guard(
-    strike: StrikeConfig, contact_time: float, noise: Array | None = None, rate: float = 1.0, sway: float = 0.0
+    strike: StrikeConfig,
+    contact_time: float,
+    noise: Array | None = None,
+    rate: float = 1.0,
+    sway: tuple[float, float] = (0.0, 0.0),
 ) -> ContactGuard:
     """Build the contact detection of a strike, whose threshold bears the noise of the force and the tool's sway.
 
@@ -101,7 +112,7 @@ def strike_guard(
         contact_time: When the strike should meet the nail, on its trajectory [s].
         noise: Readings of the force at rest, one a cycle, (N, 3) [N]; None if it was not measured.
         rate: Rate of these readings [Hz].
-        sway: Step of the force before the contact that the swing itself makes, see `swing_sway` [N].
+        sway: Step of the force that the swing itself makes [N], and from when on [s]; see `swing_sway`.
 
     Returns:
         The contact detection.
@@ -122,7 +133,8 @@ def strike_guard(
             "swings, or raise it as far as hand and tool can bear",
             code="device.force_noise",
         )
-    return ContactGuard(max(strike.contact_force, needed) + sway, ARMED_FROM * contact_time, STEP_WINDOW, STEP_BASELINE)
+    force = max(strike.contact_force, needed)
+    return ContactGuard(force, ARMED_FROM * contact_time, STEP_WINDOW, STEP_BASELINE, *sway)
 
 
 SLOPE_RANGE = 0.008

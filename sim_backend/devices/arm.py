@@ -235,8 +235,7 @@ class SimArm:
                 if fault is not None or self._stop_asked:
                     outcome = MotionOutcome.STOPPED
                     break
-                touches = force is not None and force.add(log.wrenches[-1][:3])
-                if touches and guard is not None and t >= guard.ignore_before:
+                if force is not None and force.add(log.wrenches[-1][:3], t):
                     outcome = MotionOutcome.CONTACT
                     contact = JointState(*self._world.robot.arm_state(), self._world.time)
                     break

@@ -82,12 +82,16 @@ class ContactGuard:
             Vibration (a late command, a swinging tool) changes sign and averages out, an obstacle does not.
         baseline: Time before that window whose mean force is subtracted [s], so that only a rise within it counts and
             not an offset that changes slowly; 0 for the absolute force.
+        sway: What the motion itself adds to the force from `sway_from` on, and is no contact [N].
+        sway_from: Time on the trajectory [s].
     """
 
     force: float
     ignore_before: float = 0.0
     averaging_window: float = 0.0
     baseline: float = 0.0
+    sway: float = 0.0
+    sway_from: float = 0.0
 
 
 @dataclass(frozen=True)

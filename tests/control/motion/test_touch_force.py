@@ -61,7 +61,7 @@ def noise_of_contact_force(rng: np.random.Generator, generation: str, n: int) ->
 
 def contacts(guard: ContactGuard, rate: float, forces: Array) -> list[int]:
     contact = ContactForce(guard, 1.0 / rate)
-    return [k for k, force in enumerate(forces) if contact.add(force)]
+    return [k for k, force in enumerate(forces) if contact.add(force, np.inf)]
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 12.0), st.floats(0.0, 60.0))

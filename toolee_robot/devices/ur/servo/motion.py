@@ -156,11 +156,10 @@ class Motion:
 
     def _touches(self) -> bool:
         """Whether the force is a contact at any of the new readings."""
-        guard, contact = self._request.guard, self._contact
-        if guard is None or contact is None:
+        if self._contact is None:
             return False
-        touches = [contact.add(reading.wrench[:3]) for reading in self._readings]
-        return any(touches) and self._time >= guard.ignore_before and not self._brakes
+        touches = [self._contact.add(reading.wrench[:3], self._time) for reading in self._readings]
+        return any(touches) and not self._brakes
 
     def _tracking_error(self) -> float:
         reading = self._link.reading
