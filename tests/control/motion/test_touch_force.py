@@ -11,7 +11,7 @@ from tests.control.motion.cb3_noise import NOISE, RATE, noise
 from tests.errors import raises
 from tests.examples import examples
 from tests.rigs.job_rig import CONFIG
-from toolee_robot.control.motion.contact_force import ContactForce, Course, Releases, onset, strike_guard
+from toolee_robot.control.motion.contact_force import ContactForce, Course, Releases, onset, strike_guard, swing_sway
 from toolee_robot.control.motion.touch_force import TouchSettings, deviation_of_mean, touch_settings
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
@@ -200,3 +200,36 @@ def test_a_release_that_was_none_tells_nothing() -> None:
 def test_a_force_that_falls_on_the_way_down_has_no_onset() -> None:
     heights = np.arange(0.008, -0.002, -0.0001)
     assert onset(Course(heights, 500.0 * heights, 1.0)) is None
+
+
+@examples(60)
+@given(
+    frequency=st.floats(5.0, 300.0),
+    brake=st.floats(15.0, 30.0),
+    begins=st.floats(0.28, 0.36),
+    ramp=st.floats(0.02, 0.06),
+)
+def test_a_tool_that_sways_in_the_hand_on_an_undamped_spring_is_no_contact(
+    frequency: float, brake: float, begins: float, ramp: float
+) -> None:
+    """The swing speeds up at 5 m/s² and brakes before the contact; the spring has `frequency` in rad/s."""
+    step, contact, mass, period = 0.0005, 0.42, 1.0, 0.008
+    fine = np.arange(0.0, contact, step)
+    base = 5.0 * np.clip(fine / 0.08, 0.0, 1.0) - (5.0 + brake) * np.clip((fine - begins) / ramp, 0.0, 1.0)
+    place = np.cumsum(np.cumsum(base)) * step**2
+    lag, speed, pull = 0.0, 0.0, []
+    for a in base:
+        own = -(frequency**2) * lag
+        pull.append(mass * (own - a))
+        speed += (own - a) * step
+        lag += speed * step
+    cycle = round(period / step)
+    forces = np.zeros((len(fine) // cycle, 3))
+    forces[:, 0] = np.array(pull)[: len(forces) * cycle].reshape(-1, cycle).mean(axis=1)
+    times = fine[::8]
+    face = np.zeros((len(times), 3))
+    face[:, 0] = place[::8]
+    guard = strike_guard(sim_station().strike, contact, sway=swing_sway(mass, times, face, contact))
+    force = ContactForce(guard, period)
+    assert not any(force.add(reading, (k + 1) * period) for k, reading in enumerate(forces))
+    assert any(force.add(forces[-1] + [0.0, 80.0, 0.0], contact) for _ in range(2)), "the nail is felt at once"
