@@ -1,4 +1,4 @@
-"""Assertions on the project's errors: tests match an error's stable code, not its message."""
+"""Assertions on the project's errors: by their stable code, or by words of their message if they have no own code."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ class Raised(Generic[E]):
 
 
 @contextmanager
-def raises(kind: type[E], code: str) -> Iterator[Raised[E]]:
-    """Expect an error of a class and with exactly this code."""
+def raises(kind: type[E], code: str | None = None, *, says: str = "") -> Iterator[Raised[E]]:
+    """Expect an error of exactly this class and code (the class's own by default), whose message has these words."""
     raised: Raised[E] = Raised()
     with pytest.raises(kind) as info:
         yield raised
     raised.value = info.value
-    assert info.value.code == code, f"code {info.value.code!r}, expected {code!r}; the error is: {info.value}"
+    wanted = kind.code if code is None else code
+    assert info.value.code == wanted, f"code {info.value.code!r}, expected {wanted!r}; the error is: {info.value}"
+    assert says in str(info.value), f"no word of {says!r}; the error is: {info.value}"

@@ -258,12 +258,12 @@ def test_two_cannot_run_trials_in_one_folder_and_a_killed_one_claims_nothing(tmp
     with subprocess.Popen([sys.executable, "-c", program, tmp_path], stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == "claimed\n"
-        with raises(UserError, code="user.folder_in_use") as refused, Results(PLAN, tmp_path):
+        with raises(UserError, says="wait for it, or choose another") as refused, Results(PLAN, tmp_path):
             pass
         assert f"process {other.pid}" in str(refused.value)
         assert not (tmp_path / RESULTS).exists()
         other.kill()
-    with claimed(tmp_path), raises(UserError, code="user.folder_in_use"), Results(PLAN, tmp_path):
+    with claimed(tmp_path), raises(UserError, says="wait for it, or choose another"), Results(PLAN, tmp_path):
         pass
     with Results(PLAN, tmp_path):
         pass

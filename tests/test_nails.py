@@ -79,7 +79,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path, work: dict[str, object]) -> N
 def test_nails_without_a_frame_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "station.yaml"
     path.write_text(yaml.safe_dump({"work": {"block_size": BLOCK, "nails": [LEFT, RIGHT]}}))
-    with raises(ConfigError, code="config.no_frame") as refused:
+    with raises(ConfigError, says="pendant_base` if they were read from") as refused:
         load_station(path)
     assert "gives work.nails, but" in str(refused.value)
 

@@ -132,9 +132,9 @@ def test_what_is_no_job_is_refused(variant: Variant, nails: tuple[str, ...], wei
 @pytest.mark.sim(seconds=10)
 def test_a_seed_and_a_real_time_factor_are_within_bounds() -> None:
     lab = load_lab_station(LAB)
-    with raises(UserError, code="user.seed"):
+    with raises(UserError, says="give a whole number from 0"):
         Simulated(CONFIG, -1)
-    with raises(UserError, code="user.real_time_factor"):
+    with raises(UserError, says="to 1, which is real time"):
         Rehearsal(lab, LAB, 0, factor=1.5)
     assert Rehearsal(lab, LAB, 0).real_time_factor == 0.25
 
@@ -225,7 +225,7 @@ def test_the_rest_of_the_pose_is_nominal(variant: Variant, place: Array, turn: A
 
 @pytest.mark.parametrize(("variant", "networks"), [(Variant.PERFECT_PERCEPTION, None), (Variant.ICP, Sees())])
 def test_what_only_a_simulation_knows_is_refused_on_a_robot(variant: Variant, networks: Sees | None) -> None:
-    with raises(UserError, code="user.no_truth") as refused:
+    with raises(UserError, says="only a simulation knows") as refused:
         job_perceiver(variant, networks, opened())
     assert "only a simulation knows" in str(refused.value)
 

@@ -54,13 +54,13 @@ def test_the_nail_is_found_to_its_uncertainty(lab: SimulatedNailBoard, images: t
 @pytest.mark.sim(seconds=30)
 def test_another_size_of_the_board_is_noticed(lab: SimulatedNailBoard, images: tuple[Any, Any]) -> None:
     wrong = replace(lab.board, square=1.06 * lab.board.square)
-    with raises(UserError, code="user.board_size"):
+    with raises(UserError, says="Check --sheet, and measure both scale"):
         see_nail(lab.camera, wrong, lab.on_wood, *images)
 
 
 @pytest.mark.sim(seconds=30)
 def test_an_image_without_the_board_is_refused(lab: SimulatedNailBoard, images: tuple[Any, Any]) -> None:
-    with raises(UserError, code="user.board_not_seen"):
+    with raises(UserError, says="no board is seen in the image"):
         see_nail(lab.camera, lab.board, lab.on_wood, np.zeros_like(images[0]))
 
 
@@ -70,14 +70,14 @@ def test_a_board_that_does_not_lie_on_the_wood_is_refused(lab: SimulatedNailBoar
     leaning = place_board(CONFIG, SHEET.board, 0.001, 0.3, np.array([-0.14, 0.0]))
     with SimStation.build(CONFIG, 1, SimOptions(hands_over=False, boards=(leaning,))) as simulation:
         rgb, depth = mean_frame(simulation.station.camera, 2)
-    with raises(UserError, code="user.wood_tilted"):
+    with raises(UserError, says="the board is tilted by"):
         see_nail(lab.camera, SHEET.board, lab.on_wood, rgb, depth)
 
 
 def test_touches_of_another_nail_are_refused() -> None:
     seen = SeenNail(np.array([0.75, 0.1, 0.26]), np.eye(3) * 1e-6, UP, 0.0, 1e-3, 20, 0.2)
     touched = LocatedNail(seen.entry + np.array([0.02, 0.0, 0.02]), 0.0, np.eye(3) * 1e-7)
-    with raises(UserError, code="user.nail_disagrees"):
+    with raises(UserError, says="camera and touches disagree by"):
         combine(seen, touched, 0.020)
     near = LocatedNail(seen.entry + np.array([0.001, 0.0, 0.020]), 0.0, np.eye(3) * 1e-6)
     both = combine(seen, near, 0.020, 1e-6)
@@ -89,9 +89,9 @@ def test_a_calibration_that_does_not_hold_is_refused() -> None:
     with SimStation.build(CONFIG) as simulation:
         old = replace(SIMULATED_CALIBRATION, measured_on="2026-01-01", valid_days=30.0)
         assert (date.today() - date(2026, 1, 1)).days > 30
-        with raises(NotReadyError, code="not_ready.calibration"):
+        with raises(NotReadyError, says="the camera's calibration is not valid"):
             known_camera(replace(CONFIG, calibration=old), path, simulation.station)
-        with raises(ConfigError, code="config.uncalibrated"):
+        with raises(ConfigError, says="the station file names no calibration"):
             known_camera(replace(CONFIG, calibration=None), path, simulation.station)
 
 

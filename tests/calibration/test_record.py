@@ -59,9 +59,8 @@ def test_a_record_that_was_altered_is_refused(calibrated: Path, tmp_path: Path) 
     data = json.loads((calibrated / "camera.json").read_text())
     data["X_base_camera"][0][3] += 0.001
     (tmp_path / "camera.json").write_text(json.dumps(data))
-    with pytest.raises(ConfigError) as error:
+    with raises(ConfigError, says="was altered since it was written"):
         read_record(tmp_path / "camera.json")
-    assert error.value.code == "config.calibration_altered"
 
 
 def test_a_signed_record_of_a_camera_that_cannot_be_is_refused(calibrated: Path, tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ def test_touches_without_noise_are_the_plane_or_refused_as_degenerate(
     places = np.array(off)
     p = _on_plane(places, height, (x, y))
     if np.min(np.ptp(places @ ACROSS, axis=0)) < MIN_WIDTH:
-        with raises(UserError, code="user.wood_degenerate"):
+        with raises(UserError, says="mm further out across the line"):
             fit_wood(p, AT, repeat=2e-4, common=5e-4)
         return
     assume(np.min(np.ptp(places @ ACROSS, axis=0)) > 1.001 * MIN_WIDTH)  # by directions, not edges
@@ -85,19 +85,19 @@ def test_the_covariance_has_the_truth_as_often_as_it_says(places: Array) -> None
 def test_touches_that_tell_no_plane_are_refused() -> None:
     good = _on_plane(TRIANGLE, 0.26, (0.0, 0.0))
     given_sigmas = {"repeat": 2e-4, "common": 5e-4}
-    with raises(UserError, code="user.wood_few_touches"):
+    with raises(UserError, says="a fourth reveals a wrong one"):
         fit_wood(good[:2], AT, **given_sigmas)
-    with raises(UserError, code="user.wood_degenerate") as thin:
+    with raises(UserError, says="mm further out across the line") as thin:
         fit_wood(_on_plane(np.array([[-0.03, 0.0], [0.03, 0.0], [0.0, 0.01]]), 0.26, (0, 0)), AT, **given_sigmas)
     assert "up to 60 mm apart, but only 10 mm wide" in str(thin.value)
     assert "20 mm further out" in str(thin.value)
-    with raises(UserError, code="user.wood_degenerate"):
+    with raises(UserError, says="mm further out across the line"):
         fit_wood(_on_plane(0.3 * TRIANGLE, 0.26, (0, 0)), AT, **given_sigmas)
     fourth = np.array([[*(AT + 0.02), 0.2615]])
-    with raises(UserError, code="user.wood_not_flat"):
+    with raises(UserError, says="the four touches of the wood are not on a plane"):
         fit_wood(np.vstack([good, fourth]), AT, **given_sigmas)
     six = np.vstack([_on_plane(np.vstack([TRIANGLE, -TRIANGLE[:2]]), 0.26, (0, 0)), fourth])
-    with raises(UserError, code="user.wood_not_flat") as wrong:
+    with raises(UserError, says="touch 6 of the wood is 1.5 mm above") as wrong:
         fit_wood(six, AT, **given_sigmas)
     assert "touch 6 of the wood is 1.5 mm above" in str(wrong.value)
 
@@ -243,7 +243,7 @@ def test_a_nail_may_be_50_mm_outside_of_the_touches(direction: float, distance: 
     if distance < radius + 0.05:
         check_near(places, at)
     else:
-        with raises(UserError, code="user.wood_far"):
+        with raises(UserError, says="mm outside the circle around the"):
             check_near(places, at)
 
 
@@ -311,18 +311,18 @@ def test_the_tip_is_found_within_its_uncertainty(seed: int) -> None:
 
 def test_touches_that_tell_nothing_are_refused() -> None:
     rng = np.random.default_rng(0)
-    with raises(UserError, "user.tip_few_touches"):
+    with raises(UserError, says="4 touches: give"):
         locate_tip(_touches(rng, 4, 0.8))
-    with raises(UserError, "user.tip_degenerate"):
+    with raises(UserError, says="the touches turn the flange by"):
         locate_tip(_touches(rng, 10, 0.1))
     slipped = _touches(rng, 10, 0.8)
     slipped[6] = transform(p=[0.02, 0.0, 0.0]) @ slipped[6]
-    with raises(UserError, "user.tip_residual") as error:
+    with raises(UserError, says="did the tip leave the point,") as error:
         locate_tip(slipped)
     assert "touch 7" in str(error.value)
-    with raises(UserError, "user.nail_few_touches"):
+    with raises(UserError, says="2 touches: give"):
         locate_nail(_touches(rng, 2, 0.3), TIP)
-    with raises(UserError, "user.nail_spread"):
+    with raises(UserError, says="touch the middle of the head"):
         locate_nail(slipped, TIP)
 
 

@@ -237,7 +237,7 @@ def test_a_persons_key_or_a_closed_terminal_takes_the_confirmation_back(keyboard
 def test_any_answer_but_an_empty_line_moves_nothing(keyboard: int, answer: bytes) -> None:
     person = TerminalPerson(Console(file=io.StringIO()))
     os.write(keyboard, answer)
-    with raises(PersonNearError, code="person_near.not_confirmed"):
+    with raises(PersonNearError, says="not confirmed"):
         person.confirm("Move?")
 
 
@@ -250,5 +250,5 @@ def test_the_person_at_the_terminal_counts_as_in_reach_and_answers_no_question_o
 
 def test_without_a_terminal_there_is_no_person(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    with raises(UserError, code="user.no_terminal"):
+    with raises(UserError, says="standard input is not a terminal"):
         TerminalPerson(Console(file=io.StringIO()))

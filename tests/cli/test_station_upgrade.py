@@ -136,7 +136,7 @@ def test_what_opens_a_labs_devices_or_rehearses_names_the_upgrade(
 def test_another_version_is_refused_everywhere(load: Any, version: str, tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
     path.write_text(LAB.read_text().replace("version: 3", f"version: {version}"))
-    with raises(ConfigError, "config.version_unknown") as caught:
+    with raises(ConfigError, says="Upgrade version 1 with toolee_robot 0.1") as caught:
         load(path)
     assert f"version {yaml.safe_load(version)!r} is unknown (line 3): this program reads version 3" in str(caught.value)
 

@@ -146,7 +146,7 @@ def test_it_is_watched_and_stopped_by_other_threads_while_it_closes(rig: Rig) ->
             assert state(rig).joints.q.shape == (len(rig.model.joints),)
             time.sleep(0.02)
         hand.stop()
-        with raises(DeviceError, "device.stopped"):
+        with raises(DeviceError, says="stopped"):
             closing.result(2.0)
         time.sleep(rig.rest)
         stands = state(rig).joints.q

@@ -349,7 +349,7 @@ def test_an_error_in_a_message_ends_the_recording_but_not_the_job(
 
 
 def test_unwritable_place_bad_stamp_and_no_recording_are_refused(tmp_path: Path) -> None:
-    with raises(UserError, code="user.recording_not_writable"), RunRecorder(tmp_path / "no" / "such" / "run.mcap"):
+    with raises(UserError, says="cannot write the recording"), RunRecorder(tmp_path / "no" / "such" / "run.mcap"):
         pass
     with RunRecorder(tmp_path / "run.mcap") as recorder, pytest.raises(ValueError, match="clock"):
         recorder.record_decision(float("nan"), "started", "")

@@ -56,7 +56,7 @@ def test_the_station_file_names_the_driver(name: str, driver: type[object]) -> N
 @pytest.mark.parametrize("name", ["inspire", "ability"])
 def test_every_lab_measures_how_it_is_mounted(name: str) -> None:
     hand = config(name)
-    with raises(ConfigError, "config.hand_mounting"):
+    with raises(ConfigError, says="hand.mounting.position"):
         hand_model(HandConfig(hand.model))
     with raises(ConfigError, "config"):
         _ = hand_model(hand.model).tree
@@ -68,7 +68,7 @@ def test_every_lab_measures_how_it_is_mounted(name: str) -> None:
 
 
 def test_what_is_no_mounting() -> None:
-    with raises(ConfigError, "config.hand_mounting"):
+    with raises(ConfigError, says="hand.mounting: the model"):
         hand_model(replace(sim_station().hand, mounting=TURNED))
     with pytest.raises(ValueError, match="right angle"):
         HandMounting(position=(0.0, 0.0, 0.0), fingers=(0.0, 0.0, 1.0), thumb=(0.0, 1.0, 1.0))

@@ -52,12 +52,12 @@ def test_the_file_names_driver_serial_and_range(tmp_path: Path) -> None:
 
 def test_what_the_file_lacks_is_named() -> None:
     clock = HostClock()
-    with raises(ConfigError, "config.camera_device"):
+    with raises(ConfigError, says="camera.device is missing"):
         open_camera(config(None), clock)
-    with raises(ConfigError, "config.camera_driver") as raised:
+    with raises(ConfigError, says="'kinect' is unknown") as raised:
         open_camera(config(CameraDevice("kinect", "1", 0.5)), clock)
     assert "realsense" in str(raised.value)
-    with raises(ConfigError, "config.camera_folder"):
+    with raises(ConfigError, says="camera.device.folder is missing"):
         open_camera(config(CameraDevice("recorded", "1", 0.5)), clock)
 
 
@@ -82,13 +82,13 @@ def test_a_camera_of_airo_camera_toolkit_is_opened_by_the_file_alone(
 
 def test_a_toolkits_class_is_for_its_driver_alone() -> None:
     clock, device = HostClock(), CameraDevice("airo", "0042", 0.3)
-    with raises(ConfigError, "config.camera_class") as raised:
+    with raises(ConfigError, says="camera.device.camera_class is missing") as raised:
         open_camera(config(device), clock)
     assert "camera.device.camera_class is missing" in str(raised.value)
     named = replace(device, camera_class="airo_camera_toolkit.cameras.zed.zed.Zed")
-    with raises(ConfigError, "config.camera_exposure"):
+    with raises(ConfigError, says="camera.device.exposure"):
         open_camera(config(replace(named, exposure=0.01)), clock)
-    with raises(ConfigError, "config.camera_class") as raised:
+    with raises(ConfigError, says="camera.device.camera_class is for the driver airo") as raised:
         open_camera(config(replace(named, driver="realsense")), clock)
     assert "leave it out" in str(raised.value)
 
@@ -118,7 +118,7 @@ def test_a_class_is_told_camera_and_mode(kind: str, given: tuple[object, ...], m
 )
 def test_a_class_that_cannot_do_is_named(name: str, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
     airo_cameras.installed(monkeypatch)
-    with raises(ConfigError, "config.camera_class") as raised:
+    with raises(ConfigError, says="camera.device.camera_class") as raised:
         toolkit_camera(name, "42", (640, 480), 15)
     assert name in str(raised.value)
     assert why in str(raised.value)
@@ -126,7 +126,7 @@ def test_a_class_that_cannot_do_is_named(name: str, why: str, monkeypatch: pytes
 
 def test_a_zeds_serial_number_is_digits(monkeypatch: pytest.MonkeyPatch) -> None:
     airo_cameras.installed(monkeypatch)
-    with raises(ConfigError, "config.camera_serial"):
+    with raises(ConfigError, says="is not a ZED's serial number"):
         toolkit_camera(f"{airo_cameras.HERE}.LikeZed", "SN 42", (640, 480), 15)
 
 
@@ -178,7 +178,7 @@ def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypat
     assert camera_drivers()["ours"] == "our_lab:open_stream"
     with open_camera(config(CameraDevice("ours", SERIAL, 0.3)), HostClock()) as camera:
         assert camera.profile.serial == SERIAL
-    with raises(ConfigError, "config.device_plugin") as raised:
+    with raises(ConfigError, says="which cannot be imported") as raised:
         open_camera(config(CameraDevice("gone", SERIAL, 0.3)), HostClock())
     assert "our_lab" in str(raised.value)
 
@@ -237,7 +237,7 @@ def test_a_labs_own_package_brings_a_whole_hand(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     config = HandConfig("ours", mounting=MOUNTING)
     assert hand_model(config).label == "our hand"
-    with raises(ConfigError, "config.device_plugin"):
+    with raises(ConfigError, says="is no HandModel of the name"):
         hand_model("other")
     asked = {question.name for question in open_questions({"hand": {"model": "ours"}})}
     assert {"hand.port", "hand.weighed.mass", "hand.mounting.fingers"} <= asked
@@ -286,7 +286,7 @@ def test_a_shadow_hand_needs_what_only_a_lab_can_measure() -> None:
     assert "hand.efforts.newtons_per_unit" in str(lacking.value)
     efforts = HandEfforts(60.0, 300.0, 0.03)
     numbered = HandConfig("shadow_right", port="ws://127.0.0.1:9090", hand_id=3, efforts=efforts)
-    with raises(ConfigError, "config.hand_id"):
+    with raises(ConfigError, says="hand.hand_id"):
         open_hand(numbered, HostClock())
     with pytest.raises(ValueError, match="must be more than"):
         HandEfforts(60.0, 50.0, 0.03)

@@ -66,7 +66,7 @@ def test_what_is_missing_is_named(config: StationConfig, field: str) -> None:
         changed: Any = replace(getattr(config, section), **{name: None}) if name else None
         without: dict[str, Any] = {section: changed}
         lacking = replace(config, **without)
-    with raises(ConfigError, "config.station_lacks") as caught:
+    with raises(ConfigError, says="the station file lacks what") as caught:
         LabStation(lacking, print)
     assert f"give {field};" in str(caught.value)
     if field in ("calibration", "tool", "hand.port"):
@@ -84,7 +84,7 @@ def test_an_old_calibration_and_one_of_another_camera_are_refused_before_anythin
     )
     for changed, words in changes:
         other = replace(config, calibration=replace(config.calibration, **changed))
-        with raises(ConfigError, "config.calibration") as caught:
+        with raises(ConfigError, says="the camera's calibration is not valid") as caught:
             LabStation(other, print)
         assert words in str(caught.value)
         check_purpose(other, Purpose.CALIBRATION)
@@ -92,7 +92,7 @@ def test_an_old_calibration_and_one_of_another_camera_are_refused_before_anythin
 
 @pytest.mark.parametrize("purpose", list(Purpose))
 def test_a_recording_is_no_camera_of_a_station(config: StationConfig, purpose: Purpose) -> None:
-    with raises(ConfigError, "config.recorded_camera"):
+    with raises(ConfigError, says="a recording cannot see"):
         LabStation(_driver(config, "recorded"), print, purpose=purpose)
 
 
@@ -244,7 +244,7 @@ def test_the_emulated_fingers_hold_what_the_person_puts_between_them(
 
 def test_a_camera_that_is_not_there_is_named(config: StationConfig) -> None:
     pytest.importorskip("pyrealsense2", exc_type=ImportError)  # it may lack a library of the system
-    with raises(ConfigError, "config.camera_driver"), LabStation(_driver(config, "no_such"), print):
+    with raises(ConfigError, says="'no_such' is unknown"), LabStation(_driver(config, "no_such"), print):
         pass
     with pytest.raises((DeviceError, NotReadyError)) as caught, LabStation(config, print):
         pass

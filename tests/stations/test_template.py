@@ -99,7 +99,7 @@ def test_a_file_without_the_efforts_of_its_hand_is_not_complete(tmp_path: Path) 
     check_purpose(load_lab_station(path))
     del hand["efforts"]
     path.write_text(yaml.safe_dump(said))
-    with raises(ConfigError, "config.station_lacks") as lacking:
+    with raises(ConfigError, says="the station file lacks what") as lacking:
         check_purpose(load_lab_station(path))
     assert "give hand.efforts" in str(lacking.value)
     (entry,) = (entry for entry in open_fields(said, path) if entry.section == "hand.efforts")

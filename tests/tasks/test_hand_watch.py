@@ -91,7 +91,7 @@ def test_a_grip_that_flickers_is_lost() -> None:
 
 def test_a_fault_is_not_waited_out() -> None:
     clock = Clock()
-    with raises(DeviceError, "device.hand_fault"):
+    with raises(DeviceError, says="the hand reports a fault ("):
         check_held(Readings(True, fault="index finger stalled"), clock)
     assert clock.time == 0.0
 

@@ -304,7 +304,7 @@ def test_a_plan_on_a_robot_has_a_person_and_a_rehearsal_where_it_says_so(tmp_pat
     assert load_plan(LAB.with_name("robot_trials.yaml")).on_robot
     with pytest.raises(ValueError, match="where the seed chooses them"):
         replace(PLAN, where=rehearsal)
-    with raises(UserError, code="user.attended"):
+    with raises(UserError, says="a person is led through this"):
         run_trials(PLAN, tmp_path)
 
 
@@ -312,7 +312,7 @@ def test_a_plan_on_a_robot_has_a_person_and_a_rehearsal_where_it_says_so(tmp_pat
 def test_a_tool_or_nail_that_the_station_does_not_have_is_refused(
     tmp_path: Path, change: dict[str, Any], what: str
 ) -> None:
-    with raises(ConfigError, code="config.plan") as refused:
+    with raises(ConfigError, says="the station") as refused:
         lead(replace(PLAN, **change), tmp_path, Person())
     assert what in str(refused.value)
 

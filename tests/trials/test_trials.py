@@ -397,7 +397,7 @@ def test_a_plan_does_not_go_on_with_other_weights_of_the_papers_estimator(paper:
     asked = PaperJobs()
     run_trials(paper, tmp_path / "out", 1, quietly, asked)
     untrained_paper_weights(Path(paper.paper_weights), seed=1)
-    with raises(UserError, code="user.other_weights"):
+    with raises(UserError, says="restore those, or give another --out"):
         run_trials(paper, tmp_path / "out", 1, quietly, asked)
     assert not asked.specs
 

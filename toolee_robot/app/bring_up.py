@@ -66,7 +66,7 @@ class BringUp:
         with self.person.attending():
             report = self.arm.execute(trajectory)
         if report.outcome is not MotionOutcome.COMPLETED:
-            raise DeviceError("the arm was stopped during the motion", code="device.stopped")
+            raise DeviceError("the arm was stopped during the motion")
         return report.q_measured[-1]
 
     def touch(

@@ -133,8 +133,7 @@ class CameraJob:
             Figures by name.
 
         Raises:
-            TooleeError: The calibration was refused; or the images are of a recording whose lens was not known
-                (`user.calibration_distorted`).
+            TooleeError: The calibration was refused; or the images are of a recording whose lens was not known.
         """
         board = SHEETS[self.sheet].board.measured(*bars)
         session = read_session(images)
@@ -228,8 +227,7 @@ def _check_undistorted(images: Path) -> None:
     if recording is not None and recording.undistorted is False:
         raise UserError(
             f"{recording.folder} says `undistorted: false`, but a calibration needs undistorted images. Measure the "
-            "lens by `toolee calibrate intrinsics --station FILE --write`, then record again",
-            code="user.calibration_distorted",
+            "lens by `toolee calibrate intrinsics --station FILE --write`, then record again"
         )
 
 

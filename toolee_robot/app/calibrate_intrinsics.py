@@ -181,7 +181,7 @@ def camera_of(path: Path) -> CameraConfig:
         The camera: its device and size, its pinhole as far as the file tells it, and no distortion.
 
     Raises:
-        ConfigError: The file cannot be read, names no device (`config.camera_device`), or leaves out the size that the
+        ConfigError: The file cannot be read, names no device, or leaves out the size that the
             driver asks the device for (`config.unmeasured`).
     """
     camera = _camera(path)
@@ -196,8 +196,7 @@ def camera_of(path: Path) -> CameraConfig:
     if not isinstance(device := kept.get("device"), dict):
         raise ConfigError(
             f"{path}: camera.device is missing: give camera.device.driver, .serial and .least_range; `toolee camera "
-            "list` shows the cameras of this computer",
-            code="config.camera_device",
+            "list` shows the cameras of this computer"
         )
     if "width" not in kept or "height" not in kept:
         if device.get("driver") in WITH_MODE:
@@ -220,15 +219,13 @@ def check_entry(path: Path) -> None:
         path: The station file.
 
     Raises:
-        UserError: The file names a calibration of the camera's place, which holds with the intrinsics of then only
-            (`user.calibration_is_older`).
+        UserError: The file names a calibration of the camera's place, which holds with the intrinsics of then only.
     """
     if read_station(path).get("calibration"):
         raise UserError(
             f"{path} names a calibration of the camera's pose, which needs the intrinsics it was made with. Delete "
             "its section `calibration` (of measured.yaml, if a command wrote it), measure the intrinsics, then "
-            "calibrate the pose again",
-            code="user.calibration_is_older",
+            "calibrate the pose again"
         )
 
 

@@ -289,7 +289,7 @@ def touch_wood(config: StationConfig, touches: Path, touching: Touching, head: L
         The wood.
 
     Raises:
-        UserError: The touches are refused (`user.wood_...`), or do not fit those of the head (`user.nail_disagrees`).
+        UserError: The touches are refused, or do not fit those of the head.
         ConfigError: The file is no list of touches.
     """
     work, sigmas = config.work, {"repeat": touching.repeat, "common": touching.common}
@@ -301,8 +301,7 @@ def touch_wood(config: StationConfig, touches: Path, touching: Touching, head: L
     if wood.tilt > LARGEST_TILT:
         raise UserError(
             f"the touches tilt the wood by {np.rad2deg(wood.tilt):.1f}°, and {np.rad2deg(LARGEST_TILT):.0f} are "
-            "allowed. Level it, or repeat touches that did not meet the wood",
-            code="user.wood_tilted",
+            "allowed. Level it, or repeat touches that did not meet the wood"
         )
     if head is None:
         return wood
@@ -331,18 +330,14 @@ def known_camera(config: StationConfig, station_file: Path, station: Station) ->
         The camera.
 
     Raises:
-        ConfigError: There is no calibration (`config.uncalibrated`), or its record cannot be read or was altered.
-        NotReadyError: It is too old, too bad, or of other devices (`not_ready.calibration`).
+        ConfigError: There is no calibration, or its record cannot be read or was altered.
+        NotReadyError: It is too old, too bad, or of other devices.
     """
     calibration = config.calibration
     if calibration is None:
-        raise ConfigError(
-            "the station file names no calibration. Run `toolee calibrate camera` first", code="config.uncalibrated"
-        )
+        raise ConfigError("the station file names no calibration. Run `toolee calibrate camera` first")
     if problems := calibration.problems(station.robot_serial, station.camera_serial, date.today()):
-        raise NotReadyError(
-            f"the camera's calibration is not valid: {'; '.join(problems)}", code="not_ready.calibration"
-        )
+        raise NotReadyError(f"the camera's calibration is not valid: {'; '.join(problems)}")
     if calibration.record is not None:
         return KnownCamera.of_record(read_record(station_file.parent / calibration.record))
     covariance = camera_covariance(config, station_file)
@@ -384,8 +379,7 @@ def check_near(places: Array, at: Array) -> None:
         at: The nail's, (2,) [m].
 
     Raises:
-        UserError: The nail is more than 50 mm outside the circle around the touches' mean that holds them all
-            (`user.wood_far`).
+        UserError: The nail is more than 50 mm outside the circle around the touches' mean that holds them all.
     """
     middle = np.mean(places, axis=0)
     radius = np.max(np.linalg.norm(places - middle, axis=1))
@@ -395,8 +389,7 @@ def check_near(places: Array, at: Array) -> None:
             f"the nail at ({at[0]:.3f}, {at[1]:.3f}) m in base_link is {off * 1e3:.0f} mm outside the circle around "
             f"the touches of the wood, and {FARTHEST * 1e3:.0f} mm are allowed. The circle's middle is "
             f"({middle[0]:.3f}, {middle[1]:.3f}). Touch the wood around the nail, or correct the nail's position "
-            "(work.nail_xy, or its touches)",
-            code="user.wood_far",
+            "(work.nail_xy, or its touches)"
         )
 
 

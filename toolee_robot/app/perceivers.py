@@ -121,7 +121,7 @@ def job_perceiver(variant: Variant, networks: Perceiver | None, opened: Opened) 
         The perception, and the configuration of the job.
 
     Raises:
-        UserError: The variant needs what only a simulation knows (`user.no_truth`), or believes a part of the face's
+        UserError: The variant needs what only a simulation knows, or believes a part of the face's
             nominal pose, of a tool whose face nobody has measured (`user.unknown_face`).
     """
     config, nominal = opened.config, opened.grasp.X_hand_ee
@@ -149,8 +149,7 @@ def job_perceiver(variant: Variant, networks: Perceiver | None, opened: Opened) 
 def _true_poses(opened: Opened) -> Perceiver:
     if opened.truth is None:
         raise UserError(
-            f"--variant {Variant.PERFECT_PERCEPTION} needs the tool's true pose, which only a simulation knows",
-            code="user.no_truth",
+            f"--variant {Variant.PERFECT_PERCEPTION} needs the tool's true pose, which only a simulation knows"
         )
     from toolee_robot.sim_backend.truth import PerfectPerception  # a real station loads none
 
@@ -160,8 +159,6 @@ def _true_poses(opened: Opened) -> Perceiver:
 def _surface(opened: Opened) -> Array:
     """Points on the tool's surface in the frame of its striking face, (S, 3) [m]."""
     if opened.shape is None:
-        raise UserError(
-            f"--variant {Variant.ICP} needs the tool's shape, which only a simulation knows", code="user.no_truth"
-        )
+        raise UserError(f"--variant {Variant.ICP} needs the tool's shape, which only a simulation knows")
     points = opened.shape.mesh.sample(SURFACE, seed=0)
     return transform_points(inverse(opened.shape.ee(Category.HAMMER_HEAD).X_tool_ee), points)

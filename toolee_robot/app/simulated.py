@@ -245,7 +245,7 @@ class Rehearsal:
 
 def _check_seed(seed: int) -> None:
     if not 0 <= seed < 2**31:
-        raise UserError(f"--seed {seed}: give a whole number from 0 to {2**31 - 1}", code="user.seed")
+        raise UserError(f"--seed {seed}: give a whole number from 0 to {2**31 - 1}")
 
 
 def _words(tool: Tool) -> str:

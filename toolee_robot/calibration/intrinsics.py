@@ -106,20 +106,16 @@ def calibrate_intrinsics(
         The record.
 
     Raises:
-        UserError: There are too few views (`user.intrinsics_few_views`), they leave out most of the image
-            (`user.intrinsics_coverage`) or do not determine the focal length (`user.intrinsics_undetermined`), or the
-            model does not fit held-out views, or too many corners (`user.intrinsics_misfit`).
+        UserError: There are too few views, they leave out most of the image or do not determine the focal length, or
+            the model does not fit held-out views, or too many corners.
     """
     if len(views) < MIN_VIEWS:
-        raise UserError(
-            f"{len(views)} images show the board: give {MIN_VIEWS} or more, better 30", code="user.intrinsics_few_views"
-        )
+        raise UserError(f"{len(views)} images show the board: give {MIN_VIEWS} or more, better 30")
     covered = len(covered_parts(views, size)) / CELLS**2
     if covered < COVERED:
         raise UserError(
             f"the board covered {100 * covered:.0f} % of the image, and {100 * COVERED:.0f} % are needed: show it "
-            "in the corners, too",
-            code="user.intrinsics_coverage",
+            "in the corners, too"
         )
     corners = sum(len(view.ids) for view in views)
     views = _fitting(views, board, size)
@@ -128,22 +124,17 @@ def calibrate_intrinsics(
     if left_out > LARGEST_LEFT_OUT * corners or covered < COVERED or len(views) < MIN_VIEWS:
         raise UserError(
             f"{left_out} of {corners} corners do not fit the others; {len(views)} views remain, on {100 * covered:.0f} "
-            f"% of the image: {_MISFIT}",
-            code="user.intrinsics_misfit",
+            f"% of the image: {_MISFIT}"
         )
     error, K, distortion, sigma = _fit(views, board, size)
     held_out = _held_out(views, board, size)
     if held_out > LARGEST_HELD_OUT:
-        raise UserError(
-            f"views that took no part are {held_out:.2f} px off: {_MISFIT}",
-            code="user.intrinsics_misfit",
-        )
+        raise UserError(f"views that took no part are {held_out:.2f} px off: {_MISFIT}")
     relative = float(max(sigma[0] / K[0, 0], sigma[1] / K[1, 1]))
     if relative > FOCAL_ERROR:
         raise UserError(
             f"the focal length is uncertain by {100 * relative:.1f} %. Tilt the board by 30 to 45° in most views; a "
-            "board that faces the camera does not help",
-            code="user.intrinsics_undetermined",
+            "board that faces the camera does not help"
         )
     width, height = size
     return IntrinsicsRecord(

@@ -72,14 +72,11 @@ def fit_wood(p: Array, at: Array, *, repeat: float, common: float) -> WoodPlane:
         The plane.
 
     Raises:
-        UserError: There are too few touches (`user.wood_few_touches`), they lie nearly on a line or too near to each
-            other (`user.wood_degenerate`), or not on a plane (`user.wood_not_flat`).
+        UserError: There are too few touches, they lie nearly on a line or too near to each
+            other, or not on a plane.
     """
     if len(p) < MIN_TOUCHES:
-        raise UserError(
-            f"{len(p)} touches of the wood: give {MIN_TOUCHES} or more; a fourth reveals a wrong one",
-            code="user.wood_few_touches",
-        )
+        raise UserError(f"{len(p)} touches of the wood: give {MIN_TOUCHES} or more; a fourth reveals a wrong one")
     _check_spread(p[:, :2])
     A = np.column_stack([np.ones(len(p)), p[:, :2] - at])
     (height, *rise), *_ = np.linalg.lstsq(A, p[:, 2], rcond=None)
@@ -108,8 +105,7 @@ def _check_spread(xy: Array) -> None:
     raise UserError(
         f"the touches of the wood lie {where}: up to {longest * 1e3:.0f} mm apart, but only {width * 1e3:.0f} mm wide "
         f"across that. {MIN_WIDTH * 1e3:.0f} mm are needed. Touch once more, "
-        f"{(MIN_WIDTH - width) * 1e3:.0f} mm further out across the line",
-        code="user.wood_degenerate",
+        f"{(MIN_WIDTH - width) * 1e3:.0f} mm further out across the line"
     )
 
 
@@ -127,16 +123,14 @@ def _check_flat(A: Array, residuals: Array, sigma: float) -> None:
         least, most = np.min(np.abs(off)) * 1e3, np.max(np.abs(off)) * 1e3
         raise UserError(
             f"the four touches of the wood are not on a plane: each is {least:.1f} to {most:.1f} mm off that of the "
-            f"others, {more}. One met something else. Touch once more to find it; {warped}",
-            code="user.wood_not_flat",
+            f"others, {more}. One met something else. Touch once more to find it; {warped}"
         )
     # The most unlikely one, by how well the plane of the others is known at its place.
     worst = int(np.argmax(np.abs(residuals) / np.sqrt(np.maximum(1.0 - leverage, 1e-9))))
     side = "above" if off[worst] > 0 else "below"
     raise UserError(
         f"touch {worst + 1} of the wood is {abs(off[worst]) * 1e3:.1f} mm {side} the plane of the others, {more}: "
-        f"touch there again; {warped}",
-        code="user.wood_not_flat",
+        f"touch there again; {warped}"
     )
 
 
@@ -218,18 +212,17 @@ def locate_nail(Xs_base_flange: Sequence[Array], p_flange_tip: Array, touch_erro
         The nail.
 
     Raises:
-        UserError: There are too few touches (`user.nail_few_touches`), or they disagree (`user.nail_spread`).
+        UserError: There are too few touches, or they disagree.
     """
     if len(Xs_base_flange) < MIN_TOUCHES:
-        raise UserError(f"{len(Xs_base_flange)} touches: give {MIN_TOUCHES} or more", code="user.nail_few_touches")
+        raise UserError(f"{len(Xs_base_flange)} touches: give {MIN_TOUCHES} or more")
     p = transform_points(np.asarray(Xs_base_flange), p_flange_tip[None])[:, 0]
     head = np.median(p, axis=0)
     off = np.linalg.norm(p - head, axis=1)
     if off.max() > LARGEST_SPREAD:
         raise UserError(
             f"touch {int(np.argmax(off)) + 1} is {off.max() * 1e3:.1f} mm from the others: touch the middle of the "
-            "head again, and check the tip with `toolee calibrate mount`",
-            code="user.nail_spread",
+            "head again, and check the tip with `toolee calibrate mount`"
         )
     covariance = np.diag(touch_error**2 + p.var(axis=0, ddof=1) / len(p))
     return LocatedNail(head, float(off.max()), covariance)
@@ -256,15 +249,13 @@ def see_nail(
         The nail.
 
     Raises:
-        UserError: The board is not seen (`user.board_not_seen`), or so that its tilt is ambiguous; it has another size
-            (`user.board_size`), or lies on no upright block's top
-            (`user.wood_tilted`).
+        UserError: The board is not seen, or so that its tilt is ambiguous; it has another size, or lies on
+            no upright block's top.
     """
     view = find_board(rgb, board)
     if view is None:
         raise UserError(
-            "no board is seen in the image. Check --sheet, and that the board is whole, flat, well lit and near",
-            code="user.board_not_seen",
+            "no board is seen in the image. Check --sheet, and that the board is whole, flat, well lit and near"
         )
     seen = see_board(camera, board, view, rgb)
     if depth is not None:
@@ -275,8 +266,7 @@ def see_nail(
     if tilt > LARGEST_TILT:
         raise UserError(
             f"the board is tilted by {np.rad2deg(tilt):.1f}°, and {np.rad2deg(LARGEST_TILT):.0f} are allowed. Lay "
-            "it flat on the wood, level the wood, or check the camera's calibration (`toolee calibrate check`)",
-            code="user.wood_tilted",
+            "it flat on the wood, level the wood, or check the camera's calibration (`toolee calibrate check`)"
         )
     p_board = np.array([*on_wood.p_board_nail, on_wood.thickness])
     entry, covariance = seen.point(p_board)
@@ -303,8 +293,7 @@ def _check_size(X_camera_board: Array, board: Board, camera: KnownCamera, depth:
         raise UserError(
             f"by its size the board is {points[:, 2].mean():.3f} m away, by the depth image {ratio:.3f} times as "
             f"far. Its squares seem to be {ratio * board.square * 1e3:.1f} mm, not {board.square * 1e3:.1f}. Check "
-            "--sheet, and measure both scale bars again",
-            code="user.board_size",
+            "--sheet, and measure both scale bars again"
         )
 
 
@@ -338,15 +327,14 @@ def check_height(
         protrusion_error: Standard deviation of the nail's height [m].
 
     Raises:
-        UserError: The two disagree (`user.nail_disagrees`).
+        UserError: The two disagree.
     """
     off = wood_height - foot[2]
     if off**2 > (sigma**2 + protrusion_error**2) * chi2.ppf(AGREES, 1):
         raise UserError(
             f"by touch the nail stands {(head[2] - wood_height) * 1e3:.1f} mm over the wood, but "
             f"work.nail_protrusion says {protrusion * 1e3:.1f}. Measure it again, and repeat touches that missed "
-            "the middle of the head or the wood",
-            code="user.nail_disagrees",
+            "the middle of the head or the wood"
         )
 
 
@@ -370,7 +358,7 @@ def combine(
         The nail.
 
     Raises:
-        UserError: The two disagree by more than their covariances explain (`user.nail_disagrees`).
+        UserError: The two disagree by more than their covariances explain.
     """
     entry = foot_of(touched.head, seen.up, protrusion, lean)
     covariance = touched.covariance + protrusion_error**2 * np.outer(seen.up, seen.up)
@@ -379,8 +367,7 @@ def combine(
         raise UserError(
             f"camera and touches disagree by ({off[0] * 1e3:+.1f}, {off[1] * 1e3:+.1f}, {off[2] * 1e3:+.1f}) mm, "
             "more than their errors explain. Check the tip (`toolee calibrate mount`), the nail's position on the "
-            "board, the board's height above the wood, and the camera (`toolee calibrate check`)",
-            code="user.nail_disagrees",
+            "board, the board's height above the wood, and the camera (`toolee calibrate check`)"
         )
     gain = seen.covariance @ np.linalg.inv(both)
     return SeenNail(

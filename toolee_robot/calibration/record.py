@@ -274,7 +274,7 @@ def read_record(path: Path) -> CalibrationRecord:
         The record.
 
     Raises:
-        ConfigError: It cannot be read (`config.unreadable`), was altered (`config.calibration_altered`), or is no valid
+        ConfigError: It cannot be read (`config.unreadable`), was altered, or is no valid
             record (`config.invalid`).
     """
     return _read_signed(path, CalibrationRecord, "camera calibration")
@@ -298,8 +298,7 @@ def _read_signed(path: Path, kind: type[T], what: str) -> T:
     if signature != _signature(data):
         raise ConfigError(
             f"{path} was altered since it was written: nothing in it can be relied on; take the original, or calibrate "
-            "again",
-            code="config.calibration_altered",
+            "again"
         )
     return to_record(data, path, kind, what)
 

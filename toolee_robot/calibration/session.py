@@ -150,7 +150,7 @@ def observe(folder: Path, session: Session, board: Board, fk: Callable[[Array], 
 
     Raises:
         UserError: An image is missing, or has another size than the intrinsics say; poses and joint positions disagree
-            (`user.calibration_half_turn`, `user.calibration_kinematics`), or the depth does not fit.
+            (`user.calibration_half_turn`), or the depth does not fit.
     """
     observations: list[Observation] = []
     joints: list[Row | None] = []
@@ -192,8 +192,7 @@ def _flange(pose: SessionPose, session: Session, fk: Callable[[Array], Array]) -
             )
         raise UserError(
             f"{pose.image}: X_base_flange is {np.linalg.norm(X[:3, 3] - by_joints[:3, 3]) * 1e3:.0f} mm from the "
-            "flange by the joint positions. Is a TCP set, or is it another arm's model?",
-            code="user.calibration_kinematics",
+            "flange by the joint positions. Is a TCP set, or is it another arm's model?"
         )
     return X
 

@@ -108,18 +108,16 @@ def locate_tip(Xs_base_flange: Sequence[Array]) -> Tip:
         The tip.
 
     Raises:
-        UserError: There are too few touches (`user.tip_few_touches`), they turn the flange too little
-            (`user.tip_degenerate`), or do not agree (`user.tip_residual`).
+        UserError: There are too few touches, they turn the flange too little, or do not agree.
     """
     if len(Xs_base_flange) < MIN_TOUCHES:
-        raise UserError(f"{len(Xs_base_flange)} touches: give {MIN_TOUCHES} or more", code="user.tip_few_touches")
+        raise UserError(f"{len(Xs_base_flange)} touches: give {MIN_TOUCHES} or more")
     spread = motion_spread(Xs_base_flange)
     if not spread.sufficient:
         raise UserError(
             f"the touches turn the flange by {np.rad2deg(spread.first):.0f}°, and by "
             f"{np.rad2deg(spread.second):.0f}° about an axis across it. Both need {np.rad2deg(MIN_ROTATION):.0f}°, "
-            "or the tip is undetermined along an axis",
-            code="user.tip_degenerate",
+            "or the tip is undetermined along an axis"
         )
     X = np.asarray(Xs_base_flange)
     A = np.concatenate([X[:, :3, :3], np.tile(-np.eye(3), (len(X), 1, 1))], axis=2).reshape(-1, 6)
@@ -130,8 +128,7 @@ def locate_tip(Xs_base_flange: Sequence[Array]) -> Tip:
     if residual > LARGEST_RESIDUAL:
         raise UserError(
             f"the touches are {residual * 1e3:.1f} mm apart, touch {int(np.argmax(residuals)) + 1} the most: did the "
-            "tip leave the point, or are these another arm's kinematics?",
-            code="user.tip_residual",
+            "tip leave the point, or are these another arm's kinematics?"
         )
     variance = float(np.sum(off**2)) / (A.shape[0] - A.shape[1])
     covariance = variance * np.linalg.inv(A.T @ A)[:3, :3]

@@ -70,9 +70,7 @@ class ArmOptions(JsonOption):
         if self.yes:
             raise UserError(f"leave --yes out: {host} may be a real robot, and a person confirms its motions")
         if self.config is None:
-            raise UserError(
-                f"--robot-host {host} also needs --config, the station file of the robot", code="user.no_station"
-            )
+            raise UserError(f"--robot-host {host} also needs --config, the station file of the robot")
         return load_lab_station(self.config), host
 
     def caps(self) -> Caps:

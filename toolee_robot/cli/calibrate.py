@@ -275,7 +275,7 @@ class Check(JsonOption):
         board = SHEETS[self.sheet].board.measured(*_metres(self.bars_mm))
         view = find_board(read_image(self.image, record.intrinsics), board)
         if view is None:
-            raise UserError(f"no board in {self.image}: move it nearer, or add light", code="user.board_not_seen")
+            raise UserError(f"no board in {self.image}: move it nearer, or add light")
         seen = see_corner(record, board, view, self.corner)
         X = BaseFrame(self.frame).X_base_this
         touched = X[:3, :3] @ (np.array(self.touched_mm) / 1e3)

@@ -156,8 +156,7 @@ def require_terminal(what: str, yes: str) -> None:
     """
     if not sys.stdin.isatty():
         raise UserError(
-            f"{what} at the terminal, but standard input is not a terminal. Start this command from a terminal ({yes})",
-            code="user.no_terminal",
+            f"{what} at the terminal, but standard input is not a terminal. Start this command from a terminal ({yes})"
         )
 
 
@@ -173,7 +172,7 @@ def confirm_typed(console: Console, question: str) -> None:
     """
     console.print(f"{escape(question)} [bold]Type {YES}:[/bold]", end=" ", soft_wrap=True)
     if sys.stdin.readline().strip() != YES:
-        raise PersonNearError("not confirmed: nothing was moved", code="person_near.not_confirmed")
+        raise PersonNearError("not confirmed: nothing was moved")
 
 
 class TerminalPerson:
@@ -202,7 +201,7 @@ class TerminalPerson:
             return
         self._console.print(f"{question} [bold]Enter: yes. n, Enter: no.[/bold] Then any key stops it.", end=" ")
         if sys.stdin.readline() != "\n":
-            raise PersonNearError("not confirmed: nothing was moved", code="person_near.not_confirmed")
+            raise PersonNearError("not confirmed: nothing was moved")
 
     @contextmanager
     def attending(self) -> Iterator[None]:

@@ -114,10 +114,7 @@ class Trials(JsonOption):
                 code="user.option",
             )
         if not (console.is_terminal and sys.stdin.isatty()):
-            raise UserError(
-                "a person runs this plan at the terminal, and there is none. Start it from a terminal",
-                code="user.no_terminal",
-            )
+            raise UserError("a person runs this plan at the terminal, and there is none. Start it from a terminal")
         lead_trials(plan, out, lambda question: console.input(question, markup=False), tell, partial(_job, console))
 
 

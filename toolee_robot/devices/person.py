@@ -260,7 +260,7 @@ def open_person(config: StationConfig, arm: Arm, clock: Clock, tell: Callable[[s
         The person, not yet entered.
 
     Raises:
-        ConfigError: The station file names no inputs; code `config.no_person`.
+        ConfigError: The station file names no inputs.
     """
     return DigitalInputPerson(check_wired(config), lambda age: arm.state(age).digital_inputs, clock, tell)
 
@@ -275,13 +275,12 @@ def check_wired(config: StationConfig) -> PersonConfig:
         The inputs.
 
     Raises:
-        ConfigError: The station file names none; code `config.no_person`.
+        ConfigError: The station file names none.
     """
     if config.person is None:
         raise ConfigError(
             "the station file has no `person`. Enter the inputs of door and hold-to-run switch; without them "
-            "nothing fast moves",
-            code="config.no_person",
+            "nothing fast moves"
         )
     return config.person
 

@@ -191,9 +191,7 @@ class RunHistory:
             ConfigError: This version cannot read it.
         """
         if "station.json" not in self.attachments:
-            raise UserError(
-                "the recording holds no station: only a job's recording can be shown", code="user.no_station_recorded"
-            )
+            raise UserError("the recording holds no station: only a job's recording can be shown")
         recorded = _completed(json.loads(self.attachments["station.json"]), plain(asdict(sim_station())))
         if isinstance(strike := recorded.get("strike"), dict) and strike.get("deepest") is None:
             del strike["deepest"]  # of a straight strike, which older versions had

@@ -32,7 +32,7 @@ class McapFile:
         path: The file.
 
     Raises:
-        UserError: It cannot be opened; code `user.recording_not_writable`.
+        UserError: It cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
@@ -40,7 +40,7 @@ class McapFile:
             self._sink = _Sink(path)
         except OSError as error:
             message = f"cannot write the recording {path}: {words_of(error)}"
-            raise UserError(message, code="user.recording_not_writable") from error
+            raise UserError(message) from error
         self._context = Context()
         options = MCAPWriteOptions(chunk_size=CHUNK_SIZE, disable_seeking=True)
         self._writer = open_mcap(self._sink, context=self._context, writer_options=options)

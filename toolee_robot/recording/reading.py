@@ -143,11 +143,11 @@ def finish_copy(source: Path, target: Path) -> int:
         Number of messages.
 
     Raises:
-        UserError: The target exists or cannot be written, code `user.recording_not_writable`; nothing can be read of
+        UserError: The target exists or cannot be written; nothing can be read of
             the source, code `user.recording_unreadable`.
     """
     if target.exists():
-        raise UserError(f"{target} exists: name a new file", code="user.recording_not_writable")
+        raise UserError(f"{target} exists: name a new file")
     beside = target.with_name(f".{target.name}.partial")
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
@@ -176,7 +176,7 @@ def finish_copy(source: Path, target: Path) -> int:
         records.read(take)
         file.close()
         if file.failure is not None:
-            raise UserError(f"cannot write {target}: {words_of(file.failure)}", code="user.recording_not_writable")
+            raise UserError(f"cannot write {target}: {words_of(file.failure)}")
         if not count:
             raise _unreadable(source, records.damage or "nothing can be read of it")
         beside.rename(target)

@@ -59,12 +59,10 @@ def checked(device: str) -> str:
     """
     _start()
     if device not in ("cpu", "cuda"):
-        raise UserError(f"--device {device}: choose cpu or cuda", code="user.device_unknown")
+        raise UserError(f"--device {device}: choose cpu or cuda")
     if device == "cuda":
         if not wp.is_cuda_available():
-            raise UserError(
-                "--device cuda: Warp finds no NVIDIA GPU, or its driver is too old; choose cpu", code="user.no_gpu"
-            )
+            raise UserError("--device cuda: Warp finds no NVIDIA GPU, or its driver is too old; choose cpu")
         _take_gpu(os.getpid() % wp.get_cuda_device_count())
     return device
 

@@ -52,10 +52,7 @@ def check_real_time_factor(real_time_factor: float, host: str) -> None:
         UserError: The factor is out of range, or not 1 for a robot that may be real.
     """
     if not MIN_REAL_TIME_FACTOR <= real_time_factor <= 1.0:
-        raise UserError(
-            f"real-time factor {real_time_factor}: give {MIN_REAL_TIME_FACTOR} to 1, which is real time",
-            code="user.real_time_factor",
-        )
+        raise UserError(f"real-time factor {real_time_factor}: give {MIN_REAL_TIME_FACTOR} to 1, which is real time")
     if real_time_factor != 1.0 and not is_loopback(host):
         raise UserError(
             f"real-time factor {real_time_factor} for {host!r}: a real robot runs in real time. Only an emulated "

@@ -57,4 +57,4 @@ def load(entry: EntryPoint) -> Any:
     except (ImportError, AttributeError) as error:
         source = entry.dist.name if entry.dist is not None else "an installed package"
         message = f"{source} names the driver {entry.name} as {entry.value}, which cannot be imported: {error}"
-        raise ConfigError(message, code="config.device_plugin") from error
+        raise ConfigError(message) from error

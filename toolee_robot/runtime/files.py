@@ -94,7 +94,7 @@ def claimed(folder: Path) -> Iterator[None]:
         folder: The folder, which exists.
 
     Raises:
-        UserError: Another process has claimed it (`user.folder_in_use`); the message has its number.
+        UserError: Another process has claimed it; the message has its number.
     """
     with (folder / ".claim").open("a+") as claim:
         try:
@@ -102,8 +102,7 @@ def claimed(folder: Path) -> Iterator[None]:
         except BlockingIOError:
             claim.seek(0)
             raise UserError(
-                f"{folder} is in use by process {claim.read()}: wait for it, or choose another --out",
-                code="user.folder_in_use",
+                f"{folder} is in use by process {claim.read()}: wait for it, or choose another --out"
             ) from None
         claim.truncate(0)
         claim.write(str(os.getpid()))
@@ -280,10 +279,7 @@ def run_folder(out: Path, name: str) -> Iterator[RunFolder]:
             path, n = out / f".{final.name}-{n}.partial", n + 1
         path.mkdir()
     except OSError as error:
-        raise UserError(
-            f"cannot write runs to {out}: {words_of(error)}; choose another --out",
-            code="user.runs_not_writable",
-        ) from error
+        raise UserError(f"cannot write runs to {out}: {words_of(error)}; choose another --out") from error
     folder = RunFolder(path, final)
     try:
         yield folder

@@ -115,14 +115,13 @@ def take_record(data: dict[str, Any], path: Path) -> tuple[dict[str, Any], Calib
 
     Raises:
         ConfigError: The record cannot be read or was altered, or the file gives what the record gives, or a pose that
-            is not given so (`config.camera_pose`).
+            is not given so.
     """
     camera = data.get("camera")
     if by_hand := [name for name in ("pose", "measured_pose") if isinstance(camera, dict) and name in camera]:
         raise ConfigError(
             f"{path}: camera.{by_hand[0]} cannot be given by hand. Name a calibration's record in "
-            f"{SECTION}.{FIELD}, or give another program's pose in camera.X_base_camera",
-            code="config.camera_pose",
+            f"{SECTION}.{FIELD}, or give another program's pose in camera.X_base_camera"
         )
     section = data.get(SECTION)
     if not isinstance(section, dict) or not isinstance(name := section.get(FIELD), str):
@@ -160,7 +159,7 @@ def check_record(
 
     Raises:
         ConfigError: They differ: the pose of the camera does not hold with other intrinsics
-            or another distortion (`config.calibration_intrinsics`) or kinematics (`config.calibration_kinematics`).
+            or another distortion (`config.calibration_intrinsics`) or kinematics.
     """
     if not record.intrinsics.agrees(intrinsics):
         raise ConfigError(
@@ -180,8 +179,7 @@ def check_record(
     if computed and record.kinematics != kinematics:
         raise ConfigError(
             f"{path}: the calibration was made with another arm.calibration. Restore that, or delete the section "
-            "`calibration` (of measured.yaml, if a command wrote it) and calibrate again",
-            code="config.calibration_kinematics",
+            "`calibration` (of measured.yaml, if a command wrote it) and calibrate again"
         )
 
 

@@ -132,7 +132,7 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
         where the file gives none.
 
     Raises:
-        ConfigError: The file gives `position` or `target` as well (`config.camera_pose_twice`), or what it gives is
+        ConfigError: The file gives `position` or `target` as well, or what it gives is
             neither form (`config.camera_pose_form`), has a quaternion whose norm is not 1
             (`config.camera_pose_quaternion`), is no rotation (`config.camera_pose_rotation`) but a mirror image
             (`config.camera_pose_reflection`), has another last row than 0 0 0 1 (`config.camera_pose_last_row`), or is
@@ -144,8 +144,7 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
     if given := [f"{CAMERA}.{name}" for name in LOOK_AT if camera.get(name) is not None]:
         raise ConfigError(
             f"{path}: {CAMERA}.{POSE_FIELD} is the whole pose, and {' and '.join(given)} give it again: leave out "
-            "one or the other",
-            code="config.camera_pose_twice",
+            "one or the other"
         )
     named = f"{path}: {CAMERA}.{POSE_FIELD}"
     value = camera[POSE_FIELD]

@@ -32,8 +32,7 @@ def is_current(data: Any, path: Path) -> bool:
         Whether it is; False for a file that names no version.
 
     Raises:
-        ConfigError: It is of the version before, or of one that this program does not know
-            (`config.version_unknown`).
+        ConfigError: It is of the version before, or of one that this program does not know.
     """
     told = data.get(VERSION_FIELD) if isinstance(data, dict) else None
     if told is None or (told == VERSION and not isinstance(told, bool)):
@@ -46,8 +45,7 @@ def is_current(data: Any, path: Path) -> bool:
         )
     raise ConfigError(
         f"{path}: {VERSION_FIELD} {told!r} is unknown{where}: this program reads version {VERSION}. Upgrade version "
-        "1 with toolee_robot 0.1 first. A newer file needs a newer toolee_robot",
-        code="config.version_unknown",
+        "1 with toolee_robot 0.1 first. A newer file needs a newer toolee_robot"
     )
 
 
@@ -59,8 +57,7 @@ def check_current(data: Any, path: Path) -> None:
         path: The file, for the error.
 
     Raises:
-        ConfigError: It names none or an older one, or an unknown one
-            (`config.version_unknown`).
+        ConfigError: It names none or an older one, or an unknown one.
     """
     if not is_current(data, path):
         raise ConfigError(
@@ -115,19 +112,17 @@ def take_frame(data: dict[str, Any]) -> BaseFrame:
         raise ConfigError(
             f"the station file gives {', '.join(given)}, but not their frame. Add `frame: pendant_base` if they "
             "were read from the teach pendant (feature Base), or `frame: base_link` if they are ROS's. The two "
-            "differ by half a turn about z",
-            code="config.no_frame",
+            "differ by half a turn about z"
         )
     if value not in list(BaseFrame):
         names = ", ".join(BaseFrame)
-        raise ConfigError(f"frame: {value!r} is unknown: give one of {names}", code="config.frame")
+        raise ConfigError(f"frame: {value!r} is unknown: give one of {names}")
     frame = BaseFrame(value)
     section, lower, upper = BOX
     if frame is BaseFrame.PENDANT_BASE and sum(f"{section}.{name}" in given for name in (lower, upper)) == 1:
         raise ConfigError(
             f"give both or none of {section}.{lower} and {section}.{upper} in the frame {frame}, because half a "
-            "turn swaps the corners",
-            code="config.frame_box",
+            "turn swaps the corners"
         )
     return frame
 

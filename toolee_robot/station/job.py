@@ -220,6 +220,5 @@ def check_enclosed(config: StationConfig, path: Path) -> None:
         f"another shape. In the hand it is {1e3 * along:.0f} mm from the face and {1e3 * beside:.0f} mm beside the "
         f"axis of the handle's cylinder. That cylinder is {1e3 * envelope.handle_length:.0f} mm long with a radius "
         f"of {1e3 * envelope.handle_radius:.0f} mm (handle_length, handle_radius, handle_depth "
-        f"{envelope.handle_depth:g}). Give `tool_envelope` as measured, or correct `tool.face`",
-        code="config.tool_envelope",
+        f"{envelope.handle_depth:g}). Give `tool_envelope` as measured, or correct `tool.face`"
     )

@@ -69,8 +69,7 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
     Raises:
         ConfigError: As `load_station`, or the file is of an older version, or leaves out what
             must be measured (`config.unmeasured`), or gives a size in another unit (`config.invalid`); the message
-            names it and its line, or that of its section; or the tool is outside of its cylinders
-            (`config.tool_envelope`).
+            names it and its line, or that of its section; or the tool is outside of its cylinders.
     """
     data = read_station(path)
     check_current(data, path)

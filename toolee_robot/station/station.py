@@ -246,8 +246,7 @@ def check_stop(arm: ArmLimits, path: Path) -> None:
     if arm.stop_acceleration < 0.999 * least:
         raise ConfigError(
             f"{path}: arm.stop_acceleration is {arm.stop_acceleration:g} rad/s². A stop during a strike needs 4/3 of "
-            f"arm.acceleration: give {least:.3g} or more, or lower arm.acceleration",
-            code="config.stop_acceleration",
+            f"arm.acceleration: give {least:.3g} or more, or lower arm.acceleration"
         )
 
 

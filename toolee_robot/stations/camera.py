@@ -63,14 +63,13 @@ def open_camera(
     if device is None:
         raise ConfigError(
             "camera.device is missing: give camera.device.driver, .serial and .least_range; `toolee camera list` shows "
-            "the cameras of this computer",
-            code="config.camera_device",
+            "the cameras of this computer"
         )
     if stream is None:
         driver = _driver(device.driver)
         if device.camera_class is not None and device.driver != AIRO:
             message = f"camera.device.camera_class is for the driver {AIRO}, not {device.driver}: leave it out"
-            raise ConfigError(message, code="config.camera_class")
+            raise ConfigError(message)
         stream = driver(config, device, clock)
     measured = config.intrinsics_record is not None
     stated = StatedLens(config.intrinsics, config.distortion, measured) if check_intrinsics else None
@@ -98,7 +97,7 @@ def toolkit_camera(name: str, serial: str, size: tuple[int, int], fps: int) -> C
     Raises:
         UserError: The toolkit is not installed (`user.missing_package`).
         ConfigError: The class cannot be imported, is no RGB-D camera of the toolkit, or cannot be told which camera to
-            open and how (`config.camera_class`); or the serial number of a ZED is no number (`config.camera_serial`).
+            open and how; or the serial number of a ZED is no number.
     """
     try:
         base = importlib.import_module("airo_camera_toolkit.interfaces").RGBDCamera
@@ -117,7 +116,7 @@ def toolkit_camera(name: str, serial: str, size: tuple[int, int], fps: int) -> C
     if "depth_mode" in taken:  # a ZED: without it there is no depth, and its SDK takes the serial number as an integer
         if not serial.isdecimal():
             message = f"camera.device.serial: {serial!r} is not a ZED's serial number, which has digits only"
-            raise ConfigError(message, code="config.camera_serial")
+            raise ConfigError(message)
         given |= {"depth_mode": kind.InitParams.NEURAL_DEPTH_MODE, "serial_number": int(serial)}
     return lambda: kind(**given)
 
@@ -129,7 +128,7 @@ def _driver(name: str) -> CameraDriver:
     if name not in others:
         known = ", ".join(sorted({*_DRIVERS, *others}))
         message = f"camera.device.driver {name!r} is unknown. Known drivers: {known}; docs/how-to/add_a_camera.md"
-        raise ConfigError(message, code="config.camera_driver")
+        raise ConfigError(message)
     driver: CameraDriver = load(others[name])
     return driver
 
@@ -166,7 +165,7 @@ def _class_of(name: str, base: type) -> Any:
 
 
 def _refused(name: str, why: str) -> ConfigError:
-    return ConfigError(f"camera.device.camera_class {name!r} {why}", code="config.camera_class")
+    return ConfigError(f"camera.device.camera_class {name!r} {why}")
 
 
 def _realsense(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraStream:
@@ -183,8 +182,7 @@ def _airo(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraSt
     if device.camera_class is None:
         raise ConfigError(
             "camera.device.camera_class is missing. Give the class of airo-camera-toolkit for the camera, such as "
-            "airo_camera_toolkit.cameras.zed.zed.Zed",
-            code="config.camera_class",
+            "airo_camera_toolkit.cameras.zed.zed.Zed"
         )
     make = toolkit_camera(device.camera_class, device.serial, (config.width, config.height), device.fps)
     return AiroStream(make, device.serial)
@@ -193,13 +191,13 @@ def _airo(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraSt
 def _refuse_exposure(device: CameraDevice) -> None:
     if device.exposure is not None:
         message = "camera.device.exposure: this driver does not set it; do so in the maker's viewer, and leave it out"
-        raise ConfigError(message, code="config.camera_exposure")
+        raise ConfigError(message)
 
 
 def _recorded(_config: CameraConfig, device: CameraDevice, clock: Clock) -> CameraStream:
     if device.folder is None:
         message = "camera.device.folder is missing: the folder of a recording by `toolee camera record`"
-        raise ConfigError(message, code="config.camera_folder")
+        raise ConfigError(message)
     return RecordedStream(Path(device.folder), clock)
 
 

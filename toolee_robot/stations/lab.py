@@ -169,9 +169,9 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         purpose: What the devices are for.
 
     Raises:
-        ConfigError: A field is missing (`config.station_lacks`), and the message names every one, such as `arm.host`;
-            or the camera is a recording (`config.recorded_camera`); or, for a job, the calibration is too old or of
-            another camera than the file's (`config.calibration`), or the camera measures no depth at any view;
+        ConfigError: A field is missing, and the message names every one, such as `arm.host`;
+            or the camera is a recording; or, for a job, the calibration is too old or of
+            another camera than the file's, or the camera measures no depth at any view;
             or the arm's base is tilted (`config.mounting_tilted`).
     """
     wanted: dict[str, object] = {
@@ -190,8 +190,7 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
                 wanted["hand.efforts"] = config.hand.efforts
     if missing := [name for name, value in wanted.items() if value is None]:
         raise ConfigError(
-            f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/first_nail.md",
-            code="config.station_lacks",
+            f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/first_nail.md"
         )
     check_upright(config.arm, str(purpose))
     device, calibration = config.camera.device, config.calibration
@@ -204,13 +203,10 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         )
     if device.driver == RECORDED:
         raise ConfigError(
-            f"camera.device.driver {RECORDED!r}: a recording cannot see {purpose}. Name the camera itself",
-            code="config.recorded_camera",
+            f"camera.device.driver {RECORDED!r}: a recording cannot see {purpose}. Name the camera itself"
         )
     if purpose is Purpose.JOB and calibration is not None:
         # What the file alone tells; the task asks the devices themselves.
         problems = calibration.problems(calibration.robot_serial, device.serial, date.today())
         if problems:
-            raise ConfigError(
-                f"the camera's calibration is not valid: {'; '.join(problems)}", code="config.calibration"
-            )
+            raise ConfigError(f"the camera's calibration is not valid: {'; '.join(problems)}")

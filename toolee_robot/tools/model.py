@@ -191,9 +191,7 @@ class ToolShape:
         for ee in self.ees:
             if ee.category == category:
                 return ee
-        raise UserError(
-            f"{self.name} has no {category}; it has {', '.join(self.categories)}", code="user.category_missing"
-        )
+        raise UserError(f"{self.name} has no {category}; it has {', '.join(self.categories)}")
 
     def sample_surface(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, NDArray[np.int64]]:
         """Sample the outer surface uniformly.

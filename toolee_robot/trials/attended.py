@@ -215,7 +215,7 @@ def lead_trials(plan: TrialPlan, folder: Path, ask: Ask, tell: Tell, job: Job) -
     Raises:
         UserError: The folder holds another plan's trials (`user.other_plan`); or as of `check_paper_weights`.
         AssetError: As of `check_paper_weights`.
-        ConfigError: The station file is not complete, or lacks a tool or nail of the plan (`config.plan`).
+        ConfigError: The station file is not complete, or lacks a tool or nail of the plan.
     """
     _check(plan, station_of(plan.where, None))
     with Results(plan, folder) as results:
@@ -247,14 +247,12 @@ def _check(plan: TrialPlan, station: StationConfig) -> None:
         if isinstance(tool, str) and tool != own:
             raise ConfigError(
                 f"tools: the station file's tool is {own or 'not given'}, the plan's {tool}. Give the plan the "
-                "tool's data, as `tool` of a station file; with another hammer's data the face misses",
-                code="config.plan",
+                "tool's data, as `tool` of a station file; with another hammer's data the face misses"
             )
     for nail in plan.nails:
         if isinstance(nail, str) and nail not in station.work.names:
             raise ConfigError(
-                f"nails: the station's are {', '.join(station.work.names)}, and the plan names {nail}: give its sizes",
-                code="config.plan",
+                f"nails: the station's are {', '.join(station.work.names)}, and the plan names {nail}: give its sizes"
             )
 
 

@@ -109,7 +109,7 @@ class Results:
 
     Raises:
         UserError: When it is entered: the folder holds another plan's trials (`user.other_plan`), its file is none of
-            trials (`user.no_results`), or another process works on them (`user.folder_in_use`).
+            trials (`user.no_results`), or another process works on them.
     """
 
     def __init__(self, plan: TrialPlan, folder: Path) -> None:

@@ -166,15 +166,15 @@ def run_trials(
         All results, in the plan's order.
 
     Raises:
-        UserError: The folder holds another plan's trials (`user.other_plan`), or a person is led through this one's
-            (`user.attended`); or as of `check_paper_weights`.
+        UserError: The folder holds another plan's trials (`user.other_plan`), or a person is led through this one's;
+            or as of `check_paper_weights`.
         AssetError: As of `check_paper_weights`.
         ConfigError: A file that the plan names cannot be read, or a field is wrong or missing.
         TooleeError: Jobs did not come to an end of their own; code `trials.crashed`. The others are done before it is
             raised, unless so many crash one after the other (`MOST_CRASHES`) that the plan is given up.
     """
     if plan.led:
-        raise UserError("a person is led through this plan's trials: `lead_trials`", code="user.attended")
+        raise UserError("a person is led through this plan's trials: `lead_trials`")
     with Results(plan, folder) as results:
         check_paper_weights(plan, results.records)
         todo = [task_of(plan, trial, folder) for trial in plan.order() if trial not in results.done]

@@ -177,8 +177,7 @@ def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
 
     Raises:
         AssetError: The weights are missing or unreadable.
-        UserError: They are for clouds of whole tools (`user.paper_column`), or others than those of the results
-            (`user.other_weights`).
+        UserError: They are for clouds of whole tools (`user.paper_column`), or others than those of the results.
     """
     if not plan.paper_weights:
         return
@@ -193,8 +192,7 @@ def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
     if before:
         raise UserError(
             f"{folder} holds other weights ({now[:12]}) than the finished trials used "
-            f"({', '.join(str(one)[:12] for one in before)}): restore those, or give another --out",
-            code="user.other_weights",
+            f"({', '.join(str(one)[:12] for one in before)}): restore those, or give another --out"
         )
 
 

@@ -40,5 +40,5 @@ def test_a_camera_that_cannot_be_opened_is_typed() -> None:
     def fail() -> SoftwareAiroCamera:
         raise ValueError("no device")
 
-    with raises(NoAnswerError, "no_answer.camera_refuses"):
+    with raises(NoAnswerError, says="cannot open the camera"):
         AiroStream(fail, "42").open()

@@ -102,7 +102,7 @@ def test_the_registration_agrees_with_the_sdks_own(recording: Path) -> None:
 def test_what_it_cannot_do_it_refuses(recording: Path) -> None:
     with raises(NoAnswerError, "no_answer.camera_missing"):
         OrbbecStream("no such", MODE).open()
-    with raises(NotReadyError, "not_ready.camera_mode") as raised:
+    with raises(NotReadyError, says="of 1280x720 at 30 Hz") as raised:
         stream(recording, CameraMode(1280, 720, 30)).open()
     assert "640x480" in str(raised.value)
 

@@ -195,7 +195,10 @@ def test_nobody_at_that_address(ability_model: HandModel) -> None:
         AbilityHand(ability_model, emulator.port, HostClock()),
     ):
         pass
-    with raises(NoAnswerError, "no_answer.hand_port"), AbilityHand(ability_model, "/dev/no-such-port", HostClock()):
+    with (
+        raises(NoAnswerError, says="cannot open the hand's port"),
+        AbilityHand(ability_model, "/dev/no-such-port", HostClock()),
+    ):
         pass
 
 

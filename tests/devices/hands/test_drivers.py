@@ -72,7 +72,7 @@ def test_one_motion_at_a_time_and_none_outside_of_its_block(rig: Rig) -> None:
             with raises(DeviceError, "device.busy"):
                 hand.open()
             hand.stop()
-            with raises(DeviceError, "device.stopped"):
+            with raises(DeviceError, says="the hand was stopped"):
                 closing.result(5.0)
             assert hand.state(2.0).joints.stamp > 0
     hand.stop()
@@ -129,7 +129,7 @@ def test_polling_loses_no_reply_and_no_memory(rig: Rig, duration: float, rates: 
 def test_nobody_is_there(rig: Rig) -> None:
     nowhere = {"/": "/dev/no_such_port", "t": "tcp://127.0.0.1:9", "w": "ws://127.0.0.1:9"}[rig.emulator.port[0]]
     hand = open_hand(replace(rig.config.hand, port=nowhere), HostClock())
-    with raises(NoAnswerError, "no_answer.hand_port"), hand:
+    with raises(NoAnswerError, says="hand.port"), hand:
         pass
     rig.emulator.faults.muted = True
     with raises(NoAnswerError, "no_answer.hand_silent"), rig.hand:
@@ -140,7 +140,7 @@ def test_nobody_is_there(rig: Rig) -> None:
 
 def test_a_serial_port_is_one_programs(rig: Rig) -> None:
     if rig.emulator.port.startswith("/"):
-        with rig.hand, raises(NoAnswerError, "no_answer.hand_port"), rig.hand:
+        with rig.hand, raises(NoAnswerError, says="hand.port"), rig.hand:
             pass
 
 

@@ -91,7 +91,10 @@ def serving(serve: Callable[[socket.socket], None]) -> Iterator[str]:
 
 
 def test_a_server_that_ends_every_connection_is_somebody_elses() -> None:
-    with serving(lambda connection: connection.close()) as port, raises(NoAnswerError, "no_answer.hand_port"):
+    with (
+        serving(lambda connection: connection.close()) as port,
+        raises(NoAnswerError, says="ends every connection at once"),
+    ):
         ModbusLine(port, 1)
 
 

@@ -113,7 +113,7 @@ def test_a_single_contact_that_is_stuck_never_proves_itself(stuck: int, missing:
         proof = PersonProof(person)
         assert eventually(lambda: not person.zone_occupied())
         proof.hold_to_run_held()
-        with raises(PersonNearError, "person_near.inputs_not_proven"):
+        with raises(PersonNearError, says="the person's inputs cannot be trusted"):
             proof.zone_occupied()
         assert any(missing in text for text in proof.missing)
 
@@ -130,7 +130,7 @@ def test_a_person_that_always_answers_no_is_not_believed() -> None:
         proof = PersonProof(person)
         later(panel.hold)
         assert proof.hold_switch("hold it", 2.0)
-        with raises(PersonNearError, "person_near.inputs_not_proven"):
+        with raises(PersonNearError, says="the person's inputs cannot be trusted"):
             proof.zone_occupied()
 
 
@@ -147,14 +147,14 @@ def test_what_is_assumed_for_want_of_data_is_no_change_that_was_seen() -> None:
         assert eventually(person.readings_certain)
         later(panel.hold)
         assert proof.hold_switch("hold it", 2.0)
-        with raises(PersonNearError, "person_near.inputs_not_proven"):
+        with raises(PersonNearError, says="the person's inputs cannot be trusted"):
             proof.zone_occupied()
         panel.dead = True
         assert eventually(person.zone_occupied)
         assert proof.zone_occupied()
         panel.dead = False
         assert eventually(person.readings_certain)
-        with raises(PersonNearError, "person_near.inputs_not_proven"):
+        with raises(PersonNearError, says="the person's inputs cannot be trusted"):
             proof.zone_occupied()
 
 
@@ -218,7 +218,7 @@ def test_a_fault_of_the_switch_is_none_of_the_door() -> None:
 
 def test_a_station_file_without_a_person_has_none(tmp_path: Path) -> None:
     arm: SimArm = SimArm.__new__(SimArm)  # never asked
-    with raises(ConfigError, "config.no_person"):
+    with raises(ConfigError, says="the station file has no `person`"):
         open_person(sim_station(), arm, CLOCK, print)
     (tmp_path / "lab.yaml").write_text("person: {door_closed_input: 0, hold_to_run_input: 2}")
     with pytest.raises(ConfigError, match="door_open_input"):

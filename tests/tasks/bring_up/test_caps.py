@@ -237,7 +237,7 @@ def test_caps_only_lower_the_limits_of_a_station() -> None:
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_cap_that_is_no_number_is_refused(value: float) -> None:
     for caps in ({"speed": value}, {"acceleration": value}):
-        with raises(UserError, code="user.cap"):
+        with raises(UserError, says="give a number of at least"):
             Caps(**caps)
 
 

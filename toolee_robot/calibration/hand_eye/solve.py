@@ -158,14 +158,11 @@ def start(observations: Sequence[Observation], Xs_camera_board: Sequence[Array])
         The estimate.
 
     Raises:
-        UserError: There is none (`user.calibration_no_solution`).
+        UserError: There is none.
     """
     found = closed_form([o.X_base_flange for o in observations], Xs_camera_board)
     if found is None:
-        raise UserError(
-            "OpenCV finds no calibration for these poses: are they of this robot and this board?",
-            code="user.calibration_no_solution",
-        )
+        raise UserError("OpenCV finds no calibration for these poses: are they of this robot and this board?")
     return found
 
 

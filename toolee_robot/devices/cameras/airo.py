@@ -50,7 +50,7 @@ class AiroStream:
         except Exception as error:  # whatever a maker's library raises
             what = f"airo-camera-toolkit cannot open the camera {self._serial}"
             message = f"{what} ({words_of(error)}): check cable and settings"
-            raise NoAnswerError(message, code="no_answer.camera_refuses") from error
+            raise NoAnswerError(message) from error
         self._camera = camera
         lens = Lens(CameraIntrinsics(fx, fy, cx, cy, int(width), int(height)), LensModel.UNKNOWN)
         return CameraProfile(type(camera).__name__, self._serial, lens, fps)

@@ -135,8 +135,7 @@ class OrbbecStream:
             self.close()
             raise NoAnswerError(
                 f"the Orbbec {self._serial} cannot be opened ({error}): close other programs that use it, or plug it "
-                "in again",
-                code="no_answer.camera_refuses",
+                "in again"
             ) from error
         except BaseException:
             self.close()
@@ -156,7 +155,7 @@ class OrbbecStream:
         first = pipeline.wait_for_frames(int(START_TIME * 1e3))
         if first is None:
             message = f"the Orbbec {self._serial} gives no pair of images: take a port of USB 3, or another mode"
-            raise NoAnswerError(message, code="no_answer.camera_refuses")
+            raise NoAnswerError(message)
         extrinsics = depth.get_extrinsic_to(color)
         R = np.array(extrinsics.rot, np.float64).reshape(3, 3)
         info = device.get_device_info()
@@ -226,8 +225,7 @@ class OrbbecStream:
             has = ", ".join(sorted({f"{m.get_width()}x{m.get_height()}" for m in modes})) or "none"
             raise NotReadyError(
                 f"the Orbbec has no {sensor.name} of {mode.width}x{mode.height} at {mode.fps} Hz (sizes at this rate: "
-                f"{has}): choose another size or rate",
-                code="not_ready.camera_mode",
+                f"{has}): choose another size or rate"
             )
         return fitting[0]
 

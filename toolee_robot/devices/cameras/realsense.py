@@ -112,8 +112,7 @@ class RealSenseStream:
             self.close()
             raise NoAnswerError(
                 f"the RealSense {self._serial} cannot be opened ({error}): close other programs that use it, or plug "
-                "it in again",
-                code="no_answer.camera_refuses",
+                "it in again"
             ) from error
         except BaseException:
             self.close()
@@ -248,8 +247,7 @@ class RealSenseStream:
             has = ", ".join(sorted({f"{p.width()}x{p.height()}" for _, p in modes})) or "none"
             raise NotReadyError(
                 f"the RealSense has no {stream.name} image of {mode.width}x{mode.height} at {mode.fps} Hz (sizes at "
-                f"this rate: {has}). Choose another size or rate, and a USB 3 port",
-                code="not_ready.camera_mode",
+                f"this rate: {has}). Choose another size or rate, and a USB 3 port"
             )
         return fitting[0]
 
@@ -262,13 +260,12 @@ class RealSenseStream:
         unit = _STEREO_EXPOSURE_UNIT if sensor.is_depth_sensor() else _COLOR_EXPOSURE_UNIT
         if not (sensor.supports(auto) and sensor.supports(exposure)):
             message = "this RealSense's exposure cannot be set: leave out camera.device.exposure"
-            raise NotReadyError(message, code="not_ready.camera_exposure")
+            raise NotReadyError(message)
         allowed, value = sensor.get_option_range(exposure), round(self._mode.exposure / unit)
         if not allowed.min <= value <= allowed.max:
             raise NotReadyError(
                 f"an exposure of {self._mode.exposure:g} s is not this camera's: give camera.device.exposure from "
-                f"{allowed.min * unit:g} to {allowed.max * unit:g}",
-                code="not_ready.camera_exposure",
+                f"{allowed.min * unit:g} to {allowed.max * unit:g}"
             )
         _set(sensor, auto, 0.0)
         _set(sensor, exposure, float(value))

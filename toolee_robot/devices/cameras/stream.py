@@ -291,8 +291,7 @@ class FrameGate:
     @staticmethod
     def _jumped(by: float, where: str) -> DeviceError:
         return DeviceError(
-            f"the camera's clock jumped {where} by {by:.2f} s, so no frame's time is known: open it again",
-            code="device.camera_clock",
+            f"the camera's clock jumped {where} by {by:.2f} s, so no frame's time is known: open it again"
         )
 
 

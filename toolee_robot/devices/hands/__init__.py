@@ -61,7 +61,7 @@ def wired_hand(model: str) -> WiredHandKind | None:
         The kind; None where there is none of that name, or its package brings a driver alone.
 
     Raises:
-        ConfigError: What a package names cannot be imported (`config.device_plugin`).
+        ConfigError: What a package names cannot be imported.
     """
     if model in HAND_FILES:
         found = import_module(f"{__name__}.{HAND_FILES[model]}").KIND
@@ -146,7 +146,7 @@ def _check_address(config: HandConfig, kind: WiredHandKind) -> None:
     """Refuse a port or a number that a kind of hand cannot have."""
     if config.hand_id is not None and not kind.numbered:
         message = f"hand.hand_id: {config.model} has no number, its port is an address; remove the field"
-        raise ConfigError(message, code="config.hand_id")
+        raise ConfigError(message)
     port = config.port
     if port is None:
         return

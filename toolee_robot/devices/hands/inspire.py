@@ -284,7 +284,7 @@ class ModbusLine(InspireLine):
             if error.code != UNPLUGGED:
                 raise
             message = f"the hand at {port} ends every connection at once: does another program use it?"
-            raise NoAnswerError(message, code="no_answer.hand_port") from error
+            raise NoAnswerError(message) from error
 
     def _learn_shift(self) -> None:
         """Wait for two replies in a row that shift the transaction identifier alike."""

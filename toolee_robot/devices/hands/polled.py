@@ -305,7 +305,7 @@ class PolledHand(ABC, Generic[LineT, SaidT]):
             if str(reading.fault) != had:
                 reading.refuse_fault()
             if self._stopped.is_set():
-                raise DeviceError("the hand was stopped; it keeps its grip", code="device.stopped")
+                raise DeviceError("the hand was stopped; it keeps its grip")
             if np.max(np.abs(reading.closures - reference)[index]) > self._still:
                 reference, since = reading.closures, max(since, reading.stamp)
             elif reading.stamp - since >= STANDS_S and settled(reading):

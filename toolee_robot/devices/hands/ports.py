@@ -107,8 +107,7 @@ class SerialPort(Port):
             raise NoAnswerError(
                 f"cannot open the hand's port {path} ({words_of(error)}; this computer has "
                 f"{', '.join(serial_ports()) or 'no serial port'}): check hand.port, the cable, your rights to the "
-                "port, and that no other program uses it",
-                code="no_answer.hand_port",
+                "port, and that no other program uses it"
             ) from error
 
     def close(self) -> None:
@@ -146,7 +145,7 @@ class TcpPort(Port):
         except OSError as error:
             message = f"cannot connect to the hand at {path}: {words_of(error)}; check hand.port, its power, the cable"
             message += ", and that this computer has an address in the hand's network"
-            raise NoAnswerError(message, code="no_answer.hand_port") from error
+            raise NoAnswerError(message) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.settimeout(send_s)
 

@@ -188,7 +188,7 @@ class RosbridgeLine:
         except (OSError, InvalidHandshake, EOFError) as error:
             message = f"no rosbridge answers at {url}: {words_of(error)}; check hand.port, the network, and that"
             message += " rosbridge_websocket runs beside the hand"
-            raise NoAnswerError(message, code="no_answer.hand_port") from error
+            raise NoAnswerError(message) from error
         try:
             for controller in CONTROLLERS:
                 self._send(op="advertise", topic=f"{controller}/command", type="trajectory_msgs/JointTrajectory")

@@ -105,7 +105,7 @@ def find_hand(name: str) -> HandModel | None:
         The model; None where there is none of that name.
 
     Raises:
-        ConfigError: What a package names cannot be imported, or is no such model (`config.device_plugin`).
+        ConfigError: What a package names cannot be imported, or is no such model.
     """
     if name in HANDS:
         return HANDS[name]
@@ -115,7 +115,7 @@ def find_hand(name: str) -> HandModel | None:
     model = load(entry)
     if not isinstance(model, HandModel) or model.name != name:
         message = f"{entry.value}, named as {entry.name}, is no HandModel of the name {name!r}"
-        raise ConfigError(message, code="config.device_plugin")
+        raise ConfigError(message)
     return model
 
 
@@ -126,10 +126,10 @@ def _mounted(hand: HandModel, mounting: HandMounting | None) -> HandModel:
     if mounting is None:
         fields = ", ".join(f"hand.mounting.{name}" for name in HandMounting.__dataclass_fields__)
         message = f"the {hand.label} sits on the flange as a lab screws it on, so there is no default: measure it and"
-        raise ConfigError(f"{message} give {fields}", code="config.hand_mounting")
+        raise ConfigError(f"{message} give {fields}")
     if hand.mounted:
         message = f"hand.mounting: the model of the {hand.label} says how it sits on the flange; remove the field"
-        raise ConfigError(message, code="config.hand_mounting")
+        raise ConfigError(message)
     at_flange = replace(hand, X_flange_root=np.eye(4))
     X_root_hand = at_flange.tree.link_poses(at_flange.posture("open"))[hand.frame]
     return replace(hand, X_flange_root=mounting.X_flange_hand @ inverse(X_root_hand))

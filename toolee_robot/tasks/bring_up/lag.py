@@ -309,7 +309,7 @@ def tune(
                 motion = lag_motion(arm.state().q_commanded, joint, speed, slow.config.arm)
                 report = arm.execute(motion.trajectory)
                 if report.outcome is not MotionOutcome.COMPLETED:
-                    raise DeviceError("the arm was stopped during the measurement", code="device.stopped")
+                    raise DeviceError("the arm was stopped during the measurement")
                 trial = Trial(gain, lookahead, measure_lag(motion, report))
                 yield trial
                 if trial.bad:

@@ -65,7 +65,7 @@ class Caps:
             ("acceleration", self.acceleration, LEAST_ACCELERATION),
         ):
             if not (math.isfinite(value) and value >= least):
-                raise UserError(f"the {name} limit is {value}: give a number of at least {least:g}", code="user.cap")
+                raise UserError(f"the {name} limit is {value}: give a number of at least {least:g}")
 
     def apply(self, config: StationConfig) -> StationConfig:
         """Lower the limits of a station's arm.

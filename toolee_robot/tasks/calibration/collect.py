@@ -178,7 +178,7 @@ class Collector:
         Raises:
             PersonNearError: The hold-to-run switch was not taken, or was released.
             DeviceError: The arm was stopped, or a device does not answer.
-            UserError: The first images do not show the board (`user.board_not_seen`).
+            UserError: The first images do not show the board.
         """
         self.arm.set_payload(self._robot.description.hand_payload(self._robot.description.hand_open))
         shown: list[bool] = []
@@ -193,8 +193,7 @@ class Collector:
                     f"none of the first {UNSEEN} images shows the board. Look with `toolee camera show --config "
                     "FILE --picture seen.png`. Compare the camera with camera.position and camera.target: x and y "
                     "swapped, or half a turn of the base, are the usual mistakes. The print must face away from "
-                    "the flange, and --sheet must be its size",
-                    code="user.board_not_seen",
+                    "the flange, and --sheet must be its size"
                 )
         self._move(np.array(self._config.scene.home), "home")
 
@@ -213,7 +212,7 @@ class Collector:
             )
         report = self.arm.execute(way)
         if report.outcome is not MotionOutcome.COMPLETED:
-            raise DeviceError(f"the arm was stopped on the way to {name}", code="device.stopped")
+            raise DeviceError(f"the arm was stopped on the way to {name}")
         return True
 
     def _take(self, number: int) -> Taken:

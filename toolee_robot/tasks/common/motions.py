@@ -437,7 +437,7 @@ class Motions:
         if hand is not None and hand.doubted:
             raise GripDoubtError(f"the hand doubted its grip during the motion {name!r}, and still holds the tool")
         if report.outcome is MotionOutcome.STOPPED:
-            raise DeviceError(f"the arm was stopped during the motion {name!r}", code="device.stopped")
+            raise DeviceError(f"the arm was stopped during the motion {name!r}")
 
     def _report(self, name: str, report: MotionReport, watch: HandWatch | None) -> None:
         # A hand that no longer answers, or is gone, must not prevent the recording: any age of its state is accepted.

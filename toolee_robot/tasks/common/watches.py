@@ -23,9 +23,7 @@ MAX_DOUBTS = 3
 
 def _check_fault(state: HandState) -> None:
     if state.fault:
-        raise DeviceError(
-            f"the hand reports a fault ({state.fault}): no further strike. Check the hand", code="device.hand_fault"
-        )
+        raise DeviceError(f"the hand reports a fault ({state.fault}): no further strike. Check the hand")
 
 
 def check_held(hand: Hand, clock: Clock) -> None:
@@ -161,15 +159,13 @@ class PersonProof:
         """See `hal.Person`.
 
         Raises:
-            PersonNearError: Nobody seems to be inside, but the inputs are not proven; code
-                `person_near.inputs_not_proven`.
+            PersonNearError: Nobody seems to be inside, but the inputs are not proven.
         """
         occupied = self._read("zone", self._person.zone_occupied)
         if not occupied and self._missing:
             raise PersonNearError(
                 f"the person's inputs cannot be trusted yet ({'; '.join(self.missing)}): no fast motion. Check for "
-                "a stuck, bridged or unplugged input",
-                code="person_near.inputs_not_proven",
+                "a stuck, bridged or unplugged input"
             )
         return occupied
 
