@@ -25,6 +25,7 @@ from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.station import sim_station
 
 EMULATED = tuple(name for name in HANDS if name != "robotiq_2f140")
+OTHERS = tuple(name for name in EMULATED if name not in ("inspire", "shadow"))
 TIERS = {
     "simulated": pytest.mark.sim,
     "mount": pytest.mark.unit,
@@ -101,7 +102,7 @@ def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
         assert opened[len(rig.model.wrist) :].max(initial=0.0) < 0.1
 
 
-@on(*EMULATED, "lab", nightly=("simulated",))
+@on("inspire", "shadow", "lab", nightly=("simulated", *OTHERS))
 def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
     with rig.hand as hand:
         hand.close()
@@ -110,7 +111,7 @@ def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
         assert np.abs(bent).max() > rig.bends
 
 
-@on(*EMULATED, "lab", nightly=("simulated",))
+@on("inspire", "shadow", "lab", nightly=("simulated", *OTHERS))
 def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
     with rig.hand as hand:
         with raises(DeviceError, "device.timeout"):

@@ -115,7 +115,9 @@ def test_another_camera_and_another_lens_are_not_opened(kind: CameraKind) -> Non
         assert row.handled, row.why
 
 
-@KINDS
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.nightly if k else ()) for k, kind in enumerate(CAMERAS)], ids=_of
+)
 @pytest.mark.parametrize(("name", "calibration", "words"), CALIBRATIONS, ids=[name for name, *_ in CALIBRATIONS])
 def test_a_calibration_that_does_not_hold(
     bench: Bench, kind: CameraKind, name: str, calibration: None, words: str

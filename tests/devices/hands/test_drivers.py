@@ -53,11 +53,19 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
         yield Rig(replace(station, hand=config), emulator, hand.heats)
 
 
+_WIRES = ("inspire", "shadow")
+"""A serial line and a websocket: what the drivers' one base does is asked on these in every run, nightly on all."""
+by_wire = pytest.mark.parametrize(
+    "rig", [pytest.param(name, marks=() if name in _WIRES else pytest.mark.nightly) for name in HANDS], indirect=True
+)
+
+
 def moves(rig: Rig, before: Array) -> None:
     """Wait until the hand moves."""
     eventually(lambda: bool(np.abs(np.array(rig.emulator.angles) - before).max() > 5.0))
 
 
+@by_wire
 def test_one_motion_at_a_time_and_none_outside_of_its_block(rig: Rig) -> None:
     hand = rig.hand
     for _ in range(2):  # it can be entered again
@@ -78,6 +86,7 @@ def test_one_motion_at_a_time_and_none_outside_of_its_block(rig: Rig) -> None:
     hand.stop()
 
 
+@by_wire
 def test_an_unplugged_cable_is_told_within_50_ms_and_ends_a_motion(rig: Rig) -> None:
     with rig.hand as hand, ThreadPoolExecutor() as pool:
         hand.open()
@@ -97,9 +106,10 @@ def test_an_unplugged_cable_is_told_within_50_ms_and_ends_a_motion(rig: Rig) -> 
             hand.open()
 
 
+@by_wire
 @pytest.mark.parametrize(
     ("duration", "rates"),
-    [(1.5, {}), (1.5, NOISE), pytest.param(600.0, {}, marks=pytest.mark.nightly)],
+    [(1.5, {}), *(pytest.param(*case, marks=pytest.mark.nightly) for case in ((1.5, NOISE), (600.0, {})))],
     ids=["clean", "noisy", "ten minutes"],
 )
 def test_polling_loses_no_reply_and_no_memory(rig: Rig, duration: float, rates: dict[LineFault, float]) -> None:

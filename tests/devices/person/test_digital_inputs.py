@@ -190,11 +190,16 @@ def test_doctor_sees_each_change_once(config: PersonConfig, closed: bool) -> Non
 @pytest.mark.parametrize(
     ("config", "broken", "named"),
     [
-        (ONE_CONTACT, {"high": DOOR_CLOSED | SWITCH_HELD}, "stays high: stuck"),
-        (ONE_CONTACT, {"low": ALL}, "stays low: unplugged"),
-        (TWO_CONTACTS, {"high": DOOR_CLOSED | SWITCH_HELD}, "high: one is stuck"),
         (TWO_CONTACTS, {"low": ALL}, "low: unplugged"),
-        (TWO_CONTACTS, {"dead": True}, "no data"),
+        *(
+            pytest.param(*case, marks=pytest.mark.nightly)
+            for case in (
+                (ONE_CONTACT, {"high": DOOR_CLOSED | SWITCH_HELD}, "stays high: stuck"),
+                (ONE_CONTACT, {"low": ALL}, "stays low: unplugged"),
+                (TWO_CONTACTS, {"high": DOOR_CLOSED | SWITCH_HELD}, "high: one is stuck"),
+                (TWO_CONTACTS, {"dead": True}, "no data"),
+            )
+        ),
     ],
 )
 def test_doctor_names_what_is_stuck_or_unplugged(config: PersonConfig, broken: dict[str, Any], named: str) -> None:
