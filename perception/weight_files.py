@@ -20,7 +20,7 @@ from safetensors.torch import save as serialised
 
 from toolee_robot.errors import AssetError, words_of
 from toolee_robot.runtime.files import read_json, read_text, sha256, write_atomic, written_whole
-from toolee_robot.runtime.interrupts import interrupts_held
+from toolee_robot.runtime.processes import interrupts_held
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
 """Folder of the shipped weights."""

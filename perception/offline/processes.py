@@ -16,8 +16,7 @@ from typing import Any, Generic, ParamSpec, Self, TypeVar
 import cv2
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.runtime.interrupts import interrupts_blocked
-from toolee_robot.runtime.process_environment import ONE_THREAD, environment
+from toolee_robot.runtime.processes import ONE_THREAD, environment, interrupts_blocked
 
 P = ParamSpec("P")
 T = TypeVar("T")

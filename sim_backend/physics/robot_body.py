@@ -10,7 +10,7 @@ import numpy as np
 from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription, WristJoint, write_urdf
 from toolee_robot.robots.tree import fuse_links
-from toolee_robot.runtime.interrupts import interrupts_held
+from toolee_robot.runtime.processes import interrupts_held
 from toolee_robot.sim_backend.physics.bodies import pb, pose_matrix, quiet
 from toolee_robot.sim_backend.physics.joint_springs import JointSprings
 from toolee_robot.types import Payload

@@ -11,8 +11,7 @@ import numpy as np
 
 from tests.rigs.wired_hands import WiredHand
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
-from toolee_robot.devices.hands import open_hand
-from toolee_robot.devices.hands.mount import MountedTool
+from toolee_robot.devices.hands import MountedTool, open_hand
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
 from toolee_robot.robots import SHADOW_HAND, HandModel, hand_model

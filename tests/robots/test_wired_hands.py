@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from toolee_robot.devices.hands import open_hand
+from toolee_robot.devices.hands import MountedTool, open_hand
 from toolee_robot.devices.hands.ability import AbilityHand
 from toolee_robot.devices.hands.inspire import InspireHand
-from toolee_robot.devices.hands.mount import MountedTool
 from toolee_robot.devices.hands.shadow import ShadowHand
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from toolee_robot.app.sources import Opened
 from toolee_robot.control.tool_weight import ToolWeight
 from toolee_robot.robots import hand_model
-from toolee_robot.runtime.process_environment import code_version
+from toolee_robot.runtime.processes import code_version
 from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome
 from toolee_robot.tools import Tool
 

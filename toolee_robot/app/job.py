@@ -20,9 +20,8 @@ from toolee_robot.recording.mcap_file import tool_model
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.runtime.files import RunFolder, json_line, run_folder, write_atomic
-from toolee_robot.runtime.interrupts import interrupts_held
 from toolee_robot.runtime.latency_monitor import LatencyMonitor, gc_settled
-from toolee_robot.runtime.process_environment import code_version
+from toolee_robot.runtime.processes import code_version, interrupts_held
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.task import HammeringTask

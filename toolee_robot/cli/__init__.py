@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import Any
 
-from toolee_robot.runtime.interrupts import SIGNALS, raise_interrupts, restore_interrupts
+from toolee_robot.runtime.processes import SIGNALS, raise_interrupts, restore_interrupts
 
 EXIT_INTERRUPTED = 130
 INTERRUPTED_LINE = '{"error": {"code": "interrupted", "message": "interrupted before there was a result"}}\n'

@@ -19,26 +19,3 @@ from toolee_robot.hal.arm import (
 )
 from toolee_robot.hal.device import ClearsFaults, Clock, Device, Hand, HandState, KeepsCourse, RgbdCamera
 from toolee_robot.hal.station import CLEAR_TIME, Person, Station, wait_until_clear
-
-__all__ = [
-    "CLEAR_TIME",
-    "ZERO_TIME",
-    "Arm",
-    "ArmState",
-    "ArmStatus",
-    "ClearsFaults",
-    "Clock",
-    "ContactGuard",
-    "Device",
-    "Hand",
-    "HandGuidedArm",
-    "HandState",
-    "KeepsCourse",
-    "MotionOutcome",
-    "MotionReport",
-    "MotionWatch",
-    "Person",
-    "RgbdCamera",
-    "Station",
-    "wait_until_clear",
-]

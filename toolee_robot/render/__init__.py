@@ -6,5 +6,3 @@ Embree (CPU) or Warp (GPU) intersects the rays; Warp kernels shade the hits on e
 from toolee_robot.render.material import Body, Environment, Light, Lobe, Material, Pattern, Rendering, Scene
 from toolee_robot.render.mesh import Mesh
 from toolee_robot.render.renderer import render
-
-__all__ = ["Body", "Environment", "Light", "Lobe", "Material", "Mesh", "Pattern", "Rendering", "Scene", "render"]

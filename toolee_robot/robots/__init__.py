@@ -33,25 +33,3 @@ from toolee_robot.robots.hands import (
 from toolee_robot.robots.hands.model import wrap_fingers
 from toolee_robot.robots.tree import FLANGE_FRAME
 from toolee_robot.robots.urdf import write_urdf
-
-__all__ = [
-    "ARM_JOINTS",
-    "FLANGE_FRAME",
-    "HANDS",
-    "MOUNT",
-    "PALM",
-    "SHADOW_HAND",
-    "SHAPE_MARGIN",
-    "HandChoice",
-    "HandModel",
-    "NominalGrasp",
-    "RobotDescription",
-    "WristJoint",
-    "arm_link_poses",
-    "arm_meshes",
-    "find_hand",
-    "hand_model",
-    "load_robot",
-    "wrap_fingers",
-    "write_urdf",
-]

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from toolee_robot.errors import TooleeError, UserError, words_of
 from toolee_robot.runtime.clock import is_loopback
-from toolee_robot.runtime.process_environment import ONE_THREAD
+from toolee_robot.runtime.processes import ONE_THREAD
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -30,25 +30,3 @@ from toolee_robot.tools.model import (
     ToolShape,
     tool_name,
 )
-
-__all__ = [
-    "NAIL_DRIVERS",
-    "SWUNG_MASS",
-    "TOOL_SPECS",
-    "EndEffector",
-    "Family",
-    "Handle",
-    "Material",
-    "Part",
-    "SolidPart",
-    "Tool",
-    "ToolKind",
-    "ToolShape",
-    "ToolSpec",
-    "kinds_of",
-    "make_tool",
-    "split",
-    "test_seeds",
-    "tool_name",
-    "train_seeds",
-]

@@ -10,5 +10,3 @@ from toolee_robot.trials.plan import Trial, TrialPlan, load_plan
 from toolee_robot.trials.report import write_report
 from toolee_robot.trials.results import Record
 from toolee_robot.trials.run import run_trials
-
-__all__ = ["Record", "Trial", "TrialPlan", "lead_trials", "load_plan", "run_trials", "write_report"]

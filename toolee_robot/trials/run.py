@@ -26,8 +26,7 @@ from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.runtime.interrupts import interrupts_blocked, raise_interrupts
-from toolee_robot.runtime.process_environment import ONE_THREAD, environment
+from toolee_robot.runtime.processes import ONE_THREAD, environment, interrupts_blocked, raise_interrupts
 from toolee_robot.trials.plan import Trial, TrialPlan
 from toolee_robot.trials.results import Happened, Record, Results
 from toolee_robot.trials.tasks import Job, Task, check_paper_weights, run_task, task_of

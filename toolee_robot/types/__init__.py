@@ -24,26 +24,3 @@ from toolee_robot.types.perception import (
     RgbdFrame,
     ToolEstimate,
 )
-
-__all__ = [
-    "MOUNT",
-    "ArmModel",
-    "CameraError",
-    "CameraIntrinsics",
-    "Detection",
-    "DhCalibration",
-    "HandEfforts",
-    "HandMounting",
-    "HandWeight",
-    "HeldRegion",
-    "HoldingHand",
-    "InHandEstimate",
-    "JointState",
-    "Payload",
-    "PoseHypotheses",
-    "RgbdFrame",
-    "Six",
-    "ToolEstimate",
-    "ToolMount",
-    "Trajectory",
-]

@@ -25,7 +25,7 @@ from toolee_robot.errors import TooleeError, UserError, words_of
 from toolee_robot.perception.offline.training.options import TrainingOptions
 from toolee_robot.perception.precision import torch_device
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.interrupts import interrupts_held
+from toolee_robot.runtime.processes import interrupts_held
 
 Network = TypeVar("Network", bound=nn.Module)
 

@@ -9,9 +9,8 @@ import pytest
 from serial.tools.list_ports import comports
 
 from tests.errors import raises
-from toolee_robot.devices.hands import ports
+from toolee_robot.devices.hands import MountedTool, ports
 from toolee_robot.devices.hands.grip import PRESS_PERIOD_S, WINDOW_S, Grip, GripRule, Reading
-from toolee_robot.devices.hands.mount import MountedTool
 from toolee_robot.errors import ConfigError
 from toolee_robot.hal import Hand
 from toolee_robot.robots import hand_model

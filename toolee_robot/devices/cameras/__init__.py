@@ -13,5 +13,3 @@ from toolee_robot.devices.cameras.camera import StreamedCamera
 from toolee_robot.devices.cameras.lens import Lens, LensModel
 from toolee_robot.devices.cameras.lens_choice import StatedLens
 from toolee_robot.devices.cameras.stream import CameraProfile, CameraStream, RawImages
-
-__all__ = ["CameraProfile", "CameraStream", "Lens", "LensModel", "RawImages", "StatedLens", "StreamedCamera"]

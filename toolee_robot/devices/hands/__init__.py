@@ -13,15 +13,18 @@ import re
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from importlib import import_module
+from typing import Self
+
+import numpy as np
 
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import Array
-from toolee_robot.hal import Clock, Hand
+from toolee_robot.hal import Clock, Hand, HandState
 from toolee_robot.robots import MOUNT, HandModel, hand_model
 from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.device_plugins import installed, load
 from toolee_robot.station import HandConfig
-from toolee_robot.types import HandEfforts
+from toolee_robot.types import HandEfforts, JointState
 
 SERIAL = "the serial port, such as /dev/ttyUSB0"
 EFFORTS_MAX_AGE_S, EFFORTS_PERIOD_S = 0.5, 0.01
@@ -49,6 +52,64 @@ class WiredHandKind:
     serial: bool = True
     numbered: bool = False
     measured_efforts: bool = False
+
+
+class MountedTool:
+    """A `hal.Hand` that is a tool mount: it has no sensor and no motor, a person opens and closes it.
+
+    Its state is what a person said last, never a measurement: `holding` from `close` to `open`, the hinge at rest. It
+    cannot tell that a tool came loose. The looks at the tool, the touches, and strikes that miss do.
+
+    Args:
+        model: The mount: `hand_model(config.hand)`.
+        clock: Clock of the station.
+    """
+
+    def __init__(self, model: HandModel, clock: Clock) -> None:
+        self._model, self._clock = model, clock
+        self._rest = model.posture("open")
+        self._holding = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is held by power: the tool stays where it is."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The name of the hinge."""
+        return self._model.joints
+
+    def state(self, max_age: float = 0.1) -> HandState:  # noqa: ARG002
+        """The state as far as it is known.
+
+        Args:
+            max_age: Ignored: nothing is measured.
+
+        Returns:
+            The hinge at rest, no forces, and whether a tool is in the mount as a person said last.
+        """
+        return HandState(JointState(self._rest, np.zeros_like(self._rest), self._clock.now()), {}, self._holding)
+
+    def open(self, timeout: float = 5.0) -> None:  # noqa: ARG002
+        """Note that a person has taken the tool out.
+
+        Args:
+            timeout: Ignored.
+        """
+        self._holding = False
+
+    def close(self, timeout: float = 5.0) -> None:  # noqa: ARG002
+        """Note that a person has fixed a tool.
+
+        Args:
+            timeout: Ignored.
+        """
+        self._holding = True
+
+    def stop(self) -> None:
+        """Do nothing: a mount does not move by itself."""
 
 
 def wired_hand(model: str) -> WiredHandKind | None:
@@ -90,8 +151,6 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     """
     model = hand_model(config)
     if config.model == MOUNT:
-        from toolee_robot.devices.hands.mount import MountedTool
-
         return MountedTool(model, clock)
     kind = wired_hand(config.model)
     if kind is None:

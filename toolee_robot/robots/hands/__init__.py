@@ -146,26 +146,6 @@ def _with(hand: HandModel, torque: float | None, weighed: HandWeight | None) -> 
     return replace(hand, wrist=wrist, weighed=weighed)
 
 
-__all__ = [
-    "ABILITY_HAND",
-    "HANDS",
-    "HAND_FILES",
-    "INSPIRE_RH56",
-    "MOUNT",
-    "PALM",
-    "SHADOW_HAND",
-    "UNMOUNTED",
-    "Finger",
-    "HandChoice",
-    "HandModel",
-    "NominalGrasp",
-    "Phalanx",
-    "WristJoint",
-    "find_hand",
-    "hand_model",
-]
-
-
 HINGE = "mount_hinge"
 _BODY, _CLAMP, _FRAME = "mount_body", "mount_clamp", "mount"
 _CLAMP_SIZE = 0.04  # [m] edge of the cube as which the clamp's inertia is taken

@@ -11,5 +11,3 @@ it: see `job`.
 """
 
 from toolee_robot.stations.rehearsal.emulated_lab import Cell, EmulatedLab, job_cell, job_errors
-
-__all__ = ["Cell", "EmulatedLab", "job_cell", "job_errors"]
