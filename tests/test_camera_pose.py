@@ -86,7 +86,7 @@ def test_a_pose_is_the_camera_that_position_and_target_are(tmp_path: Path) -> No
 def test_a_camera_that_looks_straight_down_needs_a_pose(tmp_path: Path) -> None:
     camera = _load(tmp_path, {"X_base_camera": _matrix(DOWN)}).camera
     np.testing.assert_allclose(camera.X_base_camera, DOWN, atol=1e-12)
-    with raises(ConfigError, "config.invalid") as caught:
+    with raises(ConfigError) as caught:
         _load(tmp_path, {"position": [0.60, -0.15, 1.50], "target": [0.60, -0.15, 0.70]})
     assert "X_base_camera" in str(caught.value)
 
@@ -115,33 +115,32 @@ POSITION, HALF = [0.60, -0.15, 1.50], [0.5, 0.5, 0.5, 0.5]
 
 
 @pytest.mark.parametrize(
-    ("pose", "code", "words"),
+    ("pose", "words"),
     [
-        ({"position": POSITION, "quaternion": [0.5, 0.5, 0.5, 0.51]}, "config.camera_pose_quaternion", "x, y, z, w"),
-        ({"position": POSITION, "quaternion": [0.0, 0.0, 0.0, 0.0]}, "config.camera_pose_quaternion", "norm 0.0000"),
-        (_changed(0, 0, 1.002), "config.camera_pose_rotation", "not a rotation"),
-        (_changed(0, 1, 0.01), "config.camera_pose_rotation", "not a rotation"),
-        (_changed(0, 0, -1.0), "config.camera_pose_reflection", "x right, y down, z forward"),
-        (_matrix(DOWN[[1, 0, 2, 3]]), "config.camera_pose_reflection", "or two are swapped"),
-        (_changed(3, 3, 1.01), "config.camera_pose_last_row", "[0, 0, 0, 1]"),
-        (_matrix(DOWN.T), "config.camera_pose_last_row", "transposed"),
-        (_changed(2, 3, 1500.0), "config.camera_pose_unit", "millimetres"),
-        ({"position": [600.0, -150.0, 1500.0], "quaternion": HALF}, "config.camera_pose_unit", "millimetres"),
-        (_matrix(DOWN)[:3], "config.camera_pose_form", "four rows"),
-        (_matrix(DOWN[:, :3]), "config.camera_pose_form", "four rows"),
-        (DOWN.ravel().tolist(), "config.camera_pose_form", "four rows"),
-        (_changed(0, 0, float("nan")), "config.camera_pose_form", "four rows"),
-        ("matrix.txt", "config.camera_pose_form", "matrix.txt"),
-        ({"position": POSITION}, "config.camera_pose_form", "quaternion: [x, y, z, w]"),
-        ({"qw": 1.0, "x": 0.6}, "config.camera_pose_form", "has the fields qw, x"),
-        ({"position": POSITION[:2], "quaternion": HALF}, "config.camera_pose_form", "not 3 numbers"),
-        ({"position": POSITION, "quaternion": ["a", 0, 0, 1]}, "config.camera_pose_form", "not 4 numbers"),
+        ({"position": POSITION, "quaternion": [0.5, 0.5, 0.5, 0.51]}, "x, y, z, w"),
+        ({"position": POSITION, "quaternion": [0.0, 0.0, 0.0, 0.0]}, "norm 0.0000"),
+        (_changed(0, 0, 1.002), "not a rotation"),
+        (_changed(0, 1, 0.01), "not a rotation"),
+        (_changed(0, 0, -1.0), "x right, y down, z forward"),
+        (_matrix(DOWN[[1, 0, 2, 3]]), "or two are swapped"),
+        (_changed(3, 3, 1.01), "[0, 0, 0, 1]"),
+        (_matrix(DOWN.T), "transposed"),
+        (_changed(2, 3, 1500.0), "millimetres"),
+        ({"position": [600.0, -150.0, 1500.0], "quaternion": HALF}, "millimetres"),
+        (_matrix(DOWN)[:3], "four rows"),
+        (_matrix(DOWN[:, :3]), "four rows"),
+        (DOWN.ravel().tolist(), "four rows"),
+        (_changed(0, 0, float("nan")), "four rows"),
+        ("matrix.txt", "matrix.txt"),
+        ({"position": POSITION}, "quaternion: [x, y, z, w]"),
+        ({"qw": 1.0, "x": 0.6}, "has the fields qw, x"),
+        ({"position": POSITION[:2], "quaternion": HALF}, "not 3 numbers"),
+        ({"position": POSITION, "quaternion": ["a", 0, 0, 1]}, "not 4 numbers"),
     ],
 )
-def test_what_is_no_pose_of_a_camera_is_refused(tmp_path: Path, pose: Any, code: str, words: str) -> None:
-    with raises(ConfigError, code) as caught:
+def test_what_is_no_pose_of_a_camera_is_refused(tmp_path: Path, pose: Any, words: str) -> None:
+    with raises(ConfigError, says=words) as caught:
         _load(tmp_path, {"X_base_camera": pose})
-    assert words in str(caught.value)
     assert "camera.X_base_camera" in str(caught.value)
 
 
@@ -151,7 +150,7 @@ def test_the_norm_of_a_quaternion_may_be_off_by_a_thousandth(tmp_path: Path, err
     if accepted:
         assert is_rigid(_load(tmp_path, {"X_base_camera": pose}).camera.X_base_camera)
         return
-    with raises(ConfigError, "config.camera_pose_quaternion"):
+    with raises(ConfigError, says="has the norm"):
         _load(tmp_path, {"X_base_camera": pose})
 
 
@@ -283,19 +282,18 @@ def test_what_passes_lies_within_the_cylinder(
 
 
 @pytest.mark.parametrize(
-    ("text", "code", "what"),
+    ("text", "what"),
     [
-        ("tool: {name: ball peen, mass: 0.6}", "config.invalid", "grip_radius"),
-        ("work: {nail_xy: [0.1, 0.2]}", "config.invalid", "nail_xy"),
-        ("work: {nail_protrusion: 0.05}", "config.invalid", "nail_length"),
-        ("work: {nail_diameter: 3.1, nail_length: 65}", "config.invalid", "nail_length"),
-        ("camera: {fx: 3}", "config.invalid", "camera"),
+        ("tool: {name: ball peen, mass: 0.6}", "grip_radius"),
+        ("work: {nail_xy: [0.1, 0.2]}", "nail_xy"),
+        ("work: {nail_protrusion: 0.05}", "nail_length"),
+        ("work: {nail_diameter: 3.1, nail_length: 65}", "nail_length"),
+        ("camera: {fx: 3}", "camera"),
     ],
 )
-def test_what_it_cannot_say_is_refused(tmp_path: Path, text: str, code: str, what: str) -> None:
-    with raises(ConfigError, code=code) as refused:
+def test_what_it_cannot_say_is_refused(tmp_path: Path, text: str, what: str) -> None:
+    with raises(ConfigError, says=what):
         with_setup(load_lab_station(EXAMPLES / "lab.yaml"), _written(tmp_path, text))
-    assert what in str(refused.value)
 
 
 def test_of_several_nails_it_gives_the_wood_alone(tmp_path: Path) -> None:
@@ -303,6 +301,6 @@ def test_of_several_nails_it_gives_the_wood_alone(tmp_path: Path) -> None:
     made = with_setup(several, _written(tmp_path, "work: {wood_specific_gravity: 0.5}"))
     assert made.work.wood_specific_gravity == 0.5
     assert made.work.nails == several.work.nails
-    with raises(ConfigError, code="config.invalid"):
+    with raises(ConfigError):
         with_setup(several, _written(tmp_path, "work: {nail_diameter: 0.003}"))
     assert with_setup(sim_station(), _written(tmp_path, "work: {nail_diameter: 0.003}")).work.nail_diameter == 0.003

@@ -187,7 +187,7 @@ def test_a_robots_station_file_without_a_measured_field_is_refused_by_its_name(
     del data[section][name]
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(data))
-    with raises(ConfigError, "config.unmeasured") as caught:
+    with raises(ConfigError) as caught:
         load_lab_station(path)
     assert f"give {section}.{name}" in str(caught.value)
 
@@ -211,7 +211,7 @@ LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
 def test_what_is_wrong_in_a_file_is_said_in_words(tmp_path: Path, change: dict[str, Any], words: str) -> None:
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(change))
-    with raises(ConfigError, "config.invalid") as caught:
+    with raises(ConfigError) as caught:
         load_station(path)
     assert words in str(caught.value)
     assert "Value error" not in str(caught.value)
@@ -236,7 +236,7 @@ camera:
 def test_what_is_wrong_or_missing_in_a_file_is_said_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
     path.write_text(LINES)
-    with raises(ConfigError, "config.invalid") as caught:
+    with raises(ConfigError) as caught:
         load_station(path)
     told = {line.split(":")[0].strip(): line for line in str(caught.value).splitlines()}
     assert told["work.nail_length"].endswith("(line 4)")
@@ -254,31 +254,31 @@ def test_the_lines_of_what_a_lab_must_measure_and_of_other_units_are_said(tmp_pa
     for name in ("nail_diameter", "nail_length"):
         del data["work"][name]
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    with raises(ConfigError, "config.unmeasured") as caught:
+    with raises(ConfigError) as caught:
         load_lab_station(path)
     assert f"work.nail_diameter, work.nail_length (`work` begins in line {begins['work']});" in str(caught.value)
     at = 1 + next(i for i, line in enumerate(lines) if line.startswith("  fx:"))
     data = _whole_station()
     data["camera"]["fx"] = None
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    with raises(ConfigError, "config.unmeasured") as caught:
+    with raises(ConfigError) as caught:
         load_lab_station(path)
     assert f"camera.fx: line {at}" in str(caught.value)
     data["camera"]["fx"] = 0.4
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    with raises(ConfigError, "config.invalid") as caught:
+    with raises(ConfigError) as caught:
         load_lab_station(path)
     assert f"20000 px (line {at})" in str(caught.value)
     del data["scene"]
     data["camera"]["fx"] = 600.0
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    with raises(ConfigError, "config.unmeasured") as caught:
+    with raises(ConfigError) as caught:
         load_lab_station(path)
     assert "scene.workspace_upper; `toolee" in str(caught.value), "a section that is not there has no line"
 
 
 def test_an_error_in_data_of_no_file_has_no_line(tmp_path: Path) -> None:
-    with raises(ConfigError, "config.invalid") as caught:
+    with raises(ConfigError) as caught:
         to_record({"camera": {"width": 0.4}}, tmp_path / "none.json", StationConfig, "station")
     assert "line" not in str(caught.value)
 
@@ -289,17 +289,17 @@ def test_a_head_beside_the_handle_is_refused(tmp_path: Path) -> None:
     data["tool"]["face"] = [x, z, y]
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(data))
-    with raises(ConfigError, "config.invalid") as caught:
+    with raises(ConfigError) as caught:
         load_station(path)
     assert "z runs along the handle" in str(caught.value)
 
 
 def test_a_file_that_is_not_there_names_the_interview(tmp_path: Path) -> None:
-    with raises(ConfigError, "config.unreadable") as caught:
+    with raises(ConfigError) as caught:
         load_station(tmp_path / "lab.yaml")
     assert "toolee station new" in str(caught.value)
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n")
-    with raises(ConfigError, "config.unreadable") as caught:
+    with raises(ConfigError) as caught:
         load_station(tmp_path / "picture.png")
     assert "not UTF-8" in str(caught.value)
 

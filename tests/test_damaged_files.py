@@ -74,13 +74,13 @@ def test_a_yaml_file_that_cannot_be_is_named(name: str, read: Callable[[Path], A
 def test_a_plan_without_end_is_refused(numbers: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.yaml"
     path.write_text(f"name: a\n{numbers}\n")
-    with raises(ConfigError, code="config.invalid") as refused:
+    with raises(ConfigError) as refused:
         load_plan(path)
     assert "trials" in str(refused.value)
 
 
 def test_a_device_is_no_file_and_an_endless_one_is_not_read() -> None:
-    with raises(ConfigError, code="config.unreadable") as refused:
+    with raises(ConfigError) as refused:
         load_station(Path("/dev/zero"))
     assert "no file" in str(refused.value)
 
@@ -118,8 +118,8 @@ def test_an_image_too_large_for_the_memory_is_not_decoded(tmp_path: Path) -> Non
     for read, code in (
         (read_rgb, "user.file_unreadable"),
         (read_depth, "user.file_unreadable"),
-        (lambda path: read_board_image(path, sim_station().camera.intrinsics), "user.image"),
-        (lambda path: read_views(path.parent, SHEETS["a3"].board), "user.image"),
+        (lambda path: read_board_image(path, sim_station().camera.intrinsics), "user"),
+        (lambda path: read_views(path.parent, SHEETS["a3"].board), "user"),
     ):
         with raises(UserError, code=code) as refused:
             read(path)
@@ -207,7 +207,7 @@ def test_a_signed_record_of_no_camera_is_refused(change: dict[str, Any], tmp_pat
     write_signed(tmp_path / "sound.json", said | {"intrinsics": camera})
     assert read_intrinsics(tmp_path / "sound.json").views == 20
     write_signed(tmp_path / "signed.json", said | {"intrinsics": camera | change})
-    with raises(ConfigError, code="config.invalid") as refused:
+    with raises(ConfigError) as refused:
         read_intrinsics(tmp_path / "signed.json")
     assert next(iter(change)).replace("width", "fx") in str(refused.value)
 
@@ -216,7 +216,7 @@ def test_clicks_that_could_not_be_read_again_are_not_written(tmp_path: Path) -> 
     path = tmp_path / "clicks.yaml"
     write_clicks(path, ClicksFile("a lab", tape_offset_mm=4.2))
     before = path.read_bytes()
-    with raises(ConfigError, code="config.invalid"):
+    with raises(ConfigError):
         write_clicks(path, ClicksFile("a lab", tape_offset_mm=float("inf")))
     assert path.read_bytes() == before
     assert read_clicks(path).tape_offset_mm == 4.2
@@ -241,7 +241,7 @@ def test_another_plans_unfinished_line_is_not_cut(tmp_path: Path) -> None:
     path = tmp_path / RESULTS
     path.write_text(path.read_text() + '{"unfinished')
     before = path.read_text()
-    with raises(UserError, code="user.other_plan"), Results(TrialPlan("another", 1, 2), tmp_path):
+    with raises(UserError, says="other plan"), Results(TrialPlan("another", 1, 2), tmp_path):
         pass
     assert path.read_text() == before
     with Results(PLAN, tmp_path) as results:

@@ -128,7 +128,7 @@ def test_an_obstacle_is_the_same_body_in_either_frame(
     ],
 )
 def test_an_obstacle_that_is_none_is_refused_by_name(tmp_path: Path, obstacle: dict[str, Any], what: str) -> None:
-    with raises(ConfigError, code="config.invalid") as refused:
+    with raises(ConfigError) as refused:
         _load(tmp_path, {"frame": "base_link", "scene": {"obstacles": [obstacle]}})
     assert what in str(refused.value)
 
@@ -205,7 +205,7 @@ def _refusal(field: StationField, value: Any, path: Path) -> str:
     for name in reversed(field.path):
         data = {name.removesuffix("[]"): [data] if name.endswith("[]") else data}
     path.write_text(yaml.safe_dump({"frame": "base_link", **data}))
-    with raises(ConfigError, code="config.invalid") as refused:
+    with raises(ConfigError) as refused:
         load_station(path)
     name = field.name.replace("[]", ".0") + (".0" if field.numbers else "")
     return next(line for line in str(refused.value).splitlines() if line.strip().startswith(f"{name}:"))
@@ -266,7 +266,7 @@ def test_a_thousand_times_too_large_is_refused_everywhere(real: dict[str, list[f
 def test_a_typing_error_is_named(text: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
     path.write_text(text)
-    with raises(ConfigError, code="config.invalid") as refused:
+    with raises(ConfigError) as refused:
         load_station(path)
     assert said in str(refused.value)
     assert "line 1" in str(refused.value)

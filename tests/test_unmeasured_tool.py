@@ -75,7 +75,7 @@ def test_a_face_that_was_measured_is_used_with_a_mass_that_was_not(tmp_path: Pat
 @pytest.mark.parametrize(("one", "other"), [("mass", "center_of_mass"), ("face", "face_normal")])
 def test_half_of_what_belongs_together_is_refused(tmp_path: Path, one: str, other: str) -> None:
     said = yaml.safe_load(LAB.read_text())["tool"]
-    with raises(ConfigError, code="config.invalid") as refused:
+    with raises(ConfigError) as refused:
         load_lab_station(_lab(tmp_path, said | {one: None}))
     assert f"{one} and {other} belong together" in str(refused.value)
 
@@ -237,7 +237,7 @@ def test_the_message_tells_the_mounting_in_both_frames_and_no_reading_is_no_proo
 def test_what_is_no_direction_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
     path.write_text("frame: base_link\narm: {up: [0, 0, 0]}\n")
-    with raises(ConfigError, "config.invalid") as caught:
+    with raises(ConfigError) as caught:
         load_station(path)
     assert "up is not a direction" in str(caught.value)
 

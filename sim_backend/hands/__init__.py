@@ -65,5 +65,5 @@ def emulated_hand(
     build = find_emulator(config.model)
     if build is None:
         known = ", ".join((*HAND_FILES, *installed(_ENTRIES)))
-        raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.no_emulator")
+        raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}")
     return build(config, listen, seed, pace)

@@ -117,15 +117,15 @@ def test_a_job_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str])
 
 @pytest.mark.sim(seconds=10)
 @pytest.mark.parametrize(
-    ("variant", "nails", "weights", "code"),
+    ("variant", "nails", "weights", "words"),
     [
-        (Variant.FULL, ("left",), None, "user.nail"),
-        (Variant.PAPER, (), None, "user.no_paper_weights"),
-        (Variant.ICP, (), Path(), "user.no_paper_weights"),
+        (Variant.FULL, ("left",), None, "the station's nails are"),
+        (Variant.PAPER, (), None, "--paper-weights"),
+        (Variant.ICP, (), Path(), "--paper-weights"),
     ],
 )
-def test_what_is_no_job_is_refused(variant: Variant, nails: tuple[str, ...], weights: Path | None, code: str) -> None:
-    with raises(UserError, code=code):
+def test_what_is_no_job_is_refused(variant: Variant, nails: tuple[str, ...], weights: Path | None, words: str) -> None:
+    with raises(UserError, says=words):
         JobSpec(Simulated(CONFIG, 0), variant, weights, nails)
 
 

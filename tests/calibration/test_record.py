@@ -70,7 +70,7 @@ def test_a_signed_record_of_a_camera_that_cannot_be_is_refused(calibrated: Path,
         data["X_base_camera"][0][3] = x
         write_signed(tmp_path / "camera.json", data)
         if words:
-            with raises(ConfigError, code="config.invalid") as refused:
+            with raises(ConfigError) as refused:
                 read_record(tmp_path / "camera.json")
             assert words in str(refused.value)
     assert read_record(tmp_path / "camera.json").pose[0, 3] == 0.5
@@ -102,9 +102,8 @@ def test_a_record_holds_instead_of_another_program_s_pose(calibrated: Path, tmp_
     np.testing.assert_array_equal(camera.X_base_camera, read_record(calibrated / "camera.json").pose)
     np.testing.assert_allclose(camera.uncalibrated.X_base_camera, CAMERA.X_base_camera, atol=1e-12)
     path.write_text(path.read_text().replace("frame: base_link", "frame: pendant_base"))
-    with pytest.raises(ConfigError) as error:
+    with raises(ConfigError, says="half a turn") as error:
         load_station(path)
-    assert error.value.code == "config.calibration_half_turn"
     assert "camera.X_base_camera" in str(error.value)
 
 
@@ -157,45 +156,40 @@ def test_a_record_does_not_hold_for_another_distortion(calibrated: Path, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("change", "code", "words"),
+    ("change", "words"),
     [
-        (("frame: base_link", "frame: pendant_base"), "config.calibration_half_turn", "half a turn"),
+        (("frame: base_link", "frame: pendant_base"), "half a turn"),
         (
             ("[0.93, -0.60, 0.86]", "[0.60, 0.93, 0.86]"),
-            "config.calibration_place",
             "again (x, y, z in this order). If",
         ),
         (
             ("[0.93, -0.60, 0.86]", "[-0.60, 0.93, 0.86]"),
-            "config.calibration_place",
             "in this order), or swap x and y, which are exchanged there",
         ),
     ],
 )
 def test_a_record_of_another_place_than_the_file_s_camera_is_refused(
-    calibrated: Path, tmp_path: Path, change: tuple[str, str], code: str, words: str
+    calibrated: Path, tmp_path: Path, change: tuple[str, str], words: str
 ) -> None:
     path = _station(tmp_path, calibrated)
     path.write_text(path.read_text().replace(*change))
-    with pytest.raises(ConfigError) as error:
+    with raises(ConfigError, says=words):
         load_station(path)
-    assert error.value.code == code
-    assert words in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("line", "code"),
+    ("line", "words"),
     [
-        ("calibration: {record: camera.json, residual: 0.001}", "config.calibration_twice"),
-        ("calibration: {record: nowhere.json}", "config.unreadable"),
+        ("calibration: {record: camera.json, residual: 0.001}", "already gives residual"),
+        ("calibration: {record: nowhere.json}", "cannot read"),
     ],
 )
-def test_a_wrong_station_file_is_refused(calibrated: Path, tmp_path: Path, line: str, code: str) -> None:
+def test_a_wrong_station_file_is_refused(calibrated: Path, tmp_path: Path, line: str, words: str) -> None:
     (tmp_path / "camera.json").write_bytes((calibrated / "camera.json").read_bytes())
     (tmp_path / "station.yaml").write_text(line)
-    with pytest.raises(ConfigError) as error:
+    with raises(ConfigError, says=words):
         load_station(tmp_path / "station.yaml")
-    assert error.value.code == code
 
 
 def test_joints_in_degrees_are_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

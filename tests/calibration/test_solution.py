@@ -103,8 +103,8 @@ MISTAKES: dict[str, tuple[Callable[[Array], Array], str, str]] = {
     "transposed rotations": (_transposed, "user.calibration_misfit", "transposed"),
     "x and y swapped": (_mirrored, "user.calibration_misfit", "x and y swapped"),
     "quaternions in another order": (_as_wxyz, "user.calibration_misfit", "quaternions"),
-    "millimetres": (lambda X: transform(X[:3, :3], 1e3 * X[:3, 3]), "user.calibration_unit", "metres"),
-    "no rotations": (lambda X: transform(1.01 * X[:3, :3], X[:3, 3]), "user.calibration_pose", "rigid"),
+    "millimetres": (lambda X: transform(X[:3, :3], 1e3 * X[:3, 3]), "user", "metres"),
+    "no rotations": (lambda X: transform(1.01 * X[:3, :3], X[:3, 3]), "user", "rigid"),
 }
 
 
@@ -124,45 +124,44 @@ def test_images_that_lag_behind_the_poses_are_noticed() -> None:
         calibrate(later, BOARD, CAMERA.intrinsics)
 
 
-def _refused(observations: list[Observation], expected: Array | None = None) -> str:
+def _refused(observations: list[Observation], expected: Array | None = None) -> UserError:
     with pytest.raises(UserError) as error:
         calibrate(observations, BOARD, CAMERA.intrinsics, expected=expected)
-    return error.value.code
+    return error.value
 
 
 def test_poses_that_determine_nothing_are_refused() -> None:
-    assert _refused(_draw(Protocol(7)).observations) == "user.calibration_few_poses"
+    assert "7 poses show the board" in str(_refused(_draw(Protocol(7)).observations))
     for seed in range(10):
         flat = _draw(Protocol(20, tilt=float(np.deg2rad(10.0))), seed)
-        assert _refused(flat.observations) == "user.calibration_degenerate"
+        assert "Both need" in str(_refused(flat.observations))
 
 
 @pytest.mark.parametrize("scale", [0.97, 0.992, 1.01])
 def test_a_board_of_another_scale_is_noticed_by_the_arms_motions(scale: float) -> None:
-    assert _refused(_draw(Protocol(30, scale=scale)).observations) == "user.calibration_board_scale"
+    assert "the squares are not" in str(_refused(_draw(Protocol(30, scale=scale)).observations))
 
 
 def test_a_camera_elsewhere_and_other_intrinsics_are_refused() -> None:
     drawn = _draw(Protocol(20)).observations
-    assert _refused(drawn, PLACE + np.array([0.0, 0.5, 0.0])) == "user.calibration_place"
+    assert _refused(drawn, PLACE + np.array([0.0, 0.5, 0.0])).code == "user.calibration_place"
     rng = np.random.default_rng(0)
     noisy = [
         replace(o, view=replace(o.view, pixels=o.view.pixels + rng.normal(0.0, 3.0, o.view.pixels.shape)))
         for o in drawn
     ]
-    assert _refused(noisy) == "user.calibration_image"
+    assert _refused(noisy).code == "user.calibration_image"
 
 
 @pytest.mark.parametrize(
-    ("factor", "code"), [(1e3, "user.calibration_depth_unit"), (1e-3, "user.calibration_depth_unit"),
-                         (1.2, "user.calibration_depth"), (1.02, None)],
+    ("factor", "words"), [(1e3, "depth_unit is wrong"), (1e-3, "depth_unit is wrong"),
+                         (1.2, "not registered to"), (1.02, None)],
 )  # fmt: skip
-def test_the_depths_unit_is_checked(factor: float, code: str | None) -> None:
+def test_the_depths_unit_is_checked(factor: float, words: str | None) -> None:
     depth = np.random.default_rng(0).uniform(0.5, 1.0, 200)
     measured = np.where(np.arange(200) % 3, factor * depth, 0.0)
-    if code is None:
+    if words is None:
         check_depths(measured, depth)
         return
-    with pytest.raises(UserError) as error:
+    with pytest.raises(UserError, match=words):
         check_depths(measured, depth)
-    assert error.value.code == code

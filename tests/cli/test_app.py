@@ -155,7 +155,7 @@ def test_options_that_are_refused_are_an_error_for_json_too(capsys: pytest.Captu
     with pytest.raises(SystemExit):
         run(["arm", "move", "--jiont", "1", "--json"])
     captured = capsys.readouterr()
-    assert json.loads(captured.out)["error"]["code"] == "user.option"
+    assert json.loads(captured.out)["error"]["code"] == "user"
     assert "--joint" in captured.err
 
 
@@ -170,7 +170,7 @@ def test_a_number_that_is_none_is_refused_before_anything_is_done(
     monkeypatch.chdir(tmp_path)
     needed = {"camera record": ["--out", "x", "--config", "x.yaml"], "calibrate camera": ["--station", "x.yaml"]}
     assert run([*words.split(), *needed.get(" ".join(words.split()[:2]), []), "--json"]) == 2
-    assert json.loads(capsys.readouterr().out)["error"]["code"] == "user.option"
+    assert json.loads(capsys.readouterr().out)["error"]["code"] == "user"
     assert not list(tmp_path.iterdir())
 
 

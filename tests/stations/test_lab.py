@@ -101,7 +101,7 @@ def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(
 ) -> None:
     cell = job_cell(_with_hand(config, "shadow", port="ws://127.0.0.1:9090"), LAB, 1)
     monkeypatch.delitem(HAND_FILES, cell.measured.hand.model)  # as a hand for which a lab brought the driver alone
-    with raises(ConfigError, "config.no_emulator"):
+    with raises(ConfigError, says="emulator"):
         EmulatedLab(cell, print, FACTOR, "ideal")
 
 

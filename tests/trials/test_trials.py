@@ -180,9 +180,9 @@ def test_a_job_that_is_refused_before_it_begins_is_no_result(tmp_path: Path) -> 
 
 def test_an_error_that_no_job_can_mend_ends_the_plan(tmp_path: Path) -> None:
     def refused(*_: object) -> dict[str, Any]:
-        raise UserError("no folder", code="user.option")
+        raise UserError("no folder")
 
-    with raises(UserError, code="user.option"):
+    with raises(UserError, says="no folder"):
         run_trials(PLAN, tmp_path, 1, quietly, refused)
 
 
@@ -197,7 +197,7 @@ def test_a_job_that_the_machine_stalled_is_repeated_and_counted(tmp_path: Path) 
 
 def test_a_plan_does_not_change_once_its_trials_have_begun(tmp_path: Path) -> None:
     run_trials(PLAN, tmp_path, 1, quietly, job)
-    with raises(UserError, code="user.other_plan"):
+    with raises(UserError, says="other plan"):
         run_trials(replace(PLAN, trials=4), tmp_path, 1, quietly, job)
     assert len(finished(PLAN, tmp_path)) == 6
 
@@ -293,10 +293,8 @@ def test_a_command_in_the_report_is_one_of_a_shell(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["sweep.jsonl", "rehearsals.jsonl", "accuracy.png", "nothing.jsonl"])
 def test_a_file_without_a_plan_s_results_is_refused(tmp_path: Path, name: str) -> None:
     kept = EXAMPLES.parent / "docs" / "benchmark"
-    code = "user.other_plan" if name == "sweep.jsonl" else "user.no_results"
-    with raises(UserError, code=code) as refused:
+    with raises(UserError, says=name):
         write_report(load_plan(kept / "distinct_hammers.yaml"), tmp_path, kept / name)
-    assert name in str(refused.value)
     assert not list(tmp_path.iterdir())
 
 
@@ -441,7 +439,7 @@ def test_what_is_no_plan_is_refused_by_the_field(tmp_path: Path, change: str, wh
     key, value = change.split(": ", 1)
     text = "\n".join(f"{k}: {v}" for k, v in {**lines, key: value}.items())
     (tmp_path / "plan.yaml").write_text(text)
-    with raises(ConfigError, code="config.invalid") as refused:
+    with raises(ConfigError) as refused:
         load_plan(tmp_path / "plan.yaml")
     assert what in str(refused.value)
 

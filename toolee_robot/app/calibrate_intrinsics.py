@@ -182,7 +182,7 @@ def camera_of(path: Path) -> CameraConfig:
 
     Raises:
         ConfigError: The file cannot be read, names no device, or leaves out the size that the
-            driver asks the device for (`config.unmeasured`).
+            driver asks the device for.
     """
     camera = _camera(path)
     kept = {name: camera[name] for name in ("device", *PINHOLE) if camera.get(name) is not None}
@@ -202,8 +202,7 @@ def camera_of(path: Path) -> CameraConfig:
         if device.get("driver") in WITH_MODE:
             raise ConfigError(
                 f"{path}: give camera.width and camera.height, a size that the camera has, because intrinsics "
-                f"belong to one size{lost}",
-                code="config.unmeasured",
+                f"belong to one size{lost}"
             )
     elif not kept.keys() >= {*PINHOLE}:
         width, height = float(kept["width"]), float(kept["height"])

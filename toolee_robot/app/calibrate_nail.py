@@ -356,7 +356,7 @@ def touched_station(path: Path, *, wood_alone: bool) -> StationConfig:
 
     Raises:
         ConfigError: As `load_lab_station`, or the file leaves out which arm it is, how its base stands, or where the
-            nail is although only the wood was touched (`config.unmeasured`).
+            nail is although only the wood was touched.
     """
     config = load_lab_station(path, complete=False)
     needed = ["arm.model", "arm.up", *(["work.nail_xy"] if wood_alone else [])]
@@ -365,8 +365,7 @@ def touched_station(path: Path, *, wood_alone: bool) -> StationConfig:
         head = ", or also touch the nail's head (--touches)" if "work.nail_xy" in missing else ""
         raise ConfigError(
             f"{path} leaves out {', '.join(missing)}, and the simulated station's values must not stand in. Measure "
-            f"and give them{head}; `toolee station check {path}` says how",
-            code="config.unmeasured",
+            f"and give them{head}; `toolee station check {path}` says how"
         )
     return config
 

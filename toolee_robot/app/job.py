@@ -98,8 +98,7 @@ class JobSpec:
         device: torch device of the networks.
 
     Raises:
-        UserError: There is no such nail (`user.nail`), or the paper's weights are missing or not wanted
-            (`user.no_paper_weights`).
+        UserError: There is no such nail, or the paper's weights are missing or not wanted.
     """
 
     source: Source
@@ -111,16 +110,13 @@ class JobSpec:
     def __post_init__(self) -> None:
         names = self.source.config.work.names
         if unknown := [name for name in self.nails if name not in names]:
-            raise UserError(
-                f"--nail {unknown[0]}: the station's nails are {', '.join(names)} (work.nails)", code="user.nail"
-            )
+            raise UserError(f"--nail {unknown[0]}: the station's nails are {', '.join(names)} (work.nails)")
         if (self.variant is Variant.PAPER) != (self.paper_weights is not None):
             from toolee_robot.perception.offline.research import HOW_TO_TRAIN
 
             raise UserError(
                 "give --variant paper and --paper-weights DIR together. DIR is a training of the paper's "
-                f"estimator, which is not shipped:\n{HOW_TO_TRAIN}",
-                code="user.no_paper_weights",
+                f"estimator, which is not shipped:\n{HOW_TO_TRAIN}"
             )
 
     @property

@@ -52,7 +52,7 @@ def simulated_station(
 
     Raises:
         ConfigError: A file cannot be read, or a field is wrong.
-        UserError: The setup gives a tool; code `user.option`.
+        UserError: The setup gives a tool.
     """
     config = sim_station() if file is None else load_station(file)
     if config.calibration is not None and config.calibration.camera_serial != SIMULATED:
@@ -61,10 +61,7 @@ def simulated_station(
     if setup is not None:
         before, config = config.tool, with_setup(config, setup)
         if config.tool is not before:
-            raise UserError(
-                f"{setup} gives a tool, but the seed chooses a simulated tool: leave `tool` out",
-                code="user.option",
-            )
+            raise UserError(f"{setup} gives a tool, but the seed chooses a simulated tool: leave `tool` out")
     return config if robot is None else replace(config, arm=replace(config.arm, model=robot))
 
 

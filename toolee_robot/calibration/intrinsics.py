@@ -63,7 +63,7 @@ def read_views(folder: Path, board: Board) -> tuple[list[BoardView], list[str], 
         try:
             image = read_image(path) if path.suffix.lower() in PICTURES else None
         except (OSError, ValueError) as error:
-            raise UserError(f"cannot read the image {path}: {words_of(error)}", code="user.image") from error
+            raise UserError(f"cannot read the image {path}: {words_of(error)}") from error
         if image is None or image.dtype != np.uint8:
             continue
         grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY), np.uint8)

@@ -274,8 +274,8 @@ def read_record(path: Path) -> CalibrationRecord:
         The record.
 
     Raises:
-        ConfigError: It cannot be read (`config.unreadable`), was altered, or is no valid
-            record (`config.invalid`).
+        ConfigError: It cannot be read, was altered, or is no valid
+            record.
     """
     return _read_signed(path, CalibrationRecord, "camera calibration")
 
@@ -291,9 +291,9 @@ def _read_signed(path: Path, kind: type[T], what: str) -> T:
         data = read_json(path)
     except (OSError, ValueError) as error:
         message = f"cannot read the {what} {path} that `toolee calibrate` writes: {words_of(error)}"
-        raise ConfigError(message, code="config.unreadable") from error
+        raise ConfigError(message) from error
     if not isinstance(data, dict) or SIGNATURE not in data:
-        raise ConfigError(f"{path} is not the {what}: name a file that `toolee calibrate` wrote", code="config.invalid")
+        raise ConfigError(f"{path} is not the {what}: name a file that `toolee calibrate` wrote")
     signature = data.pop(SIGNATURE)
     if signature != _signature(data):
         raise ConfigError(

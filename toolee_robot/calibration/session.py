@@ -213,7 +213,7 @@ def read_image(path: Path, intrinsics: CameraIntrinsics) -> NDArray[np.uint8]:
         The image, (H, W) uint8.
 
     Raises:
-        UserError: It cannot be read (`user.image`), or has another size than the intrinsics say.
+        UserError: It cannot be read, or has another size than the intrinsics say.
     """
     return np.asarray(_checked(path, intrinsics, cv2.IMREAD_GRAYSCALE), np.uint8)
 
@@ -228,7 +228,7 @@ def _checked(path: Path, intrinsics: CameraIntrinsics, flags: int) -> NDArray[np
     except (OSError, ValueError) as error:
         array, why = None, words_of(error)
     if array is None:
-        raise UserError(f"cannot read the image {path}: {why}", code="user.image")
+        raise UserError(f"cannot read the image {path}: {why}")
     if array.ndim != 2 or array.shape != (intrinsics.height, intrinsics.width):
         raise UserError(
             f"{path} is {array.shape}, but the intrinsics are for {(intrinsics.height, intrinsics.width)} (height, "

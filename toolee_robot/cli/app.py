@@ -71,7 +71,7 @@ def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: N
         return command.run()
     except SystemExit as stop:
         if as_json and stop.code == EXIT_USER:
-            _print_error("user.option", "invalid options: standard error says which")
+            _print_error(UserError.code, "invalid options: standard error says which")
         raise
     except UserError as error:
         _complain(error, as_json)
@@ -159,9 +159,9 @@ def _parse_options(command: type[Command], path: tuple[str, ...], words: Sequenc
     for name, value in vars(parsed).items():
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, float) and not isfinite(number):
-                raise UserError(f"--{name.replace('_', '-')} {number}: give a number", code="user.option")
+                raise UserError(f"--{name.replace('_', '-')} {number}: give a number")
         if name == "port" and isinstance(value, int) and not 0 < value < 2**16:
-            raise UserError(f"--port {value}: give 1 to {2**16 - 1}", code="user.option")
+            raise UserError(f"--port {value}: give 1 to {2**16 - 1}")
     return parsed
 
 

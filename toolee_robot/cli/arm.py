@@ -149,9 +149,9 @@ class Move(MotionOptions):
     def run(self) -> int:
         jog = self.joint is not None and self.by is not None
         if (self.joint is None) != (self.by is None) or (self.along is None) != (self.frame is None):
-            raise UserError("give --joint together with --by, and --along together with --frame", code="user.option")
+            raise UserError("give --joint together with --by, and --along together with --frame")
         if jog + (self.to is not None) + (self.along is not None) != 1:
-            raise UserError("give one motion: --joint with --by, --to, or --along with --frame", code="user.option")
+            raise UserError("give one motion: --joint with --by, --to, or --along with --frame")
         return self.move("move", self._plan)
 
     def _plan(self, robot: BringUp) -> Trajectory:
@@ -269,7 +269,7 @@ class Lag(MotionOptions):
 
     def run(self) -> int:
         if self.write and self.config is None:
-            raise UserError("--write needs --config: the station file to write to", code="user.option")
+            raise UserError("--write needs --config: the station file to write to")
         console = self.console
         station, host = self.load()
         from toolee_robot.app.bring_up import tune_servo
@@ -317,7 +317,7 @@ class Freedrive(ArmOptions):
 
     def run(self) -> int:
         if self.yes and self.seconds is None:
-            raise UserError("--yes needs --seconds, because nobody is there to end it", code="user.option")
+            raise UserError("--yes needs --seconds, because nobody is there to end it")
         console = self.console
         with self.robot(console) as robot:
             fk = robot.slow.robot.arm.fk

@@ -37,8 +37,8 @@ _PLATE = 0.12, 1.2
 _MIN_VIEWS = 15
 """Fewest views that are asked of a person."""
 
-Rule = tuple[bool, str, str]
-"""Whether options do not fit together, the message, and its code."""
+Rule = tuple[bool, str]
+"""Whether options do not fit together, and the message."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class BoardOptions(JsonOption):
 
     def refuse(self, *rules: Rule) -> None:
         """Raise the first rule that the options break, of the command's own and of those of all."""
-        _refuse(*rules, _option(self.seed < 0, f"--seed {self.seed}: give 0 or more"))
+        _refuse(*rules, (self.seed < 0, f"--seed {self.seed}: give 0 or more"))
         check_real_time_factor(self.real_time_factor, "127.0.0.1")
 
 
@@ -198,32 +198,29 @@ class Camera(BoardOptions):
                 known.record is None,
                 f"{self.station} already gives a calibration by hand (measured_on and others). Delete that section, "
                 "then use --write",
-                "user.calibration_by_hand",
             ),
             (
                 self.rehearse and known.robot_serial != SIMULATED,
                 f"{self.station} names the calibration of the real robot {known.robot_serial}, and a rehearsal must "
                 "not replace it. Rehearse with a copy of the file, or without --write",
-                "user.calibration_is_real",
             ),
         )
 
     def _check(self) -> None:
         moves = not self.rehearse and self.images is None
         self.refuse(
-            _option(self.images is not None and self.rehearse, "give --images or --rehearse, not both"),
-            _option(
+            (self.images is not None and self.rehearse, "give --images or --rehearse, not both"),
+            (
                 self.rehearse and self.bars_mm is not None,
                 "leave --bars-mm out: with --rehearse the emulated person measures the print",
             ),
-            (not self.rehearse and self.bars_mm is None, _BARS_MISSING, "user.board_scale_unknown"),
+            (not self.rehearse and self.bars_mm is None, _BARS_MISSING),
             (
                 moves and None in (self.plate_distance, self.plate_mass),
                 "--plate-distance and --plate-mass are missing. Measure the distance from the flange to the print, "
                 "and weigh plate and holder. The arm's motions depend on both",
-                "user.plate_unmeasured",
             ),
-            _option(not 8 <= self.poses <= 100, "give --poses 8 to 100"),
+            (not 8 <= self.poses <= 100, "give --poses 8 to 100"),
         )
 
 
@@ -260,7 +257,7 @@ class Check(JsonOption):
 
     def run(self) -> int:
         if not 0.01 <= self.touch_error_mm <= 10.0:
-            raise UserError(f"--touch-error-mm {self.touch_error_mm}: give 0.01 to 10", code="user.option")
+            raise UserError(f"--touch-error-mm {self.touch_error_mm}: give 0.01 to 10")
         console = self.console
         from datetime import UTC, datetime
 
@@ -381,17 +378,17 @@ class Intrinsics(JsonOption):
     def _check(self) -> None:
         serial = self.camera_serial is not None
         _refuse(
-            _option(
+            (
                 self.images is None and self.station is None,
                 "give --station to take images with its camera, or --images with a folder of images",
             ),
-            _option(self.station is not None and serial, "leave --camera-serial out: the station file gives it"),
-            _option(
+            (self.station is not None and serial, "leave --camera-serial out: the station file gives it"),
+            (
                 self.station is None and not serial,
                 "--camera-serial is missing. Intrinsics belong to one camera: give its serial number, or --station",
             ),
-            _option(self.write and self.station is None, "--write needs --station, the station file to write to"),
-            _option(not _MIN_VIEWS <= self.views <= 200, f"give --views {_MIN_VIEWS} to 200"),
+            (self.write and self.station is None, "--write needs --station, the station file to write to"),
+            (not _MIN_VIEWS <= self.views <= 200, f"give --views {_MIN_VIEWS} to 200"),
         )
 
 
@@ -483,7 +480,7 @@ class Nail(BoardOptions):
         names = config.work.names
         name = names[0] if self.nail is None else self.nail
         if name not in names:
-            raise UserError(f"--nail {name}: the station's nails are {', '.join(names)} (work.nails)", code="user.nail")
+            raise UserError(f"--nail {name}: the station's nails are {', '.join(names)} (work.nails)")
         config = replace(config, work=config.work.only(name))
         listener = ConsoleListener(self.console)
         touched = wood = sight = None
@@ -548,32 +545,28 @@ class Nail(BoardOptions):
             (
                 not self.camera and not touches,
                 "give --camera, --touches or --wood: one of them has to locate the nail",
-                "user.nail_no_source",
             ),
-            _option(
+            (
                 bool(touches) and self.tip_mm is None,
                 f"{''.join(touches[:1])} needs --tip-mm (from `toolee calibrate mount`)",
             ),
-            _option(
+            (
                 self.wood is not None and self.camera,
                 "give --wood or --camera, not both: the board already shows how the wood lies",
             ),
-            _option(
-                self.rehearse and bool(touches), "give --rehearse with --camera alone: touches are of the real nail"
-            ),
+            (self.rehearse and bool(touches), "give --rehearse with --camera alone: touches are of the real nail"),
             (
                 sees and None in of_print,
                 "--bars-mm and --thickness-mm are missing. Measure the two scale bars on your print, and the "
                 "height of its printed side over the wood",
-                "user.board_scale_unknown",
             ),
-            _option(
+            (
                 not sees and of_print != (None, None),
                 "leave --bars-mm and --thickness-mm out: they are of a real print that the camera sees",
             ),
-            _option(not 0.0 <= (self.thickness_mm or 0.0) <= 50.0, f"--thickness-mm {self.thickness_mm}: give 0 to 50"),
-            _option(self.write and self.rehearse, "leave --write out: a rehearsed nail would replace your real one"),
-            _option(
+            (not 0.0 <= (self.thickness_mm or 0.0) <= 50.0, f"--thickness-mm {self.thickness_mm}: give 0 to 50"),
+            (self.write and self.rehearse, "leave --write out: a rehearsed nail would replace your real one"),
+            (
                 not all(0.01 <= value <= 10.0 for value in deviations),
                 "give --placing-mm, --touch-mm and --repeat-mm 0.01 to 10",
             ),
@@ -594,13 +587,9 @@ COMMANDS = {
 
 def _refuse(*rules: Rule) -> None:
     """Raise the first rule that options break."""
-    for broken, message, code in rules:
+    for broken, message in rules:
         if broken:
-            raise UserError(message, code=code)
-
-
-def _option(broken: bool, message: str) -> Rule:
-    return broken, message, "user.option"
+            raise UserError(message)
 
 
 def _measured(station: Path | None) -> str:

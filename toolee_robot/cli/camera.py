@@ -62,7 +62,7 @@ class CameraOptions(JsonOption):
         given = [self.config is not None, self.recording is not None, self.driver is not None]
         if sum(given) != 1:
             message = "which camera? Give one of --config YAML, --recording DIR, or --driver NAME with --serial NUMBER"
-            raise UserError(message, code="user.option")
+            raise UserError(message)
         if self.config is not None:
             return load_station(self.config).camera
         if self.recording is not None:
@@ -72,7 +72,7 @@ class CameraOptions(JsonOption):
             device = CameraDevice("recorded", recording.serial, _UNKNOWN_RANGE, folder=str(self.recording))
             return replace(sim_station().camera, device=device)
         if self.driver is None or self.serial is None:
-            raise UserError("--driver needs --serial, which `toolee camera list` shows", code="user.option")
+            raise UserError("--driver needs --serial, which `toolee camera list` shows")
         device = CameraDevice(
             self.driver, self.serial, _UNKNOWN_RANGE, self.fps, self.exposure, camera_class=self.camera_class
         )
@@ -224,9 +224,9 @@ class Record(CameraOptions):
         from toolee_robot.runtime.clock import HostClock
 
         if not 0.0 < self.seconds < inf:
-            raise UserError(f"--seconds {self.seconds:g}: give a time above 0", code="user.option")
+            raise UserError(f"--seconds {self.seconds:g}: give a time above 0")
         if self.every < 0:
-            raise UserError(f"--every {self.every:g}: give a time above 0, or leave it out", code="user.option")
+            raise UserError(f"--every {self.every:g}: give a time above 0, or leave it out")
         console = self.console
         clock, count, stamp, due = HostClock(), 0, 0.0, 0.0
         with self.open(clock) as camera:
@@ -282,7 +282,7 @@ class CheckCamera(CameraOptions):
         from toolee_robot.station import load_station
 
         if not 0.0 < self.seconds < inf:
-            raise UserError(f"--seconds {self.seconds:g}: give a time above 0", code="user.option")
+            raise UserError(f"--seconds {self.seconds:g}: give a time above 0")
         console = self.console
         config, clock = self.camera(), HostClock()
         with console.status("listening to the camera"), self.open(clock) as camera:

@@ -73,13 +73,11 @@ class EmulateHand:
         model = next((name for name, file in HAND_FILES.items() if self.hand in (name, file)), "")
         kind = wired_hand(model)
         if kind is None:
-            raise UserError(f"no emulator for {self.hand!r}: give one of {', '.join(HAND_FILES)}", code="user.option")
+            raise UserError(f"no emulator for {self.hand!r}: give one of {', '.join(HAND_FILES)}")
         if self.hand_id is not None and not (kind.numbered and 1 <= self.hand_id <= 254):
-            raise UserError(
-                f"--hand-id {self.hand_id}: give 1 to 254, or none for a hand without id", code="user.option"
-            )
+            raise UserError(f"--hand-id {self.hand_id}: give 1 to 254, or none for a hand without id")
         if self.tcp is not None and kind.scheme is None:
-            raise UserError(f"--tcp: {model} has a serial port only. Leave --tcp out", code="user.option")
+            raise UserError(f"--tcp: {model} has a serial port only. Leave --tcp out")
         listen = LOOPBACK if self.tcp is None else tcp_address(f"tcp://{self.tcp}")
         if not is_loopback(listen[0]):
             raise UserError(f"--tcp {self.tcp}: give an address 127.x.x.x for an emulator", code="user.not_loopback")
@@ -87,7 +85,7 @@ class EmulateHand:
         console = Console(stderr=True, highlight=False)
         with emulated_hand(config, self.seed, listen=listen) as emulator, self._linked(emulator.port):
             if self.handle is not None and not 0 <= self.handle <= emulator.most:
-                raise UserError(f"--handle {self.handle}: give 0 to {emulator.most:.0f}", code="user.option")
+                raise UserError(f"--handle {self.handle}: give 0 to {emulator.most:.0f}")
             emulator.hold(self.handle)
             print(emulator.port, flush=True)
             console.print(f"[bold]{emulator.label}[/bold]. [dim]Ctrl-C ends it.[/dim]")
@@ -111,13 +109,13 @@ class EmulateHand:
             yield
             return
         if "://" in port:
-            raise UserError("--link is for serial hands: leave it out, this hand is on a network", code="user.option")
+            raise UserError("--link is for serial hands: leave it out, this hand is on a network")
         if self.link.is_symlink():
             self.link.unlink()
         try:
             self.link.symlink_to(port)
         except OSError as error:
-            raise UserError(f"--link {self.link}: {words_of(error)}", code="user.option") from error
+            raise UserError(f"--link {self.link}: {words_of(error)}") from error
         try:
             yield
         finally:

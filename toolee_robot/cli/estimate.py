@@ -66,10 +66,7 @@ class Estimate(JsonOption):
                 n for n in ("rgb", "depth", "depth_scale", "intrinsics", "hand_pose", "picture") if getattr(self, n)
             ]
             if given:
-                raise UserError(
-                    f"leave --{given[0].replace('_', '-')} out: --bop reads everything from its folder",
-                    code="user.option",
-                )
+                raise UserError(f"leave --{given[0].replace('_', '-')} out: --bop reads everything from its folder")
             return self._run_bop(console, self.bop)
         return self._run_frame(console)
 
@@ -121,10 +118,7 @@ class Estimate(JsonOption):
             self.tell(line)
         console.print(f"{usable} of {len(images)} frames have a usable pose")
         if unreadable:
-            raise UserError(
-                f"{unreadable} of {len(images)} frames could not be read. The messages above say why",
-                code="user.unreadable_frames",
-            )
+            raise UserError(f"{unreadable} of {len(images)} frames could not be read. The messages above say why")
         return 0 if usable else 1
 
 

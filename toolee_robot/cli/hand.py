@@ -237,7 +237,7 @@ class Efforts(HandOptions):
 
     def run(self) -> int:
         if not 0.0 < self.seconds < np.inf:
-            raise UserError("--seconds must be a finite number above 0", code="user.option")
+            raise UserError("--seconds must be a finite number above 0")
         from toolee_robot.devices.hands import efforts_of
         from toolee_robot.robots.hands.shadow import MOTORS
         from toolee_robot.runtime.clock import HostClock

@@ -72,7 +72,7 @@ class New:
             if value is not None:
                 put(data, name, _chosen(name, value))
             elif not self.ask:
-                raise UserError("give --arm, --hand and --camera, or --ask", code="user.option")
+                raise UserError("give --arm, --hand and --camera, or --ask")
         write_atomic(self.file, template(data).encode())  # before the questions: the place may be none
         if self.ask:
             return _ask_all(self.file, data, console)
@@ -86,7 +86,7 @@ def _chosen(name: str, value: str) -> str:
     possible = choices(next(field for field in applicable({}) if field.name == name))
     found = [value] if value in possible else [one for one in possible if one.startswith(value)]
     if len(found) != 1:
-        raise UserError(f"{value!r} is not supported. Choose one of {', '.join(possible)}", code="user.answer")
+        raise UserError(f"{value!r} is not supported. Choose one of {', '.join(possible)}")
     return found[0]
 
 
@@ -243,7 +243,7 @@ class Check(JsonOption):
                 load_station(self.file)
             except ConfigError as error:
                 wrong = str(error)
-            raise ConfigError(f"{wrong}\n{told(fields)}", code="config.unmeasured")
+            raise ConfigError(f"{wrong}\n{told(fields)}")
         config = load_lab_station(self.file)
         check_purpose(config)
         hand_model(config.hand)

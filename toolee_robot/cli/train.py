@@ -155,7 +155,7 @@ class Clouds(JsonOption):
 
         of_detector = not (self.true_masks or self.whole_tools)
         if self.weights is not None and not of_detector:
-            raise UserError("leave --weights out: true masks need no detector", code="user.option")
+            raise UserError("leave --weights out: true masks need no detector")
         make_folder(self.out.parent)
         with progress_bars(console) as report:
             clouds = rendered_clouds(

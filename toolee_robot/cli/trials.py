@@ -63,10 +63,7 @@ class Trials(JsonOption):
         from toolee_robot.trials.results import read_results
 
         if self.results is not None and self.out is None:
-            raise UserError(
-                "--results needs --out, the folder for the report, such as `--out report`",
-                code="user.option",
-            )
+            raise UserError("--results needs --out, the folder for the report, such as `--out report`")
         out = Path("trials") if self.out is None else self.out
         plan = load_plan(self.plan)
         pairs = "repetitions" if plan.led else "seeds"
@@ -110,8 +107,7 @@ class Trials(JsonOption):
             return
         if self.jobs not in (None, 1) or self.cluster != "local":
             raise UserError(
-                "leave --jobs and --cluster out: in this plan a person runs one trial at a time on one robot",
-                code="user.option",
+                "leave --jobs and --cluster out: in this plan a person runs one trial at a time on one robot"
             )
         if not (console.is_terminal and sys.stdin.isatty()):
             raise UserError("a person runs this plan at the terminal, and there is none. Start it from a terminal")

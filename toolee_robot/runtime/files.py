@@ -43,7 +43,7 @@ def written_whole(path: Path) -> Iterator[Path]:
     try:
         if path.exists() and not path.is_file():
             why = "it is a folder or a device"
-            raise UserError(f"cannot write {path}: {why}. Choose another place", code="user.not_writable")
+            raise UserError(f"cannot write {path}: {why}. Choose another place")
         try:
             yield scratch
             scratch.replace(path)
@@ -51,9 +51,7 @@ def written_whole(path: Path) -> Iterator[Path]:
             scratch.unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise UserError(
-            f"cannot write {path}: {words_of(error)}. Choose another place", code="user.not_writable"
-        ) from error
+        raise UserError(f"cannot write {path}: {words_of(error)}. Choose another place") from error
 
 
 def write_atomic(path: Path, data: bytes | memoryview) -> None:

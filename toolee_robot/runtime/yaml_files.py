@@ -104,13 +104,13 @@ def read_yaml(path: Path, what: str) -> Any:
     try:
         return yaml.load(read_text(path), _UniqueKeys)  # a SafeLoader
     except FileNotFoundError:
-        raise ConfigError(f"there is no {what} {path}", code="config.unreadable") from None
+        raise ConfigError(f"there is no {what} {path}") from None
     except RecursionError:
         message = f"cannot read the {what} {path}: it is nested too deeply"
-        raise ConfigError(message, code="config.unreadable") from None
+        raise ConfigError(message) from None
     except (OSError, ValueError, yaml.YAMLError) as error:
         why = words_of(error).replace('in "<unicode string>", ', "")
-        raise ConfigError(f"cannot read the {what} {path}: {why}", code="config.unreadable") from error
+        raise ConfigError(f"cannot read the {what} {path}: {why}") from error
 
 
 def read_record(path: Path, kind: type[T], what: str) -> T:
@@ -155,7 +155,7 @@ def to_record(data: Any, path: Path, kind: type[T], what: str) -> T:
             f"  {_said(kind, e['loc'], e)}" + (f" ({where})" if (where := lines.told(e["loc"])) else "")
             for e in error.errors()
         ]
-        raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(wrong), code="config.invalid") from error
+        raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(wrong)) from error
 
 
 def _said(kind: type[Any], loc: Sequence[int | str], error: Any) -> str:

@@ -128,8 +128,7 @@ def take_record(data: dict[str, Any], path: Path) -> tuple[dict[str, Any], Calib
         return data, None
     if double := [field for field in OF_RECORD if field in section]:
         raise ConfigError(
-            f"{path}: {SECTION}.{FIELD} already gives {', '.join(double)}: leave them out of the station file",
-            code="config.calibration_twice",
+            f"{path}: {SECTION}.{FIELD} already gives {', '.join(double)}: leave them out of the station file"
         )
     record = read_record(path.parent / name)
     given = {
@@ -194,8 +193,7 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], field: str
         path: The station file, for the errors.
 
     Raises:
-        ConfigError: They differ by half a turn of the base (`config.calibration_half_turn`), or otherwise
-            (`config.calibration_place`).
+        ConfigError: They differ by half a turn of the base, or otherwise.
     """
     place, by_file = record.pose[:3, 3], np.asarray(expected, float)
     if not camera_is_elsewhere(place, by_file):
@@ -203,8 +201,7 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], field: str
     calibrated, typed = (_told(p, frame) for p in (place, by_file))
     if half_a_turn_apart(place, by_file):
         raise ConfigError(
-            f"{path}: the calibrated camera, {calibrated} m in {frame}, and {field}, {typed} m: {HALF_A_TURN}",
-            code="config.calibration_half_turn",
+            f"{path}: the calibrated camera, {calibrated} m in {frame}, and {field}, {typed} m: {HALF_A_TURN}"
         )
     off = float(np.linalg.norm(place - by_file))
     remedy = "measure that again (x, y, z in this order)"
@@ -213,8 +210,7 @@ def check_place(record: CalibrationRecord, expected: Sequence[float], field: str
     raise ConfigError(
         f"{path}: the calibrated camera stands at {calibrated} m in {frame}, {off:.2f} m from {field}, {typed} m: "
         f"{remedy}. If the camera was moved, delete the section `calibration` (of measured.yaml, if a command wrote "
-        "it) and calibrate again",
-        code="config.calibration_place",
+        "it) and calibrate again"
     )
 
 

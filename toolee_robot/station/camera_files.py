@@ -33,7 +33,7 @@ def take_intrinsics(data: dict[str, Any], path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: The record cannot be read or was altered; or the file gives other numbers than the record
             (`config.intrinsics_twice`); or the record is of another camera than `camera.device.serial`
-            (`config.intrinsics_serial`); or the file gives by hand what only a record gives (`config.invalid`).
+            (`config.intrinsics_serial`); or the file gives by hand what only a record gives.
     """
     camera = data.get(CAMERA)
     if not isinstance(camera, dict):
@@ -41,8 +41,7 @@ def take_intrinsics(data: dict[str, Any], path: Path) -> dict[str, Any]:
     if HELD in camera:
         raise ConfigError(
             f"{path}: {CAMERA}.{HELD} cannot be given by hand. Name a record of `toolee calibrate intrinsics` "
-            f"in {CAMERA}.{INTRINSICS}",
-            code="config.invalid",
+            f"in {CAMERA}.{INTRINSICS}"
         )
     if INTRINSICS not in camera:
         return data
@@ -132,11 +131,9 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
         where the file gives none.
 
     Raises:
-        ConfigError: The file gives `position` or `target` as well, or what it gives is
-            neither form (`config.camera_pose_form`), has a quaternion whose norm is not 1
-            (`config.camera_pose_quaternion`), is no rotation (`config.camera_pose_rotation`) but a mirror image
-            (`config.camera_pose_reflection`), has another last row than 0 0 0 1 (`config.camera_pose_last_row`), or is
-            in millimetres (`config.camera_pose_unit`).
+        ConfigError: The file gives `position` or `target` as well, or what it gives is neither form, has a quaternion
+            whose norm is not 1, is no rotation but a mirror image, has another last row than 0 0 0 1, or is in
+            millimetres.
     """
     camera = data.get(CAMERA)
     if not isinstance(camera, dict) or camera.get(POSE_FIELD) is None:
@@ -152,8 +149,7 @@ def take_camera_pose(data: dict[str, Any], frame: BaseFrame, path: Path) -> dict
     distance = float(np.linalg.norm(X[:3, 3]))
     if distance > FARTHEST:
         raise ConfigError(
-            f"{named}: the camera is {distance:.0f} m from the base, which looks like millimetres: give metres",
-            code="config.camera_pose_unit",
+            f"{named}: the camera is {distance:.0f} m from the base, which looks like millimetres: give metres"
         )
     others = {name: field for name, field in camera.items() if name not in (POSE_FIELD, *LOOK_AT)}
     return {**data, CAMERA: {**others, POSE_HELD: rows(frame.X_base_this @ X), **dict.fromkeys(LOOK_AT)}}
@@ -170,8 +166,7 @@ def _of_quaternion(value: dict[Any, Any], named: str) -> Array:
     if abs(norm - 1.0) > TOLERANCE:
         raise ConfigError(
             f"{named}: the quaternion {q.tolist()} has the norm {norm:.4f}, not 1. Give x, y, z, w in this order, "
-            "with all digits of the calibration program",
-            code="config.camera_pose_quaternion",
+            "with all digits of the calibration program"
         )
     return transform(Rotation.from_quat(q), p)
 
@@ -184,30 +179,25 @@ def _of_matrix(value: Any, named: str) -> Array:
     if np.abs(X[3] - [0.0, 0.0, 0.0, 1.0]).max() > TOLERANCE:
         transposed = np.abs(X[:, 3] - [0.0, 0.0, 0.0, 1.0]).max() <= TOLERANCE
         remedy = "the matrix is transposed: give its columns as rows" if transposed else "give X_base_camera, 4 x 4"
-        raise ConfigError(
-            f"{named}: the last row is {X[3].tolist()} instead of [0, 0, 0, 1]: {remedy}",
-            code="config.camera_pose_last_row",
-        )
+        raise ConfigError(f"{named}: the last row is {X[3].tolist()} instead of [0, 0, 0, 1]: {remedy}")
     R = X[:3, :3]
     off = float(np.abs(R @ R.T - np.eye(3)).max())
     if off > TOLERANCE:
         raise ConfigError(
             f"{named}: the upper left 3 x 3 is not a rotation: R R^T differs from the identity by {off:.4f}. Give "
-            "the matrix with all its digits, and without a scale",
-            code="config.camera_pose_rotation",
+            "the matrix with all its digits, and without a scale"
         )
     if np.linalg.det(R) < 0.0:
         raise ConfigError(
             f"{named}: the upper left 3 x 3 is a mirror image, its determinant is -1. One axis has the wrong sign, "
-            "or two are swapped. The camera's axes are x right, y down, z forward",
-            code="config.camera_pose_reflection",
+            "or two are swapped. The camera's axes are x right, y down, z forward"
         )
     U, _, Vt = np.linalg.svd(R)  # the nearest rotation: what is behind this wants more than the digits of a report
     return transform(U @ Vt, X[:3, 3])
 
 
 def _no_form(named: str, what: str) -> ConfigError:
-    return ConfigError(f"{named} {what}: {_FORMS}", code="config.camera_pose_form")
+    return ConfigError(f"{named} {what}: {_FORMS}")
 
 
 def _numbers(value: Any, count: int) -> Array | None:

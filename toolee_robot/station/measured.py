@@ -68,7 +68,7 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
 
     Raises:
         ConfigError: As `load_station`, or the file is of an older version, or leaves out what
-            must be measured (`config.unmeasured`), or gives a size in another unit (`config.invalid`); the message
+            must be measured, or gives a size in another unit; the message
             names it and its line, or that of its section; or the tool is outside of its cylinders.
     """
     data = read_station(path)
@@ -78,8 +78,7 @@ def load_lab_station(path: Path, *, complete: bool = True) -> StationConfig:
     if complete and (missing := _missing(data)):
         raise ConfigError(
             f"{path} is incomplete, and the simulated station's values must not stand in. Measure and give "
-            f"{', '.join(missing)}{_lines(missing, path)}; `toolee station check {path}` says how",
-            code="config.unmeasured",
+            f"{', '.join(missing)}{_lines(missing, path)}; `toolee station check {path}` says how"
         )
     return config if data.get("calibration") else replace(config, calibration=None)
 

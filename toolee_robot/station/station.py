@@ -121,10 +121,7 @@ def read_typed(path: Path) -> Any:
         ConfigError: The file is missing, or cannot be read.
     """
     if not path.exists():
-        raise ConfigError(
-            f"there is no station file {path}. `toolee station new {path} --ask` makes one",
-            code="config.unreadable",
-        )
+        raise ConfigError(f"there is no station file {path}. `toolee station new {path} --ask` makes one")
     return read_yaml(path, "station's file") or {}
 
 
@@ -224,7 +221,7 @@ def check_lens(camera: CameraConfig, path: Path) -> None:
     lines, wrong = YamlLines(path), camera.intrinsics.problems()
     if wrong:
         told = [f"camera.{n}: {text}" + (f" ({w})" if (w := lines.told(("camera", n))) else "") for n, text in wrong]
-        raise ConfigError(f"{path} is not a valid station: {'; '.join(told)}", code="config.invalid")
+        raise ConfigError(f"{path} is not a valid station: {'; '.join(told)}")
 
 
 STOP_ROOM = 4 / 3
@@ -324,8 +321,7 @@ def with_setup(config: StationConfig, path: Path) -> StationConfig:
     work = {name: value for name, value in asdict(setup.work).items() if value is not None}
     if config.work.nails and set(work) - {"wood_specific_gravity"}:
         raise ConfigError(
-            f"{path} gives a nail's sizes, but the station lists several nails (work.nails): give the sizes there",
-            code="config.invalid",
+            f"{path} gives a nail's sizes, but the station lists several nails (work.nails): give the sizes there"
         )
     try:
         made = replace(
@@ -335,6 +331,6 @@ def with_setup(config: StationConfig, path: Path) -> StationConfig:
             work=replace(config.work, **work),
         )
     except ValueError as error:
-        raise ConfigError(f"{path}: {error}", code="config.invalid") from error
+        raise ConfigError(f"{path}: {error}") from error
     check_enclosed(made, path)
     return made

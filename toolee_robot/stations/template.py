@@ -330,27 +330,27 @@ def parse(field: StationField, answer: str) -> Any:
         The value as the file holds it.
 
     Raises:
-        UserError: It is none for this field (`user.answer`); the message says why.
+        UserError: It is none for this field; the message says why.
     """
     answer = answer.strip().strip("[]()").strip()
     if nullable(field) and answer.lower() == NONE:
         return None
     if (possible := choices(field)) and answer not in possible:
-        raise UserError(f"{answer!r} is not supported. Choose one of {', '.join(possible)}", code="user.answer")
+        raise UserError(f"{answer!r} is not supported. Choose one of {', '.join(possible)}")
     value: Any = answer
     if field.numbers:
         value = answer.replace(",", " ").split()
         if field.numbers not in (ANY_NUMBER, len(value)):
             commas = "; separate numbers by commas, and use decimal points" if "," in answer else ""
-            raise UserError(f"give {field.numbers} numbers, not {len(value)}{commas}", code="user.answer")
+            raise UserError(f"give {field.numbers} numbers, not {len(value)}{commas}")
     if not answer:
-        raise UserError("give an answer", code="user.answer")
+        raise UserError("give an answer")
     try:
         typed = TypeAdapter(field.hint).validate_python(value)
     except ValidationError as error:
         first = error.errors()[0]
         why = str(first.get("ctx", {}).get("error", first["msg"].lower()))
-        raise UserError(f"{answer!r} does not fit: {why}", code="user.answer") from error
+        raise UserError(f"{answer!r} does not fit: {why}") from error
     return list(typed) if isinstance(typed, tuple) else str(typed) if possible else typed
 
 

@@ -213,7 +213,7 @@ def lead_trials(plan: TrialPlan, folder: Path, ask: Ask, tell: Tell, job: Job) -
         The results, in the plan's order; not all where the person skipped some or stopped.
 
     Raises:
-        UserError: The folder holds another plan's trials (`user.other_plan`); or as of `check_paper_weights`.
+        UserError: The folder holds another plan's trials; or as of `check_paper_weights`.
         AssetError: As of `check_paper_weights`.
         ConfigError: The station file is not complete, or lacks a tool or nail of the plan.
     """

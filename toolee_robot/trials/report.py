@@ -67,7 +67,7 @@ def write_report(plan: TrialPlan, folder: Path, results: Path | None = None) -> 
         The page.
 
     Raises:
-        UserError: The results are another plan's (`user.other_plan`), or the file holds none (`user.no_results`).
+        UserError: The results are another plan's, or the file holds none.
     """
     records, events = read_results(plan, folder) if results is None else read_results_file(plan, results)
     folder.mkdir(parents=True, exist_ok=True)

@@ -108,8 +108,8 @@ class Results:
         events: What else happened.
 
     Raises:
-        UserError: When it is entered: the folder holds another plan's trials (`user.other_plan`), its file is none of
-            trials (`user.no_results`), or another process works on them.
+        UserError: When it is entered: the folder holds another plan's trials, its file is none of
+            trials, or another process works on them.
     """
 
     def __init__(self, plan: TrialPlan, folder: Path) -> None:
@@ -176,7 +176,7 @@ def read_results(plan: TrialPlan, folder: Path) -> tuple[list[Record], list[Even
         The results, in the plan's order, and what else happened; none where the folder has none.
 
     Raises:
-        UserError: The folder holds another plan's trials; code `user.other_plan`.
+        UserError: The folder holds another plan's trials.
     """
     path = folder / RESULTS
     return read_results_file(plan, path) if path.is_file() else ([], [])
@@ -193,8 +193,7 @@ def read_results_file(plan: TrialPlan, path: Path) -> tuple[list[Record], list[E
         The results, in the plan's order, and what else happened.
 
     Raises:
-        UserError: The file cannot be read or holds no results (`user.no_results`), or another plan's
-            (`user.other_plan`).
+        UserError: The file cannot be read or holds no results, or another plan's.
     """
     done, events = _read(path, plan)
     return [done[trial] for trial in plan.jobs() if trial in done], events
@@ -218,12 +217,11 @@ def _read(path: Path, plan: TrialPlan) -> tuple[dict[Trial, Record], list[Event]
         events = [] if other else [_event(line["event"]) for line in rest if "event" in line]
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         why = words_of(error) if isinstance(error, OSError) else "it does not begin with a plan, or a line is damaged"
-        raise UserError(f"{path} holds no results of trials: {why}", code="user.no_results") from error
+        raise UserError(f"{path} holds no results of trials: {why}") from error
     if other:
         raise UserError(
             f"{path} holds the trials of another plan, {named}; this one is {plan.hash[:12]}. A plan must not "
-            "change once its trials have begun. Give another --out",
-            code="user.other_plan",
+            "change once its trials have begun. Give another --out"
         )
     return {record.trial: record for record in records}, events
 

@@ -165,7 +165,7 @@ def run_trials(
         All results, in the plan's order.
 
     Raises:
-        UserError: The folder holds another plan's trials (`user.other_plan`), or a person is led through this one's;
+        UserError: The folder holds another plan's trials, or a person is led through this one's;
             or as of `check_paper_weights`.
         AssetError: As of `check_paper_weights`.
         ConfigError: A file that the plan names cannot be read, or a field is wrong or missing.

@@ -98,11 +98,11 @@ def test_a_clock_that_jumps_is_an_error(gate: FrameGate, stream: Iterator[RawIma
 @pytest.mark.parametrize(
     ("values", "code"),
     [
-        ({"rgb": np.zeros((24, 64, 3), np.uint8)}, "device.camera_format"),
-        ({"rgb": np.zeros((48, 64), np.uint8)}, "device.camera_format"),
-        ({"rgb": np.zeros((48, 64, 3), np.uint16)}, "device.camera_format"),
-        ({"depth": np.ones((24, 32), np.uint16)}, "device.camera_format"),
-        ({"depth": np.full((48, 64), 800.0)}, "device.camera_format"),
+        ({"rgb": np.zeros((24, 64, 3), np.uint8)}, "device"),
+        ({"rgb": np.zeros((48, 64), np.uint8)}, "device"),
+        ({"rgb": np.zeros((48, 64, 3), np.uint16)}, "device"),
+        ({"depth": np.ones((24, 32), np.uint16)}, "device"),
+        ({"depth": np.full((48, 64), 800.0)}, "device"),
         ({"depth": np.full((48, 64), 8, np.uint16)}, "device.camera_depth_unit"),
         ({"depth": np.full((48, 64), 60_000, np.uint16)}, "device.camera_depth_unit"),
         ({"depth": np.full((48, 64), -800.0, np.float32)}, "device.camera_depth_unit"),

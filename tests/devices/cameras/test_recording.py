@@ -91,7 +91,7 @@ def test_a_recording_that_is_killed_can_be_read(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_not_written_over(tmp_path: Path) -> None:
-    with raises(UserError, "user.not_writable"), RecordingWriter(tmp_path, "toy", SERIAL, 30.0, INTRINSICS):
+    with raises(UserError, says="name a new folder"), RecordingWriter(tmp_path, "toy", SERIAL, 30.0, INTRINSICS):
         pass
 
 
@@ -120,7 +120,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, damage: str) -> None:
     else:
         camera = json.loads((folder / "recording.json").read_text())
         (folder / "recording.json").write_text(json.dumps(camera | {"width": 95}))
-    with raises(UserError, "user.camera_recording"):
+    with raises(UserError, says=str(folder)):
         open_recording(folder).read(1)
 
 

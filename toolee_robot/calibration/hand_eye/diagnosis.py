@@ -37,20 +37,18 @@ def check_poses(Xs_base_flange: Sequence[Array], names: Sequence[str]) -> None:
         names: Their names.
 
     Raises:
-        UserError: A pose is not rigid (`user.calibration_pose`), or not in metres (`user.calibration_unit`).
+        UserError: A pose is not rigid, or not in metres.
     """
     for X, name in zip(Xs_base_flange, names, strict=True):
         if X.shape != (4, 4) or not is_rigid(X, 1e-4):
             raise UserError(
                 f"pose {name}: X_base_flange is not a rigid transform: give 4 x 4, row by row, rotation left and "
-                "position right",
-                code="user.calibration_pose",
+                "position right"
             )
         if np.linalg.norm(X[:3, 3]) > LARGEST_REACH:
             raise UserError(
                 f"pose {name}: the flange is {np.linalg.norm(X[:3, 3]):.0f} m from the base: give metres, not "
-                "millimetres",
-                code="user.calibration_unit",
+                "millimetres"
             )
 
 
@@ -104,15 +102,14 @@ def check_scale(scale: tuple[float, float], board: Board) -> None:
         board: The board as given.
 
     Raises:
-        UserError: The square deviates (`user.calibration_board_scale`).
+        UserError: The square deviates.
     """
     factor, sigma = scale
     if abs(factor - 1.0) > max(SCALE, SIGMAS * sigma):
         raise UserError(
             f"the squares are not {board.square * 1e3:.2f} mm: the arm's motions give "
             f"{factor * board.square * 1e3:.2f} ± {2 * sigma * board.square * 1e3:.2f} mm. Measure the scale bars "
-            "of the print again. If they are right, the focal length or the unit of the arm's positions is wrong",
-            code="user.calibration_board_scale",
+            "of the print again. If they are right, the focal length or the unit of the arm's positions is wrong"
         )
 
 
@@ -155,8 +152,7 @@ def check_depths(depths: Array, expected: Array) -> None:
         expected: Depth of these corners by the colour image, (M,) [m].
 
     Raises:
-        UserError: The depth has another unit (`user.calibration_depth_unit`), or does not fit
-            (`user.calibration_depth`).
+        UserError: The depth has another unit, or does not fit.
     """
     known = np.isfinite(depths) & (depths > 0.0)
     if np.count_nonzero(known) < 20:
@@ -167,13 +163,11 @@ def check_depths(depths: Array, expected: Array) -> None:
     if ratio > 100.0 or ratio < 0.02:
         raise UserError(
             f"the depth at the board is {ratio:.3g} times that of the colour image, so depth_unit is wrong. Give "
-            "the length of one depth step in metres, such as 0.001 for millimetres",
-            code="user.calibration_depth_unit",
+            "the length of one depth step in metres, such as 0.001 for millimetres"
         )
     raise UserError(
         f"the depth at the board is {ratio:.3f} times that of the colour image. Either depth is not registered to "
-        "colour, or the intrinsics are another stream's, or the board's scale is wrong",
-        code="user.calibration_depth",
+        "colour, or the intrinsics are another stream's, or the board's scale is wrong"
     )
 
 

@@ -240,16 +240,12 @@ def check_motion(Xs_base_flange: Sequence[Array]) -> MotionSpread:
         UserError: There are too few, or they turn the board too little or about one axis only.
     """
     if len(Xs_base_flange) < MIN_POSES:
-        raise UserError(
-            f"{len(Xs_base_flange)} poses show the board: give {MIN_POSES} or more, better 20",
-            code="user.calibration_few_poses",
-        )
+        raise UserError(f"{len(Xs_base_flange)} poses show the board: give {MIN_POSES} or more, better 20")
     spread = motion_spread(Xs_base_flange)
     if not spread.sufficient:
         raise UserError(
             f"the poses turn the board by at most {np.rad2deg(spread.first):.0f}° about one axis and "
             f"{np.rad2deg(spread.second):.0f}° about any axis across it. Both need {np.rad2deg(MIN_ROTATION):.0f}°. "
-            "Tilt the board left, right, up and down, and turn it",
-            code="user.calibration_degenerate",
+            "Tilt the board left, right, up and down, and turn it"
         )
     return spread

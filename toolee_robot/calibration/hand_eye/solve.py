@@ -115,8 +115,7 @@ def calibrate(
         The calibration.
 
     Raises:
-        UserError: The poses are too few or do not determine it (`user.calibration_few_poses`,
-            `user.calibration_degenerate`), or the result is implausible: see `diagnosis`.
+        UserError: The poses are too few or do not determine it, or the result is implausible: see `diagnosis`.
     """
     check_poses([o.X_base_flange for o in observations], [o.name for o in observations])
     spread = check_motion([o.X_base_flange for o in observations])

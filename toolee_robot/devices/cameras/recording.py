@@ -72,14 +72,13 @@ class Recording:
             bgr, depth = read_image(paths[0], cv2.IMREAD_COLOR), read_image(paths[1])
         except (OSError, ValueError) as error:
             raise UserError(
-                f"frame {number} of {self.folder} cannot be read: {words_of(error)}: record again",
-                code="user.camera_recording",
+                f"frame {number} of {self.folder} cannot be read: {words_of(error)}: record again"
             ) from error
         for path, image, shape in ((paths[0], bgr, (*size, 3)), (paths[1], depth, size)):
             if image is None or image.shape != shape:
-                raise UserError(f"{path} is not an image of the recording: record again", code="user.camera_recording")
+                raise UserError(f"{path} is not an image of the recording: record again")
         if depth is None or bgr is None or depth.dtype != np.uint16:
-            raise UserError(f"{paths[1]} has not 16 bits: record again", code="user.camera_recording")
+            raise UserError(f"{paths[1]} has not 16 bits: record again")
         return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8), np.asarray(depth, np.uint16)
 
 
@@ -122,7 +121,7 @@ class RecordingWriter:
                 (self._folder / name).mkdir()
         except OSError as error:
             message = f"cannot record into {self._folder}: {words_of(error)}; name a new folder"
-            raise UserError(message, code="user.not_writable") from error
+            raise UserError(message) from error
         write_atomic(self._folder / RECORDING, json.dumps(self._camera, indent=1).encode())
         return self
 
@@ -172,7 +171,7 @@ def open_recording(folder: Path) -> Recording:
     try:
         entries = [frames[str(number)] for number in range(len(frames))]
         if not entries:
-            raise UserError(f"{folder} holds no frame: record again", code="user.camera_recording")
+            raise UserError(f"{folder} holds no frame: record again")
         undistorted = camera.get("undistorted")
         if undistorted is not None and not isinstance(undistorted, bool):
             raise ValueError(f"undistorted: {undistorted!r}")
@@ -189,7 +188,7 @@ def open_recording(folder: Path) -> Recording:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         message = f"{folder} is not a recording by `toolee camera record` ({error!r}): record again"
-        raise UserError(message, code="user.camera_recording") from error
+        raise UserError(message) from error
 
 
 def recording_of(images: Path) -> Recording | None:
@@ -214,7 +213,7 @@ def _read(path: Path) -> Any:
         return read_json(path)
     except (OSError, ValueError) as error:
         message = f"cannot read {path}: give the folder of a recording by `toolee camera record`"
-        raise UserError(message, code="user.camera_recording") from error
+        raise UserError(message) from error
 
 
 def _image(folder: Path, kind: str, number: int) -> Path:

@@ -268,10 +268,10 @@ class FrameGate:
         for name, image in (("colour", images.rgb), ("depth", images.depth)):
             if image.shape != expected[name]:
                 message = f"the camera's {name} image is {image.shape}, its profile says {expected[name]}: restart it"
-                raise DeviceError(message, code="device.camera_format")
+                raise DeviceError(message)
         if images.rgb.dtype != np.uint8 or images.depth.dtype not in (np.uint16, np.float32):
             message = f"the camera gives {images.rgb.dtype} colour and {images.depth.dtype} depth: its driver is faulty"
-            raise DeviceError(message, code="device.camera_format")
+            raise DeviceError(message)
         known = images.depth[::8, ::8]
         known = known[np.isfinite(known) & (known != 0)]
         if known.size:

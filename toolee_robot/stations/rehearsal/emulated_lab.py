@@ -116,8 +116,7 @@ class EmulatedLab:
         if hand != MOUNT and find_emulator(hand) is None:
             raise ConfigError(
                 f"the hand {hand!r} cannot be rehearsed, because it has no emulator. These have one: "
-                f"{', '.join(HAND_FILES)}. A {MOUNT} needs none",
-                code="config.no_emulator",
+                f"{', '.join(HAND_FILES)}. A {MOUNT} needs none"
             )
         self._cell, self._tell, self._purpose, self._doing = cell, tell, purpose, doing
         self._clock, self._profile = HostClock(real_time_factor), profile
