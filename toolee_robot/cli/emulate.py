@@ -12,9 +12,9 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -22,7 +22,7 @@ from rich.markup import escape
 
 from toolee_robot.cli.output import Flag
 from toolee_robot.errors import UserError, words_of
-from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 
 
 @dataclass(frozen=True)
@@ -123,11 +123,6 @@ class EmulateHand:
                 self.link.unlink()
 
 
-_METRES_PER_SECOND, _NEWTONS, _RADIANS, _WATTS, _MOMENTUM, _SECONDS, _DECELERATION = (
-    tyro.conf.arg(metavar=unit, help_behavior_hint="") for unit in ("M/S", "N", "RAD", "W", "KG*M/S", "S", "RAD/S2")
-)
-
-
 @dataclass(frozen=True)
 class EmulateUr:
     """Emulate a UR controller.
@@ -159,27 +154,12 @@ class EmulateUr:
     """
     seed: int = 0
     """Seed of the sensors' noise in the harsh profile."""
-    force_limit: Annotated[float | None, _NEWTONS] = None
-    """Force on the flange, smoothed over 20 ms, that triggers a protective stop, instead of the profile's."""
-    following_error: Annotated[float | None, _RADIANS] = None
-    """Deviation of a joint from its set-point that triggers a protective stop, instead of the profile's."""
-    tcp_speed_limit: Annotated[float | None, _METRES_PER_SECOND] = None
-    """Speed of the TCP that triggers a protective stop, instead of the profile's."""
-    power_limit: Annotated[float | None, _WATTS] = None
-    """Power on the environment that triggers a protective stop, instead of the profile's."""
-    momentum_limit: Annotated[float | None, _MOMENTUM] = None
-    """Momentum of the arm that triggers a protective stop, instead of the profile's."""
-    lag: Annotated[float | None, _SECONDS] = None
-    """Lag of servoj at a gain of 1200 and a lookahead of 0.03 s, instead of the profile's."""
-    stop_deceleration: Annotated[float | None, _DECELERATION] = None
-    """Deceleration of the fastest joint in protective, safeguard and emergency stops, instead of the profile's."""
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 1.0
     """Speed of the robot's time; 1 is real time. Clients must use the same value."""
 
     def run(self) -> int:
         from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
         from toolee_robot.sim_backend.ur_controller.process import resting_joints
-        from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
 
         console = Console(highlight=False)
         begin = time.monotonic()
@@ -187,18 +167,6 @@ class EmulateUr:
         def log(line: str) -> None:
             console.print(f"[dim]{time.monotonic() - begin:9.3f}[/dim]  {escape(line)}", soft_wrap=True)
 
-        given: dict[str, Any] = {
-            "force": self.force_limit,
-            "following_error": self.following_error,
-            "tcp_speed": self.tcp_speed_limit,
-            "power": self.power_limit,
-            "momentum": self.momentum_limit,
-        }
-        chosen = profile(self.profile, MODELS[self.model].e_series)
-        limits = replace(chosen.limits, **{name: value for name, value in given.items() if value is not None})
-        stops = chosen.stops
-        if (given_stop := self.stop_deceleration) is not None:
-            stops = replace(stops, protective=given_stop, safeguard=given_stop, emergency=given_stop)
         options = ControllerOptions(
             model=self.model,
             host=self.host,
@@ -209,9 +177,6 @@ class EmulateUr:
             powered=not self.off,
             profile=self.profile,
             seed=self.seed,
-            limits=limits,
-            lag=self.lag,
-            stops=stops,
             real_time_factor=self.real_time_factor,
         )
         controller = Controller(options, resting_joints, log)

@@ -15,7 +15,6 @@ from toolee_robot.frames import HALF_TURN, Array, BaseFrame, frame_from_axes, in
 from toolee_robot.sim_backend.visuals import BodyId, SceneState, SceneVisuals, VisualBody
 from toolee_robot.station import StationConfig, given_by_nails, given_by_pose, read_station
 from toolee_robot.station.station import to_station
-from toolee_robot.stations.template import open_fields
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.types import CameraIntrinsics
 
@@ -255,8 +254,9 @@ class StationView:
         stream.log("text", text, static=True)
 
     def texts(self) -> list[str]:
-        """The panel's parts, in Markdown: places, colours, the camera's calibration, and what is missing."""
-        return [self._places(), _colours(self._config), f"**Camera**: {self._calibration()}", self._missing()]
+        """The panel's parts, in Markdown: places, colours, and which command says what is missing."""
+        missing = f"`toolee station check {self._path}` says what is missing, and how each is measured."
+        return [self._places(), _colours(self._config), missing]
 
     def _places(self) -> str:
         frame = BaseFrame((self._data or {}).get("frame", BaseFrame.BASE_LINK))
@@ -268,23 +268,6 @@ class StationView:
                 x, y, z = (X @ place[:, 3])[:3]
                 lines.append(f"| {self._named(name)} | {x:.3f} | {y:.3f} | {z:.3f} |")
         return "\n".join(lines)
-
-    def _calibration(self) -> str:
-        calibration = self._config.calibration
-        if not (self._data or {}).get("calibration") or calibration is None:
-            return "not calibrated: it is drawn where `camera` says"
-        by = "of another program" if calibration.record is None else f"record `{calibration.record}`"
-        return f"calibrated on {calibration.measured_on}, {by}, residual {calibration.residual * 1e3:.1f} mm"
-
-    def _missing(self) -> str:
-        fields = open_fields(self._data or {}, self._path)
-        if not fields:
-            return "**Missing**: nothing"
-        lines = ["**Missing**; shown instead are the simulated station's:", ""]
-        if all(entry.note for entry in fields):
-            lines = ["**Missing**: nothing that a job needs. Not there, either:", ""]
-        lines += [f"- {entry.fields}" + (f" ({entry.note})" if entry.note else "") for entry in fields]
-        return "\n".join([*lines, "", f"`toolee station check {self._path}` says how each is measured."])
 
     def _named(self, name: str) -> str:
         """Name of what is drawn, and whether the simulated station's values stand in for what the file leaves out."""
