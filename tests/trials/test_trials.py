@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pyarrow import parquet
 
 from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
@@ -27,7 +26,7 @@ from toolee_robot.perception.weight_files import weights_hash
 from toolee_robot.sim_backend.cell_errors import CellErrors
 from toolee_robot.trials import Trial, TrialPlan, load_plan, run_trials, write_report
 from toolee_robot.trials.plan import InSimulation
-from toolee_robot.trials.results import RESULTS, Happened, Record, read_results, read_results_file
+from toolee_robot.trials.results import RESULTS, Happened, Record, read_results
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLAN = TrialPlan("three hammers", 40, 3, (Variant.FULL, Variant.NO_CORRECTION), {"camera_position": 0.004})
@@ -296,40 +295,6 @@ def test_a_file_without_a_plan_s_results_is_refused(tmp_path: Path, name: str) -
     with raises(UserError, says=name):
         write_report(load_plan(kept / "distinct_hammers.yaml"), tmp_path, kept / name)
     assert not list(tmp_path.iterdir())
-
-
-def test_the_table_has_a_row_for_each_trial(tmp_path: Path) -> None:
-    kept = EXAMPLES.parent / "docs" / "benchmark"
-    plan = load_plan(kept / "distinct_hammers.yaml")
-    write_report(plan, tmp_path, kept / "distinct_hammers.jsonl")
-    table = parquet.read_table(tmp_path / "trials.parquet")
-    assert table.schema.metadata[b"hash"].decode() == plan.hash
-    records = read_results_file(plan, kept / "distinct_hammers.jsonl")[0]
-    for row, record in zip(table.to_pylist(), records, strict=True):
-        assert (row["trial.arm"], row["trial.seed"]) == (record.trial.arm, record.trial.seed)
-        assert row["success"] == record.success
-        assert row["errors.camera_mm"] == record.figures["errors"]["camera_mm"]
-        figures = record.figures
-        assert row["stage_seconds.strike"] == figures["stage_seconds"].get("strike"), "null where it came to no strike"
-        assert [nail["outcome"] for nail in row["nails"]] == [nail["outcome"] for nail in figures["nails"]]
-        assert row["command"].split() == list(record.command)
-
-
-def test_a_figure_of_several_kinds_is_text_in_the_table(tmp_path: Path) -> None:
-    def odd(spec: JobSpec, out: Path) -> dict[str, Any]:
-        made = job(spec, out)
-        return {**made, "odd": made["strikes"] if made["strikes"] % 2 else "none", "big": 2**70}
-
-    run_trials(PLAN, tmp_path, 1, quietly, odd)
-    write_report(PLAN, tmp_path)
-    rows = parquet.read_table(tmp_path / "trials.parquet").to_pylist()
-    assert {json.loads(row["odd"]) for row in rows} == {"none", *(r["strikes"] for r in rows if r["strikes"] % 2)}
-    assert {json.loads(row["big"]) for row in rows} == {2**70}
-
-
-def test_a_plan_without_results_has_an_empty_table(tmp_path: Path) -> None:
-    write_report(PLAN, tmp_path)
-    assert parquet.read_table(tmp_path / "trials.parquet").num_rows == 0
 
 
 def test_every_seed_and_arm_gets_every_nail_in_every_wood(tmp_path: Path) -> None:

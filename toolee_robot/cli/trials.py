@@ -42,8 +42,7 @@ class Trials(JsonOption):
     plan: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="YAML")]
     """The plan: docs/how-to/run_trials.md."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: trials)")] = None
-    """Folder of the results: trials.jsonl, report.html, report.json, trials.parquet, and runs/ with each job's
-    folder."""
+    """Folder of the results: trials.jsonl, report.html, report.json, and runs/ with each job's folder."""
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
     """Jobs side by side."""
     cluster: Literal["local", "ray"] = "local"

@@ -20,7 +20,6 @@ from toolee_robot.runtime.html_page import Page
 from toolee_robot.tasks.common.outcome import Stage, cause
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.results import (
-    TABLE,
     Event,
     Happened,
     Record,
@@ -32,7 +31,6 @@ from toolee_robot.trials.results import (
     read_results,
     read_results_file,
     share,
-    write_table,
 )
 from toolee_robot.trials.tasks import out_of
 
@@ -59,7 +57,7 @@ def write_report(plan: TrialPlan, folder: Path, results: Path | None = None) -> 
 
     Args:
         plan: The plan.
-        folder: The trials' folder, which gets the page, its figures and the table in the place of those there.
+        folder: The trials' folder, which gets the page and its figures in the place of those there.
         results: File of the results, with the jobs' folders beside it if they came with it; None for the folder's own,
             which are not read with it.
 
@@ -76,7 +74,6 @@ def write_report(plan: TrialPlan, folder: Path, results: Path | None = None) -> 
     write_atomic(folder / FIGURES, (json.dumps(made, indent=1) + "\n").encode())
     runs = RunLinks(folder, folder if results is None else results.parent)
     write_atomic(folder / REPORT, _page(plan, made, records, runs).encode())
-    write_table(records, plan.hash, folder / TABLE)
     return folder / REPORT
 
 
