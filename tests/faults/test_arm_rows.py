@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -33,8 +32,6 @@ from toolee_robot.types import ArmModel
 HARSH = Setting(ArmModel.UR10E, "127.0.0.64", "harsh")
 OWN = replace(HARSH, host="127.0.0.65")
 """For rows with a stand-in of their own."""
-SCRIPT_PORT = 30002
-MOVES = "def moves():\n  q = get_actual_joint_positions()\n  q[5] = q[5] + 0.1\n  movej(q, 1.4, 1.0)\nend\n"
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +54,6 @@ def ctrl_c_ignored() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def upload(controller: ControllerProcess) -> None:
-    with socket.create_connection((controller.host, SCRIPT_PORT), 2.0) as sock:
-        sock.sendall(MOVES.encode())
 
 
 def check(measurement: Measurement, machine: LatencyMonitor) -> None:

@@ -78,10 +78,6 @@ def test_every_row_is_listed_once_and_its_number_is_on_the_safety_page() -> None
     assert [int(number) for number in numbers] == sorted({row.number for row in rows})
 
 
-HOST = "127.0.0.66"
-MODELS = pytest.mark.parametrize("model", list(ArmModel))
-
-
 def strike(model: ArmModel) -> tuple[Trajectory, float]:
     plan = plan_swing(model).plan
     return plan.strike, plan.contact_time - 0.03

@@ -11,15 +11,13 @@ from hypothesis import strategies as st
 
 from toolee_robot.depth_noise import KINDS, DepthNoise, SensorKind
 from toolee_robot.perception.offline.synthesis.example import Series, make_example
-from toolee_robot.render.depth_sensors import Photo, SystematicErrors, measure_depth, photograph, random_reading
+from toolee_robot.render.depth_sensors import SystematicErrors, measure_depth, random_reading
 from toolee_robot.render.material import Rendering
 from toolee_robot.render.triangulation import (
     Registration,
     Surface,
     TriangulatingCamera,
     hidden_from,
-    in_patches,
-    smooth_noise,
 )
 from toolee_robot.types import CameraIntrinsics
 
@@ -59,16 +57,6 @@ def test_structured_light_reads_in_steps_of_an_eighth_of_a_pixel() -> None:
     reading = camera(step=0.125, noise=0.1).measure(wall(1.0), K, np.random.default_rng(2))
     disparity = 580.0 * 0.075 / reading[reading > 0] / 0.125
     np.testing.assert_allclose(disparity, np.round(disparity), atol=1e-3)
-
-
-def test_neighbours_under_one_window_err_together() -> None:
-    def likeness(shared: float) -> float:
-        reading = camera(shared=shared, window=12.0).measure(wall(1.0), K, np.random.default_rng(3))
-        error = reading[50:-50, 50:-50] - 1.0
-        return float(np.corrcoef(error[:, :-1].ravel(), error[:, 1:].ravel())[0, 1])
-
-    assert likeness(0.0) < 0.05
-    assert likeness(0.9) > 0.7
 
 
 @pytest.mark.parametrize("baseline", [0.05, -0.05])
@@ -139,18 +127,6 @@ def test_time_of_flight_in_a_lab_errs_by_distance_darkness_and_polish() -> None:
     assert seen(wall(0.8, shininess=1.0), detour=0.01).min() >= np.float32(0.8)
     assert 0.3 < (seen(wall(0.8, shininess=1.0), holes=0.5) == 0).mean() < 0.7
     assert not seen(wall(0.29)).any()
-
-
-@settings(max_examples=20, deadline=None)
-@given(size=st.floats(1.0, 40.0), seed=st.integers(0, 1000))
-def test_smooth_noise_has_unit_variance_and_patches_their_share(size: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    field = smooth_noise(SHAPE, size, rng)
-    assert field.shape == SHAPE
-    patches = SHAPE[0] * SHAPE[1] / size**2
-    assert float(field.std()) == pytest.approx(1.0, abs=0.05 + 2.0 / np.sqrt(patches))
-    share = in_patches(np.full(SHAPE, 0.3), size, rng).mean()
-    assert share == pytest.approx(0.3, abs=0.05 + 2.0 / np.sqrt(patches))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -290,13 +266,3 @@ def test_noiseless_is_the_identity_and_holes_stay_holes() -> None:
     np.testing.assert_array_equal(exact, scene)
     noisy = measure_depth(scene, flat(1.0), flat(0.0), K, DepthNoise(), np.random.default_rng(0))
     assert np.all(noisy[100:150, 100:150] == 0)
-
-
-def test_random_sensors_and_cameras_are_reproducible() -> None:
-    def once() -> tuple[object, object, bytes]:
-        rng = np.random.default_rng(11)
-        noise, photo = DepthNoise.random(rng), Photo.random(rng)
-        image = np.broadcast_to(np.arange(512, dtype=np.uint8)[None, :, None] // 2, (*SHAPE, 3))
-        return noise, photo, photograph(np.ascontiguousarray(image), photo, rng).tobytes()
-
-    assert once() == once()

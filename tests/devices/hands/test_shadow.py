@@ -142,14 +142,6 @@ def test_motors_of_which_nothing_is_known_are_a_fault(shadow: ShadowEmulator, sh
     eventually(lambda: told(shadow_hand).fault == "")
 
 
-def _answers(hand: ShadowHand) -> bool:
-    try:
-        hand.state(0.5)
-    except StaleDataError:
-        return False
-    return True
-
-
 def test_readings_that_wait_in_the_network_are_not_taken_for_fresh(
     shadow: ShadowEmulator, shadow_hand: ShadowHand
 ) -> None:

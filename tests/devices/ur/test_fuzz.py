@@ -139,16 +139,6 @@ def test_ur_rtde_does_not_connect_again_behind_our_back(
         assert isinstance(error, MotionFaultError)
 
 
-@pytest.mark.nightly
-def test_positions_that_ur_rtde_does_not_send_are_a_fault(
-    arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess
-) -> None:
-    """Its control interface takes nonsense for the end of the program: it sends nothing more, and only says so."""
-    for skip in (0, 1, 2):
-        error = _swing_while_struck(arm, proxy, controller, Rule("flood", packet(b"U", b"\x01"), skip=skip))
-        assert isinstance(error, MotionFaultError)
-
-
 # -- drawn at random: what happens to one direction of a connection
 
 _bytes = st.binary(min_size=1, max_size=300)

@@ -47,21 +47,9 @@ def square(u: float, v: float, side: float, turn: float = 0.0, mirrored: float =
     return Squares(torch.tensor([[u, v]]), *(torch.tensor([value]) for value in (side, turn, mirrored)))
 
 
-def disc() -> Tensor:
-    y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
-    return (x - 37) ** 2 + 2 * (y - 31) ** 2 < 220
-
-
 FIRST = torch.zeros(1, dtype=torch.long)
 """Index of one square's image."""
 MIDDLE = square(40.0, 30.0, 48.0)
-
-
-@st.composite
-def squares(draw: st.DrawFn) -> Squares:
-    """One, upright, that may reach beyond the image. None of its cells' centres lies where two pixels meet."""
-    u, v = (draw(st.integers(-80, 8 * size + 80)) / 8 + 1 / 16 for size in (WIDTH, HEIGHT))
-    return square(u, v, CELLS / 4 * draw(st.integers(1, 6)))
 
 
 @st.composite

@@ -37,8 +37,6 @@ from toolee_robot.types import Detection, RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=20)
 
-FRAMES = 4
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -210,12 +210,6 @@ def test_the_rest_of_the_tool_lies_in_the_same_frame_and_far_background_is_left_
 SIZE = 24
 
 
-def block(rows: slice, columns: slice) -> torch.Tensor:
-    mask = torch.zeros(1, SIZE, SIZE, dtype=torch.bool)
-    mask[:, rows, columns] = True
-    return mask
-
-
 @examples(60)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.05, 0.95))
 def test_a_completed_depth_lies_between_the_depths_that_are_known_and_only_where_it_is_wanted(

@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator, ModbusEmulator
+from toolee_robot.sim_backend.hands.inspire import Hand, InspireEmulator
 
 CLOSE_ALL = "EB 90 01 0F 12 CE 05 00 00 00 00 00 00 00 00 00 00 E8 03 E0"
 """All but the thumb's rotation to 0."""
@@ -95,13 +95,3 @@ def test_a_hot_motor_stands_until_it_is_cool_whatever_is_cleared(bench: Bench) -
     bench.hand.motors[0].temperature = 50.0
     bench.now += 0.1
     assert bench.bytes(1606)[0] == 0
-
-
-FRAMES = {
-    InspireEmulator: ("EB 90 01 04 11 DA 05 0C 01", ["EB 90 01 0F 12 DA 05 " + "2C 01 " * 6 + "0F"]),
-    ModbusEmulator: (
-        "00 01 00 00 00 06 01 03 05 DA 00 06",
-        ["00 02 00 00 00 06 01 06 05 DA 01 2C", "00 01 00 00 00 13 01 10 05 DA 00 06 0C " + "01 2C " * 6],
-    ),
-}
-"""The thresholds of the force: read, and written as 300 in every way that the wire has."""

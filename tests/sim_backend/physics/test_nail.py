@@ -117,12 +117,6 @@ def test_steps_of_a_millisecond_follow_the_balance_and_the_default_step_fails() 
     assert max(errors[1:]) < 0.005
 
 
-def test_deep_nail_resists_more(bench: Bench) -> None:
-    drives = [bench.strike(0.6, 1.5) for _ in range(6)]
-    assert drives == sorted(drives, reverse=True)
-    assert drives[-1] < 0.9 * drives[0]
-
-
 @pytest.mark.parametrize(("mass", "least", "most"), [(0.5, 7, 10), (0.8, 4, 7)])
 def test_default_nail_goes_flush_in_a_handful_of_strikes(bench: Bench, mass: float, least: int, most: int) -> None:
     strikes = 0
@@ -288,13 +282,6 @@ def test_resistance_has_the_size_of_the_reference_law() -> None:
         )
         reference = 150 * (diameter / 0.003) ** 2 + 1.6e6 * np.pi * diameter * depth
         assert resistance(spec, 0.020) == pytest.approx(reference, rel=0.25)
-
-
-def test_driving_work_is_the_integral_of_the_resistance() -> None:
-    protrusions = np.linspace(-0.0005, 0.018, 20001)
-    numeric = np.trapezoid([resistance(SPEC, p) for p in protrusions], protrusions)
-    assert driving_work(SPEC, 0.018, -0.0005) == pytest.approx(numeric, rel=1e-6)
-    assert driven_by(SPEC, 0.018, driving_work(SPEC, 0.018, 0.005)) == pytest.approx(0.013, abs=1e-5)
 
 
 def test_denser_wood_resists_more_and_a_pilot_hole_less() -> None:
