@@ -94,6 +94,7 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     assert (after["q"], after["uploads"]) == (before["q"], before["uploads"])
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 @pytest.mark.usefixtures("robot")
 def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
@@ -230,6 +231,7 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     assert "Not ready:" in said
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 def test_a_base_that_does_not_stand_as_the_file_says_is_felt(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]

@@ -8,9 +8,9 @@ import signal
 import subprocess
 import sys
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -40,11 +40,26 @@ def _answers(said: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _new(path: Path, lines: list[str]) -> subprocess.CompletedProcess[str]:
-    text = "".join(f"{line}\n" for line in lines)
-    return subprocess.run(
-        [*TOOLEE, "station", "new", str(path), "--ask"], input=text, capture_output=True, text=True, check=False
-    )
+class Told(NamedTuple):
+    """How an interview ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+Interview = Callable[[Path, list[str]], Told]
+
+
+@pytest.fixture
+def interview(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Interview:
+    """An interview that is given these lines, and then nothing more."""
+
+    def ask(path: Path, lines: list[str]) -> Told:
+        monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
+        return Told(run(["station", "new", str(path), "--ask"]), *capsys.readouterr())
+
+    return ask
 
 
 def test_a_template_has_just_the_fields_that_apply_and_check_lists_what_is_empty(
@@ -70,72 +85,78 @@ def test_a_template_has_just_the_fields_that_apply_and_check_lists_what_is_empty
         assert run(["station", "new", str(tmp_path / "other.yaml"), *wrong]) == 2
 
 
-def test_an_interview_that_breaks_off_loses_nothing_and_goes_on_later(tmp_path: Path) -> None:
+def test_an_interview_that_breaks_off_loses_nothing_and_goes_on_later(tmp_path: Path, interview: Interview) -> None:
     path, lines = tmp_path / "lab.yaml", _answers(yaml.safe_load(LAB.read_text()))
     millimetres = lines.index("0.95 -0.62 0.85")
-    first = _new(path, [*lines[:millimetres], "950 -620 850"])
-    assert first.returncode == 1
-    assert "that looks like millimetres" in first.stdout
-    open_ones = first.stdout[first.stdout.index("Still open") :].splitlines()
+    first = interview(path, [*lines[:millimetres], "950 -620 850"])
+    assert first.code == 1
+    assert "that looks like millimetres" in first.out
+    open_ones = first.out[first.out.index("Still open") :].splitlines()
     assert "  camera: position, target  (tape measure)" in open_ones
     assert not any(line.lstrip().startswith(("arm: host", "hand")) for line in open_ones), "these were answered"
     assert yaml.safe_load(path.read_text())["arm"] == {
         "model": "UR10", "up": [0, 0, 1], "host": "192.168.1.10",
     }  # fmt: skip
-    second = _new(path, lines[millimetres:])
-    assert second.returncode == 0, second.stdout
-    assert "no RealSense with serial number 832112070123 is connected" in " ".join(second.stdout.split())
+    second = interview(path, lines[millimetres:])
+    assert second.code == 0, second.out
+    assert "no RealSense with serial number 832112070123 is connected" in " ".join(second.out.split())
     assert load_lab_station(path).tool == load_lab_station(LAB).tool
 
 
-def test_an_answer_is_taken_back_and_one_that_contradicts_another_is_refused(tmp_path: Path) -> None:
+def test_an_answer_is_taken_back_and_one_that_contradicts_another_is_refused(
+    tmp_path: Path, interview: Interview
+) -> None:
     path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
     lines = _answers(said)
     at = lines.index("0.95 -0.62 0.85")
     # Another nail's place is given first, and the door's two contacts on one input.
     door = lines.index(str(said["person"]["door_open_input"]), lines.index(str(said["work"]["pilot_hole_diameter"])))
     changed = [*lines[:at], "0.5 -0.5 0.5", "<", *lines[at:]]
-    first = _new(path, changed)
-    assert first.returncode == 0, first.stdout
+    first = interview(path, changed)
+    assert first.code == 0, first.out
     assert yaml.safe_load(path.read_text())["camera"]["position"] == [0.95, -0.62, 0.85]
     twice = lines.copy()
     twice[door] = str(said["person"]["door_closed_input"])
     path.unlink()
-    second = _new(path, twice)
-    assert "name one input twice" in second.stdout
-    assert second.returncode == 1
+    second = interview(path, twice)
+    assert "name one input twice" in second.out
+    assert second.code == 1
 
 
-def test_a_place_that_is_typed_in_the_other_frame_of_the_base_is_noticed_at_the_end(tmp_path: Path) -> None:
+def test_a_place_that_is_typed_in_the_other_frame_of_the_base_is_noticed_at_the_end(
+    tmp_path: Path, interview: Interview
+) -> None:
     path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
     said["work"]["nail_xy"] = [-0.75, -0.10]  # as the pendant shows it
-    told = _new(path, _answers(said))
-    assert told.returncode == 0, told.stdout
-    assert "work.nail_xy: behind the arm at home, by about half a turn" in told.stdout
+    told = interview(path, _answers(said))
+    assert told.code == 0, told.out
+    assert "work.nail_xy: behind the arm at home, by about half a turn" in told.out
 
 
-def test_a_file_that_a_person_edited_is_not_written_by_the_interview(tmp_path: Path) -> None:
+def test_a_file_that_a_person_edited_is_not_written_by_the_interview(tmp_path: Path, interview: Interview) -> None:
     path = tmp_path / "lab.yaml"
     path.write_bytes(LAB.read_bytes())
-    told = _new(path, [])
-    assert told.returncode == 2
-    assert "was edited by hand, so no command edits it" in " ".join(told.stderr.split())
+    told = interview(path, [])
+    assert told.code == 2
+    assert "was edited by hand, so no command edits it" in " ".join(told.err.split())
     assert path.read_bytes() == LAB.read_bytes(), "its comments, too"
 
 
-def test_enter_gives_the_answer_that_is_offered_and_an_answer_can_be_taken_back(tmp_path: Path) -> None:
+def test_enter_gives_the_answer_that_is_offered_and_an_answer_can_be_taken_back(
+    tmp_path: Path, interview: Interview
+) -> None:
     path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
     for section in ("servo", "calibration"):
         del said[section]
     del said["scene"]["obstacles"], said["work"]["block_xy"], said["arm"]["host"], said["strike"]
     path.write_text(template(said))
-    back = _new(path, ["192.168.1.10", "<"])
-    assert "Nothing new" in back.stdout
+    back = interview(path, ["192.168.1.10", "<"])
+    assert "Nothing new" in back.out
     assert path.read_text() == template(said)
-    told = _new(path, ["192.168.1.10", "", "", ""])
-    assert told.returncode == 0, told.stdout
-    assert "(Enter: 0.4)" in told.stdout
-    assert "with defaults: scene.obstacles, arm.acceleration, supervisor.unattended_speed." in told.stdout
+    told = interview(path, ["192.168.1.10", "", "", ""])
+    assert told.code == 0, told.out
+    assert "(Enter: 0.4)" in told.out
+    assert "with defaults: scene.obstacles, arm.acceleration, supervisor.unattended_speed." in told.out
     after = load_lab_station(path)
     assert (after.work.block_xy, after.arm.host, after.strike.speed) == (None, "192.168.1.10", 0.4)
 
@@ -182,11 +203,11 @@ def test_a_realsense_tells_its_intrinsics_in_the_mode_that_is_asked_for_before(
     assert {name: k[name] for name in INTRINSICS} == pytest.approx({n: getattr(COLOR, n) for n in INTRINSICS}, abs=1e-3)
 
 
-def test_an_interview_says_at_once_where_it_cannot_write(tmp_path: Path) -> None:
-    told = _new(tmp_path / "nowhere" / "lab.yaml", ["base_link"])
-    assert told.returncode == 2
-    assert "nowhere" in told.stderr
-    assert "Frame of the positions" not in told.stdout
+def test_an_interview_says_at_once_where_it_cannot_write(tmp_path: Path, interview: Interview) -> None:
+    told = interview(tmp_path / "nowhere" / "lab.yaml", ["base_link"])
+    assert told.code == 2
+    assert "nowhere" in told.err
+    assert "Frame of the positions" not in told.out
 
 
 def test_what_a_job_needs_is_named_before_any_device_is_asked(

@@ -27,7 +27,6 @@ _QUICK = {
     ("camera frozen", Phase.REST),
     ("network link cut", Phase.REST),
     ("nobody steps back", Phase.REST),
-    ("contact too early", Phase.SWING),
     ("hold-to-run switch not held", Phase.REST),
     ("door contact stuck closed", Phase.REST),
     ("one bad reading of the grip", Phase.REST),

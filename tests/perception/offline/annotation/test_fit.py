@@ -95,8 +95,9 @@ def test_the_true_pose_lies_in_the_95_percent_region_in_90_to_99_percent_of_runs
     assert 0.90 <= inside <= (1.0 if kind == "tip" else 0.99)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=10)
-@pytest.mark.parametrize("role", [Role.RIM, pytest.param(Role.SURFACE, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("role", [Role.RIM, Role.SURFACE])
 def test_one_wrong_click_is_named_and_left_out(role: Role) -> None:
     named, errors = 0, []
     for seed in range(12):
