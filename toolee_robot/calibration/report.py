@@ -138,9 +138,6 @@ def calibration_report(record: CalibrationRecord, folder: Path, signature: str, 
         )  # fmt: skip
     else:
         page.paragraph("None yet. Good residuals do not guarantee accuracy.")
-    page.heading("Closed forms")
-    page.paragraph("Displacement of the point from the joint refinement by each method of OpenCV; they only start it.")
-    page.table(["method", "displacement, mm"], [[m, f"{v * 1e3:.2f}"] for m, v in record.methods.items()])
     page.section("Poses")
     page.picture(_bars(record), "Error of each pose: by the other poses (held out), and within its own image.")
     page.picture(_coverage(record), "Corners in the image, all poses.")

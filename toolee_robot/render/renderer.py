@@ -36,7 +36,6 @@ def render(
     intrinsics: CameraIntrinsics,
     X_world_camera: Array,
     antialias: bool = True,
-    exposure: float = 1.0,
     auto_exposure: float = 0.0,
     device: str = "cpu",
 ) -> Rendering:
@@ -48,7 +47,6 @@ def render(
         X_world_camera: Pose of the camera in the world frame, 4x4 [m].
         antialias: Cast two additional rays through each outline pixel, for the colour only; depth and ids are those of
             the pixel centre.
-        exposure: Factor on the linear colour before the sRGB curve.
         auto_exposure: Strength of the compensation of dark and bright scenes, in [0, 1].
         device: "cpu", or "cuda" for an NVIDIA GPU.
 
@@ -59,7 +57,7 @@ def render(
         UserError: The device is not available.
     """
     shot = Shot(scene, intrinsics, X_world_camera, device)
-    image = shot.develop(antialias, exposure, auto_exposure)
+    image = shot.develop(antialias, auto_exposure=auto_exposure)
     grid = shot.depth.shape
     return Rendering(
         rgb=image.rgb.numpy().reshape(*grid, 3),
@@ -133,7 +131,7 @@ class Shot:
 
         Args:
             antialias: As in `render`.
-            exposure: As in `render`.
+            exposure: Factor on the linear colour before the sRGB curve.
             auto_exposure: As in `render`.
 
         Returns:

@@ -39,18 +39,15 @@ class Page:
         """Add large figures, each a value and its description."""
         self._add("cards", values=values)
 
-    def table(
-        self, head: Sequence[str], rows: Sequence[Sequence[Any]], starts: set[int] | None = None, left: int = 1
-    ) -> None:
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[Any]], left: int = 1) -> None:
         """Add a table.
 
         Args:
             head: Column headings.
             rows: Cells, each a string or a pair (string, whether it is the best).
-            starts: Rows with a rule above them.
             left: Number of left-aligned columns of text.
         """
-        self._add("table", head=head, rows=rows, starts=starts or set(), left=left)
+        self._add("table", head=head, rows=rows, left=left)
 
     def picture(self, png: bytes, caption: str) -> None:
         """Embed a picture.

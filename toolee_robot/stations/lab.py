@@ -53,14 +53,13 @@ def ur_driver(config: StationConfig, host: str, *, real_time_factor: float = 1.0
     return UnsupervisedUrArm(settings, config.arm)
 
 
-def open_arm(config: StationConfig, host: str, person: Person, *, real_time_factor: float = 1.0) -> Supervisor:
+def open_arm(config: StationConfig, host: str, person: Person) -> Supervisor:
     """Build a station's arm under the supervisor, with the hand empty.
 
     Args:
         config: Configuration of the station, as for `ur_driver`.
         host: Address of the controller.
         person: The person at the station.
-        real_time_factor: Real-time factor of a stand-in; 1 for a robot.
 
     Returns:
         The supervisor, in HANDOVER mode, not yet entered. Entering it checks the robot and connects, which moves
@@ -68,11 +67,10 @@ def open_arm(config: StationConfig, host: str, person: Person, *, real_time_fact
 
     Raises:
         ConfigError: The hand is unknown, or a parameter of the servo is out of range.
-        UserError: The real-time factor is invalid for this host.
     """
     robot = RobotModel.of_station(config)
     world = CollisionWorld(robot, config, robot.description.hand_open)
-    driver = ur_driver(config, host, real_time_factor=real_time_factor)
+    driver = ur_driver(config, host)
     return Supervisor(driver, person, robot, config, lambda: world)
 
 

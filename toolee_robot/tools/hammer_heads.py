@@ -79,7 +79,7 @@ def body_piece(rng: np.random.Generator, half: float, height: float, width: floa
 
 def poll_piece(
     rng: np.random.Generator, start: float, end: float, root: tuple[float, float], radius: float, section: Array,
-    material: Material, *, necked: bool, label: str = "face",
+    material: Material, *, necked: bool,
 ) -> Piece:  # fmt: skip
     """Generate the poll: from the body over a neck to the striking face.
 
@@ -92,7 +92,6 @@ def poll_piece(
         section: Outline of the face, (32, 2).
         material: Its material.
         necked: Whether the neck is clearly narrower than the face.
-        label: Name of the part.
 
     Returns:
         The poll, in head axes.
@@ -109,7 +108,7 @@ def poll_piece(
     b = np.array([root[1], root[1], neck, radius, radius, radius - chamfer])
     circle = superellipse(2.0, 32)
     rings = stack(z, a, b, np.stack([circle, circle, 0.5 * (circle + section), section, section, section]))
-    return loft_piece(label, rings, material)
+    return loft_piece("face", rings, material)
 
 
 def ball_peen_head(rng: np.random.Generator) -> Head:

@@ -95,7 +95,6 @@ def calibrate(
     board: Board,
     intrinsics: CameraIntrinsics,
     *,
-    target: Array | None = None,
     expected: Array | None = None,
 ) -> CameraCalibration:
     """Calibrate a fixed camera to the robot from views of a board on the flange.
@@ -106,8 +105,6 @@ def calibrate(
         observations: Poses of the flange, and the corners seen there.
         board: The board with its measured square.
         intrinsics: Pinhole model of the images.
-        target: Point in the camera's frame at which errors are told, (3,) [m]; `TARGET_DISTANCE` on the optical axis if
-            None.
         expected: Place of the camera in `base` as measured by hand, (3,) [m]; None if unknown, and a half turn of the
             base is then not noticed.
 
@@ -119,7 +116,7 @@ def calibrate(
     """
     check_poses([o.X_base_flange for o in observations], [o.name for o in observations])
     spread = check_motion([o.X_base_flange for o in observations])
-    target = np.array([0.0, 0.0, TARGET_DISTANCE]) if target is None else target
+    target = np.array([0.0, 0.0, TARGET_DISTANCE])
     views = Views(observations, board, intrinsics)
     Xs_camera_board = [camera_board(o.view, board, intrinsics)[0] for o in observations]
     begin = start(observations, Xs_camera_board)
