@@ -197,7 +197,7 @@ def permitted_braking(dynamics: ArmDynamics, trajectory: Trajectory, torque: Arr
 
 
 def bound_stop(trajectory: Trajectory, dynamics: ArmDynamics, model: ArmModel) -> Trajectory:
-    """Bound the stops on a motion by TORQUE_SHARE of the joints' torques.
+    """Bound the stops on a motion by TORQUE_SHARE of the joints' torques, and by the braking that it came with.
 
     Args:
         trajectory: The motion.
@@ -207,8 +207,10 @@ def bound_stop(trajectory: Trajectory, dynamics: ArmDynamics, model: ArmModel) -
     Returns:
         The motion, with its permitted braking.
     """
-    torque = TORQUE_SHARE * np.array(ARM_DATA[model].torque)
-    return replace(trajectory, braking=permitted_braking(dynamics, trajectory, torque))
+    braking = permitted_braking(dynamics, trajectory, TORQUE_SHARE * np.array(ARM_DATA[model].torque))
+    if trajectory.braking is not None:
+        braking = np.minimum(braking, trajectory.braking)
+    return replace(trajectory, braking=braking)
 
 
 BEFORE, AFTER = 0.016, 0.080

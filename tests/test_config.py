@@ -98,7 +98,7 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
         ("strike: {speed: 1.6}", "supervisor.unattended_speed"),
         ("arm: {acceleration: [15, 15, 15]}", "arm.acceleration"),
         ("arm: {acceleration: true}", "arm.acceleration"),
-        ("arm: {acceleration: 40}", "stop_acceleration is 20 rad/s²"),
+        ("arm: {stop_acceleration: 20}", "arm.stop_acceleration"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, expected_text: str) -> None:

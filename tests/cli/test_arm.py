@@ -252,3 +252,124 @@ def test_without_a_terminal_there_is_no_person(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     with raises(UserError, says="standard input is not a terminal"):
         TerminalPerson(Console(file=io.StringIO()))
+
+
+def _accelerated(
+    capsys: pytest.CaptureFixture[str], lab: Path, *words: str, host: str = HOST
+) -> tuple[int, list[dict[str, Any]], list[float] | None]:
+    """Exit code, trials and recommendation of `toolee arm acceleration`."""
+    code, told = _arm(capsys, lab, "acceleration", *words, host=host)
+    return code, told["trials"], told["recommended"]
+
+
+@pytest.mark.realtime
+def test_each_joint_is_turned_about_with_rising_accelerations_and_stands_where_it_was(
+    robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab.write_text(LAB + "arm: {acceleration: 3}\n")
+    before, last = np.array(robot.state()["q"]), int(robot.trace().ticks[-1])
+    code, trials, recommended = _accelerated(capsys, lab, "--joint", "1", "6", "--most", "5")
+    assert code == 0, trials
+    assert [(t["joint"], t["acceleration"], t["sign"]) for t in trials] == [
+        (joint, acceleration, "") for joint in (1, 6) for acceleration in (2.0, 4.0, 5.0)
+    ]
+    assert recommended == [5.0, 3.0, 3.0, 3.0, 3.0, 5.0], "of the joints that were not tried the station file's"
+    for t in trials:
+        assert t["reached"] == pytest.approx(t["acceleration"], rel=0.25)
+    q = robot.trace(last).q
+    np.testing.assert_allclose(robot.state()["q"], before, atol=1e-3)
+    assert np.abs(q - before).max(axis=0)[[1, 2, 3, 4]] == pytest.approx(0.0, abs=1e-3)
+    for joint in (0, 5):
+        assert q[:, joint].max() - before[joint] == pytest.approx(before[joint] - q[:, joint].min(), rel=0.2)
+
+
+@pytest.mark.realtime
+def test_a_joint_ends_where_it_deviates_and_gets_what_it_bore_before(
+    robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab.write_text(
+        "version: 3\nservo: {lag: 0.05}\nsupervisor: {data_cycles: 50, overruns: 50, tracking_error: 0.02}\n"
+    )
+    robot.fault("lag", seconds=0.2)
+    try:
+        code, trials, recommended = _accelerated(capsys, lab, "--joint", "6")
+    finally:
+        robot.fault("lag", seconds=0.0)
+    assert code == 0
+    assert "deviates" in trials[-1]["sign"]
+    assert trials[-1]["acceleration"] < 15.0, "which the station permits"
+    assert recommended is not None
+    assert recommended[5] == trials[-2]["acceleration"]
+
+
+@pytest.mark.realtime
+def test_a_stop_ends_all_joints_and_recommends_nothing_for_those_that_were_not_tried(
+    robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop_in_motion(client: FaultClient) -> None:
+        _wait_until_moved(client, 0.01)
+        client.fault("protective_stop")
+
+    try:
+        with _meanwhile(stop_in_motion):
+            code, trials, recommended = _accelerated(capsys, lab, "--joint", "6", "5", "--most", "20")
+    finally:
+        robot.fault("unlock")
+    assert (code, recommended) == (1, None)
+    assert {t["joint"] for t in trials} == {6}
+    assert "protective stop" in trials[-1]["sign"]
+    assert not any(t["sign"] for t in trials[:-1])
+
+
+def test_nothing_is_fast_without_a_door_that_tells_who_is_in_reach(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["arm", "acceleration", "--robot-host", HOST, "--config", str(lab)]) == 2
+    assert "`person`" in capsys.readouterr().err
+
+
+@pytest.mark.nightly
+@pytest.mark.realtime
+def test_the_arm_is_fast_once_the_door_was_seen_to_change_and_stops_raising_near_the_robots_own_stop(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    host = "127.0.0.37"
+    wiring = "person: {door_closed_input: 0, door_open_input: 1, hold_to_run_input: 2, hold_to_run_released_input: 3}\n"
+    lab.write_text(f"{LAB}arm: {{model: UR10e}}\n{wiring}")
+    with stand_in(ArmModel.UR10E, host, profile="harsh") as robot:
+        model = RobotModel.of_station(sim_station()).description
+        hand = model.hand_payload(model.hand_open)
+        robot.fault("payload", mass=hand.mass, cog=hand.center_of_mass.tolist())
+        robot.fault("force", wrench=[0, 0, 0, 0, 0, 20.0])  # of 28 Nm about wrist 3, at which it stops
+
+        def door(client: FaultClient, *, opened: bool) -> None:
+            client.fault("door", opened=opened, index=0)
+            client.fault("digital_input", index=1, high=opened)
+
+        def switch(client: FaultClient, *, held: bool) -> None:
+            client.fault("digital_input", index=2, high=held)
+            client.fault("digital_input", index=3, high=not held)
+
+        def leave(client: FaultClient, *, opens: bool) -> None:
+            deadline = time.monotonic() + 30.0
+            while client.fault("state")["program_state"] != "PLAYING" and time.monotonic() < deadline:
+                time.sleep(0.1)
+            time.sleep(3.0)  # it asks
+            for opened in (True, False) if opens else (False,):
+                door(client, opened=opened)
+                time.sleep(0.5)
+            for held in (True, False):
+                switch(client, held=held)
+                time.sleep(0.5)
+
+        words = ["arm", "acceleration", "--robot-host", host, "--config", str(lab), "--joint", "6", "--json"]
+        with FaultClient(host) as client:
+            door(client, opened=False)
+            switch(client, held=False)
+        with _meanwhile(lambda client: leave(client, opens=False), host):
+            assert run(words) == 1
+        assert "nobody was seen within reach" in capsys.readouterr().out
+        with _meanwhile(lambda client: leave(client, opens=True), host):
+            assert run(words) == 1
+        (trial,) = json.loads(capsys.readouterr().out.splitlines()[-1])["trials"]
+        assert "ratio 0.7" in trial["sign"]

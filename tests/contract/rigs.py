@@ -24,7 +24,7 @@ from toolee_robot.runtime.clock import is_loopback
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.station import ArmLimits, sim_station
+from toolee_robot.station import STOP_ROOM, ArmLimits, sim_station
 from toolee_robot.types import ArmModel, Payload, Trajectory
 
 NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])
@@ -341,6 +341,6 @@ def stand_in_rig(model: ArmModel, host: str) -> Iterator[Rig]:
 
 @contextmanager
 def hardware_rig(model: ArmModel, host: str) -> Iterator[Rig]:
-    limits = replace(sim_station().arm, model=model, stop_acceleration=GENTLE_ACCELERATION)
+    limits = replace(sim_station().arm, model=model, acceleration=(GENTLE_ACCELERATION / STOP_ROOM,) * 6)
     with UnsupervisedUrArm(UrArmConfig(host), limits) as arm:
         yield HardwareRig(arm, limits, host)

@@ -40,7 +40,7 @@ PAGE = ROOT / "docs" / "how-to" / "first_nail.md"
 LAB = ROOT / "examples" / "lab.yaml"
 TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
 HOSTS = {ArmModel.UR10: "127.0.0.58", ArmModel.UR10E: "127.0.0.59"}
-LEFT_OUT = ("--inputs", "toolee run hammer", "toolee emulate ur", "python -m")
+LEFT_OUT = ("--inputs", "toolee arm acceleration", "toolee run hammer", "toolee emulate ur", "python -m")
 """Of the commands: what needs more than a robot, and what is not of the walk."""
 TIMEOUT = 300.0
 

@@ -1,21 +1,25 @@
-"""The slow motions of an arm's bring-up, each shown to a person and confirmed before it begins."""
+"""The motions of an arm's bring-up, shown to a person and confirmed before they begin."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from toolee_robot.control import Supervisor
-from toolee_robot.errors import DeviceError
+from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor
+from toolee_robot.devices.person import check_wired, open_person
+from toolee_robot.errors import DeviceError, PersonNearError, UserError
 from toolee_robot.frames import Array
-from toolee_robot.hal import MotionOutcome, Person
+from toolee_robot.hal import MotionOutcome, Person, wait_until_clear
+from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import StationConfig
-from toolee_robot.stations.lab import open_arm
+from toolee_robot.stations.lab import open_arm, ur_driver
+from toolee_robot.tasks.bring_up.acceleration import STEPS, AccelerationTrial, raise_acceleration, turn_about
 from toolee_robot.tasks.bring_up.lag import PAIRS, Trial, lag_motion, tune
 from toolee_robot.tasks.bring_up.slow_motions import Caps, MotionFrame, SlowStation, plan_line
 from toolee_robot.tasks.bring_up.touch import Touch, approach, measured_settings
+from toolee_robot.tasks.common.watches import PersonProof
 from toolee_robot.types import Trajectory
 
 
@@ -163,3 +167,67 @@ def tune_servo(
     person.confirm("Move?")
     with person.attending():
         yield from tune(open_with, SlowStation.of(station, caps), joint, PAIRS)
+
+
+OUT_OF_REACH = (
+    "Each joint will turn about fast, with nothing in the hand or mount. Open the door once, and look that the hand is "
+    "open and empty. From outside make the robot ready again."
+)
+OUT_OF_REACH_TIME = 180.0
+"""Time for that [s]."""
+
+
+def try_accelerations(
+    station: StationConfig,
+    host: str,
+    joints: Sequence[int],
+    most: float,
+    show: Callable[[SlowStation, Sequence[Trajectory]], None],
+    tell: Callable[[str], object],
+    person: Person | None = None,
+) -> Iterator[AccelerationTrial]:
+    """Move joint after joint with rising accelerations, in UNATTENDED mode.
+
+    Args:
+        station: The station.
+        host: Address of the robot's controller.
+        joints: Numbers of the joints, 1 to 6.
+        most: Largest acceleration [rad/s^2]; it replaces `arm.acceleration` of the station.
+        show: Shows the largest motion of each joint before the person is asked.
+        tell: Shows a question to the person.
+        person: Who answers for an emulated robot; None for the person at the station's door and switch, whose inputs
+            are seen to change first.
+
+    Yields:
+        The trials in their order. They end at a stop of the arm.
+
+    Raises:
+        UserError: There is no such joint, or the acceleration is out of range.
+        PersonNearError: Nobody confirmed to be out of reach, or somebody is there.
+        TooleeError: The station file names no inputs of door and switch, the robot is not ready, or a motion failed.
+    """
+    if not (joints and all(1 <= joint <= 6 for joint in joints) and STEPS[0] <= most <= STEPS[-1]):
+        raise UserError(f"give joints 1 (base) to 6 (wrist 3), and {STEPS[0]:g} to {STEPS[-1]:g} rad/s² at most")
+    config = replace(station, arm=replace(station.arm, acceleration=(most,) * 6, transfer_acceleration=most))
+    robot = RobotModel.of_station(config)
+    unattended = SlowStation(station, config, robot, CollisionWorld(robot, config, robot.description.hand_open))
+    clock = HostClock()
+    if person is None:
+        check_wired(config)  # before anything is connected
+    with ExitStack() as stack:
+        driver = stack.enter_context(ur_driver(config, host))
+        if person is None:
+            person = PersonProof(stack.enter_context(open_person(config, driver, clock, tell)))
+        arm = Supervisor(driver, person, robot, config, lambda: unattended.world)
+        q = arm.state().q_commanded
+        show(unattended, [turn_about(q, joint, most, config.arm.jerk) for joint in joints])
+        if not person.release(OUT_OF_REACH, OUT_OF_REACH_TIME):
+            raise PersonNearError("nobody confirmed to be out of reach: nothing was moved")
+        arm.reset(confirmed=True)  # the open door has stopped it
+        if not wait_until_clear(person.zone_occupied, clock, OUT_OF_REACH_TIME):
+            raise PersonNearError("somebody is within reach: nothing was moved")
+        arm.mode = Mode.UNATTENDED
+        for joint in joints:
+            yield from raise_acceleration(arm, unattended, joint, most)
+            if arm.latched:
+                return

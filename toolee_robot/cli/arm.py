@@ -1,14 +1,14 @@
-"""Move a UR arm slowly, one confirmed motion at a time, under the supervisor: for its bring-up.
+"""Move a UR arm under the supervisor, each motion confirmed by a person: for its bring-up.
 
 Example: toolee arm move --robot-host 127.0.0.2 --joint 1 --by 0.05
 
-No joint turns faster than 0.1 rad/s, and hand and flange stay under supervisor.handover_speed.
+No joint turns faster than 0.1 rad/s, and hand and flange stay under supervisor.handover_speed. `acceleration` is fast.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -29,8 +30,9 @@ if TYPE_CHECKING:
     from toolee_robot.app.bring_up import BringUp
     from toolee_robot.frames import Array
     from toolee_robot.station import StationConfig
+    from toolee_robot.tasks.bring_up.acceleration import AccelerationTrial
     from toolee_robot.tasks.bring_up.lag import Trial
-    from toolee_robot.tasks.bring_up.slow_motions import Caps
+    from toolee_robot.tasks.bring_up.slow_motions import Caps, SlowStation
     from toolee_robot.types import Trajectory
 
 _JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
@@ -112,7 +114,7 @@ class MotionOptions(ArmOptions):
         with self.robot(console) as robot:
             with console.status("planning"):
                 trajectory = plan(robot)
-            _show(console, robot, what, trajectory)
+            _show(console, robot.slow, what, trajectory)
             q = robot.move(trajectory)
             X_base_flange = robot.slow.robot.arm.fk(q)
         console.print(f"Done. Flange: {_place_text(X_base_flange)}", soft_wrap=True)
@@ -228,7 +230,7 @@ class Touch(MotionOptions):
             def show(plan: Trajectory, force: float, speed: float) -> None:
                 slower = "" if speed == self.speed else " because the force is noisy"
                 what = f"touch: approach at {1e3 * speed:.1f} mm/s until {force:.1f} N{slower}, then go back"
-                _show(console, robot, what, plan)
+                _show(console, robot.slow, what, plan)
 
             def note(q: Array) -> None:
                 if self.touches is not None:
@@ -276,7 +278,7 @@ class Lag(MotionOptions):
         from toolee_robot.tasks.bring_up.lag import PAIRS, SHARES, recommend
 
         def show(robot: BringUp, largest: Trajectory, reach: float) -> None:
-            _show(console, robot, f"lag of joint {self.joint}, up to {len(PAIRS) * len(SHARES)} motions", largest)
+            _show(console, robot.slow, f"lag of joint {self.joint}, up to {len(PAIRS) * len(SHARES)} motions", largest)
             console.print(f"by at most {reach:.3f} rad to each side of its present position")
 
         person = TerminalPerson(console, absent=self.yes)
@@ -335,10 +337,63 @@ class Freedrive(ArmOptions):
         return 0
 
 
-COMMANDS = {"arm": {"move": Move, "transfer": Transfer, "touch": Touch, "lag": Lag, "freedrive": Freedrive}}
+@dataclass(frozen=True, kw_only=True)
+class Acceleration(ArmOptions):
+    """Find the acceleration that each joint bears, for `arm.acceleration`. Fast: nobody is in reach.
+
+    Example: toolee arm acceleration --config lab.yaml --most 8
+
+    One joint after the other turns about its present place, first gently, then faster. A joint ends at the first sign:
+    half of the way to a protective stop or to supervisor.tracking_error, vibration, a stop, or a limit of the station.
+    Mount the hand or the mount, and leave it empty. A person proves door and switch, confirms once, and stays outside.
+    An opened door stops the arm. Nothing is written. Exit code 1: a joint bears less than 2 rad/s², or was not tried.
+    """
+
+    joint: Annotated[tuple[int, ...], tyro.conf.arg(metavar="1..6")] = (1, 2, 3, 4, 5, 6)
+    """Joints that move, in this order: 1 base, 2 shoulder, 3 elbow, 4 to 6 wrists."""
+    most: Annotated[
+        float | None, tyro.conf.arg(metavar="RAD/S2", help_behavior_hint="(default: the largest in arm.acceleration)")
+    ] = None
+    """Largest acceleration that is tried, 2 to 40."""
+
+    def run(self) -> int:
+        console = self.console
+        station, host = self.load()
+        from toolee_robot.app.bring_up import try_accelerations
+        from toolee_robot.tasks.bring_up.acceleration import borne
+
+        most = max(station.arm.acceleration) if self.most is None else self.most
+
+        def show(slow: SlowStation, largest: Sequence[Trajectory]) -> None:
+            for joint, trajectory in zip(self.joint, largest, strict=True):
+                _show(console, slow, f"joint {joint}, up to {most:g} rad/s²", trajectory)
+
+        person = TerminalPerson(console, absent=True) if self.yes else None
+        trials: list[AccelerationTrial] = []
+        for trial in try_accelerations(station, host, self.joint, most, show, console.print, person):
+            trials.append(trial)
+            console.print(_acceleration_row(trial), soft_wrap=True)
+        found = borne(trials)
+        missing = [joint for joint in self.joint if joint not in found]
+        line = [found.get(i, value) for i, value in enumerate(station.arm.acceleration, start=1)]
+        if missing:
+            joints = ", ".join(map(str, missing))
+            console.print(
+                f"[red]No acceleration was found for joint {joints}.[/red] Make the robot ready, try it alone."
+            )
+        else:
+            console.print(f"[bold]Recommended for {self.config or 'the station file'}:[/bold]", soft_wrap=True)
+            console.print(f"arm: {{acceleration: {[round(a, 3) for a in line]}}}", markup=False, soft_wrap=True)
+        told = [asdict(trial) for trial in trials]
+        self.tell({"trials": told, "recommended": None if missing else line})
+        return int(bool(missing))
 
 
-def _show(console: Console, robot: BringUp, what: str, trajectory: Trajectory) -> None:
+_MOTIONS = {"move": Move, "transfer": Transfer, "touch": Touch}
+COMMANDS = {"arm": {**_MOTIONS, "lag": Lag, "acceleration": Acceleration, "freedrive": Freedrive}}
+
+
+def _show(console: Console, slow: SlowStation, what: str, trajectory: Trajectory) -> None:
     """Tell what will move, how far and how fast: joints, and the flange in both frames of the base."""
     table = Table(box=None, padding=(0, 2, 0, 0))
     for column in ("joint", "from, rad", "to, rad", "by, rad", "at most, rad/s"):
@@ -348,16 +403,16 @@ def _show(console: Console, robot: BringUp, what: str, trajectory: Trajectory) -
         if fastest[i] > _SEEN:
             values = (f"{first[i]:.4f}", f"{last[i]:.4f}", f"{last[i] - first[i]:+.4f}", f"{fastest[i]:.3f}")
             table.add_row(f"{i + 1} {name}", *values)
-    Xs = robot.slow.robot.arm.fk(trajectory.q)
+    Xs = slow.robot.arm.fk(trajectory.q)
     moved = np.linalg.norm(np.diff(Xs[:, :3, 3], axis=0), axis=1)
     speed = float(np.max(moved / np.diff(trajectory.times)))
-    arm = robot.slow.config.arm
+    arm = slow.config.arm
     console.print(f"[bold]{what}[/bold]")
     console.print(table)
     console.print(
         f"flange from: {_place_text(Xs[0])}\nflange to:   {_place_text(Xs[-1])}\n"
         f"over {float(np.sum(moved)) * 1e3:.0f} mm in {trajectory.duration:.1f} s, at {speed:.3f} m/s at most "
-        f"(caps: {max(arm.velocity):g} rad/s, {max(arm.acceleration):g} rad/s²)",
+        f"(caps: {max(arm.velocity):g} rad/s, {arm.transfer_acceleration:g} rad/s²)",
         soft_wrap=True,
     )
 
@@ -387,3 +442,12 @@ def _lag_row(trial: Trial) -> str:
         + ("    -" if f.ratio is None else f"{f.ratio:5.2f}")
         + ("  [red]vibrates[/red]" if f.vibrates else "  [red]too sharp[/red]" if trial.bad else "")
     )
+
+
+def _acceleration_row(trial: AccelerationTrial) -> str:
+    figures = (("deviation", trial.deviation), ("vibration", trial.vibration))
+    told = [f"{name} {1e3 * value:.2f} mrad, " for name, value in figures if value is not None]
+    told += [] if trial.ratio is None else [f"ratio {trial.ratio:.2f}, "]
+    told[:0] = [] if trial.reached is None else [f"reached {trial.reached:.1f}, "]
+    sign = f"[red]{escape(trial.sign)}[/red]" if trial.sign else "borne"
+    return f"joint {trial.joint}, {trial.acceleration:g} rad/s²: {''.join(told)}{sign}"

@@ -180,7 +180,7 @@ class TerminalPerson:
 
     A terminal is no enabling switch. Nothing here notices that the person has gone, and a key takes part in no safety
     function: the person needs the robot's own emergency stop in the hand. The person counts as within reach, so that
-    nothing fast ever moves, and no question of a job is answered with yes.
+    nothing fast ever moves, and no question of a job is answered with yes. If `absent`, nobody is within reach.
 
     Args:
         console: Where the questions go.
@@ -229,11 +229,11 @@ class TerminalPerson:
 
     def zone_occupied(self) -> bool:
         """See `hal.Person`: the person at the terminal may be anywhere."""
-        return True
+        return not self._absent
 
     def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
         """See `hal.Person`."""
-        return False
+        return self._absent
 
     release = take_tool = confirm_swing = confirm_inspection = hold_switch = request_handover
 

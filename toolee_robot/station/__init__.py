@@ -24,6 +24,7 @@ from toolee_robot.station.measured import (
 )
 from toolee_robot.station.measured_file import measured_path
 from toolee_robot.station.robot import (
+    STOP_ROOM,
     UPRIGHT,
     UPRIGHT_WITHIN,
     ArmLimits,

@@ -197,7 +197,6 @@ def to_station(data: Any, path: Path) -> StationConfig:
     if (converted := to_base(data, frame)) is not data:
         config = to_record(_over_sim(converted), path, StationConfig, what)
     check_lens(config.camera, path)
-    check_stop(config.arm, path)
     if record is None:
         return config
     check_record(record, config.camera.intrinsics, config.camera.distortion, config.arm.calibration, path)
@@ -222,29 +221,6 @@ def check_lens(camera: CameraConfig, path: Path) -> None:
     if wrong:
         told = [f"camera.{n}: {text}" + (f" ({w})" if (w := lines.told(("camera", n))) else "") for n, text in wrong]
         raise ConfigError(f"{path} is not a valid station: {'; '.join(told)}")
-
-
-STOP_ROOM = 4 / 3
-"""Least share of a strike's acceleration that a stop may take. With it all of 168 stops on six swings kept the limit;
-with 1 one in seven took up to 1.3 times what is permitted, for some 30 ms."""
-
-
-def check_stop(arm: ArmLimits, path: Path) -> None:
-    """Refuse stops that leave no room beside a strike's own acceleration.
-
-    Args:
-        arm: The arm as a file describes it.
-        path: The file, for the message.
-
-    Raises:
-        ConfigError: `arm.stop_acceleration` is too small.
-    """
-    least = STOP_ROOM * max(arm.acceleration)
-    if arm.stop_acceleration < 0.999 * least:
-        raise ConfigError(
-            f"{path}: arm.stop_acceleration is {arm.stop_acceleration:g} rad/s². A stop during a strike needs 4/3 of "
-            f"arm.acceleration: give {least:.3g} or more, or lower arm.acceleration"
-        )
 
 
 def for_each_joint(data: dict[str, Any]) -> dict[str, Any]:

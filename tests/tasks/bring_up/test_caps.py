@@ -15,15 +15,18 @@ from tests.control.paper_arm import Bystander, PaperArm
 from tests.errors import raises
 from tests.examples import examples
 from tests.sim_backend.kinematics import line
-from toolee_robot.control import Supervisor
+from toolee_robot.control import Mode, Supervisor
+from toolee_robot.control.motion.path_stop import stop_on_path
 from toolee_robot.control.motion.touch_force import TouchSettings
 from toolee_robot.errors import DeviceError, LimitError, TooleeError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ContactGuard, MotionOutcome, MotionReport, MotionWatch
 from toolee_robot.station import sim_station
+from toolee_robot.tasks.bring_up.acceleration import borne, raise_acceleration
 from toolee_robot.tasks.bring_up.lag import PAIRS, SHARES, Trial, lag_motion, recommend, tune
 from toolee_robot.tasks.bring_up.slow_motions import (
     ACCELERATION,
+    RAMP,
     SPEED,
     Caps,
     MotionFrame,
@@ -229,9 +232,38 @@ def test_caps_only_lower_the_limits_of_a_station() -> None:
     slower = replace(STATION, arm=replace(STATION.arm, velocity=(0.05,) * 6, transfer_acceleration=0.5))
     arm = Caps(100.0, 1000.0).apply(slower).arm
     assert (arm.velocity, arm.transfer_acceleration, arm.acceleration) == ((0.05,) * 6, 0.5, (0.5,) * 6)
-    assert arm.stop_acceleration == STATION.arm.stop_acceleration
-    assert Caps(100.0, 1000.0).apply(STATION).arm.transfer_velocity_scale == STATION.arm.transfer_velocity_scale
-    assert Caps().apply(STATION).arm.stop_acceleration == ACCELERATION
+    fast = Caps(100.0, 1000.0).apply(STATION).arm
+    assert fast.transfer_velocity_scale == STATION.arm.transfer_velocity_scale
+    assert fast.stop_acceleration == STATION.arm.stop_acceleration
+
+
+@pytest.mark.parametrize(("caps", "stop"), [(Caps(), 4 / 3), (Caps(0.5), 5.0), (Caps(0.05, 3.0), 4.0)])
+def test_a_stop_from_the_cap_of_the_speed_ends_in_time(caps: Caps, stop: float) -> None:
+    arm = caps.apply(STATION).arm
+    assert arm.transfer_acceleration == caps.acceleration
+    assert arm.stop_acceleration == pytest.approx(stop)
+    end = 2.0 * RAMP
+    t = np.arange(0.0, end, 0.002)
+    q = HOME + caps.speed * t[:, None] * np.eye(6)[0]
+    steady = Trajectory(t, q, np.full_like(q, caps.speed) * np.eye(6)[0], np.zeros_like(q))
+    taken = len(list(stop_on_path(steady, 0.0, 0.002, arm.stop_acceleration, arm.stop_jerk))) * 0.002
+    assert taken <= 1.1 * RAMP, "the jerk beside it"
+
+
+def test_a_stop_on_a_gentle_step_brakes_no_harder_than_belongs_to_that_step() -> None:
+    config = replace(STATION, arm=replace(STATION.arm, acceleration=(8.0,) * 6))
+    slow = SlowStation.of(STATION, Caps())
+    arm, person = ListeningArm(HOME), Bystander()
+    person.inside = False
+    supervisor = Supervisor(arm, person, slow.robot, config, lambda: slow.world)
+    supervisor.mode = Mode.UNATTENDED
+    trials = list(raise_acceleration(supervisor, replace(slow, config=config), 1, 8.0))
+    assert borne(trials) == {1: 8.0}
+    assert [trial.acceleration for trial in trials] == [2.0, 4.0, 6.0, 8.0]
+    for trial, motion in zip(trials, arm.given, strict=True):
+        assert np.abs(motion.qdd).max() == pytest.approx(trial.acceleration)
+        assert motion.braking is not None
+        assert motion.braking.max() == pytest.approx(4 / 3 * trial.acceleration)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])

@@ -85,7 +85,7 @@ def lag_motion(q: Array, joint: int, speed: float, limits: ArmLimits) -> LagMoti
     if not speed > 0:
         raise UserError(f"a speed of {speed} rad/s: give a positive number")
     top = MARGIN * min(speed, limits.velocity[joint - 1])
-    acceleration, jerk = MARGIN * min(limits.acceleration), MARGIN * limits.jerk
+    acceleration, jerk = MARGIN * limits.transfer_acceleration, MARGIN * limits.jerk
     rest = np.zeros((3, round(REST / SAMPLE_PERIOD)))
     wave, step, size = _sine(top, acceleration, jerk), *_step(top, acceleration, jerk)
     x = np.hstack([rest, wave, rest, step, _held(rest, size), _back(step, size), rest])
@@ -204,21 +204,22 @@ def measure_lag(motion: LagMotion, report: MotionReport) -> LagFigures:
     after = (t > motion.step[0]) & (t < motion.step[1] + REST)
     beyond = float(np.max(np.sign(motion.size) * (measured[after] - end)))
     rest = t < 0.9 * REST
-    fast = _fast_part(t, measured - np.interp(t - lag, t, command))
-    still, moving = _rms(fast[rest]), _rms(fast[~rest])
+    fast = fast_part(t, measured - np.interp(t - lag, t, command))
+    still, moving = rms(fast[rest]), rms(fast[~rest])
     noise = float(np.std(measured[rest]))
     overshoot = max(beyond - 3 * noise, 0.0) / abs(motion.size)
     vibrates = moving > max(VIBRATION, NOISES * still)
-    return LagFigures(motion.speed, lag, fit(lag)[0], overshoot, noise, moving, vibrates, _ratio(report))
+    return LagFigures(motion.speed, lag, fit(lag)[0], overshoot, noise, moving, vibrates, stop_ratio(report))
 
 
-def _ratio(report: MotionReport) -> float | None:
+def stop_ratio(report: MotionReport) -> float | None:
+    """How near a motion came to a protective stop; see `LagFigures.ratio`."""
     columns = (report.position_deviation_ratios, report.collision_ratios)
     known = [float(np.nanmax(column)) for column in columns if column is not None and np.any(np.isfinite(column))]
     return max(known, default=None)
 
 
-def _fast_part(t: Array, x: Array) -> Array:
+def fast_part(t: Array, x: Array) -> Array:
     """What of x is faster than a moving average over FAST, which is cut at both ends."""
     width = max(3, round(FAST / float(np.median(np.diff(t)))) | 1)
     slow = np.convolve(x, np.full(width, 1.0 / width), mode="same")
@@ -227,7 +228,8 @@ def _fast_part(t: Array, x: Array) -> Array:
     return inner
 
 
-def _rms(x: Array) -> float:
+def rms(x: Array) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(x**2)))
 
 
@@ -304,13 +306,9 @@ def tune(
     for gain, lookahead in pairs:
         with open_with(gain, lookahead) as arm:
             for share in SHARES:
-                _wait_until_still(arm)
                 speed = share * slow.config.arm.velocity[joint - 1]
                 motion = lag_motion(arm.state().q_commanded, joint, speed, slow.config.arm)
-                report = arm.execute(motion.trajectory)
-                if report.outcome is not MotionOutcome.COMPLETED:
-                    raise DeviceError("the arm was stopped during the measurement")
-                trial = Trial(gain, lookahead, measure_lag(motion, report))
+                trial = Trial(gain, lookahead, measure_lag(motion, execute_whole(arm, motion.trajectory)))
                 yield trial
                 if trial.bad:
                     return
@@ -338,8 +336,25 @@ def recommend(trials: Sequence[Trial]) -> Recommendation | None:
     return Recommendation(gain, lookahead, float(np.ceil(1e3 * lags[gain, lookahead]) / 1e3))
 
 
-def _wait_until_still(arm: Supervisor) -> None:
+def execute_whole(arm: Supervisor, trajectory: Trajectory) -> MotionReport:
+    """Execute a motion once the arm stands.
+
+    Args:
+        arm: The arm.
+        trajectory: The motion, from rest to rest.
+
+    Returns:
+        What was sent and measured.
+
+    Raises:
+        DeviceError: The motion was stopped.
+        TooleeError: What `Supervisor.execute` raises.
+    """
     for _ in range(round(STILL_PATIENCE / STILL_STEP)):
         if np.max(np.abs(arm.state().joints.qd)) < AT_REST:
-            return
+            break
         time.sleep(STILL_STEP)
+    report = arm.execute(trajectory)
+    if report.outcome is not MotionOutcome.COMPLETED:
+        raise DeviceError("the arm was stopped during the measurement")
+    return report

@@ -29,7 +29,7 @@ from toolee_robot.control import (
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, BaseFrame
-from toolee_robot.station import StationConfig
+from toolee_robot.station import STOP_ROOM, StationConfig
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tools import NAIL_DRIVERS, make_tool
 from toolee_robot.types import Trajectory
@@ -49,8 +49,8 @@ class Caps:
 
     Attributes:
         speed: Largest speed of every joint [rad/s].
-        acceleration: Largest acceleration of every joint [rad/s^2]; a stop may take more where the speed was raised
-            and the acceleration was not, so that it still ends within RAMP.
+        acceleration: Largest acceleration of every planned motion [rad/s^2]. A stop takes 4/3 of it, and more if only
+            the speed was raised: from the cap of the speed it still ends within RAMP.
 
     Raises:
         UserError: A cap is no number, or smaller than anything useful.
@@ -80,14 +80,14 @@ class Caps:
         velocity = np.minimum(arm.velocity, self.speed)
         transfer = float(np.min(arm.transfer_velocity_scale * np.asarray(arm.velocity) / velocity))
         acceleration = min(*arm.acceleration, arm.transfer_acceleration, self.acceleration)
-        stop = min(arm.stop_acceleration, max(self.acceleration, self.speed / RAMP))
+        # A stop takes STOP_ROOM of `acceleration`. What is planned here keeps to `transfer_acceleration`.
+        braking = min(*arm.acceleration, max(acceleration, float(np.max(velocity)) / (STOP_ROOM * RAMP)))
         a, b, c, d, e, f = velocity.tolist()
         limits = replace(
             arm,
             velocity=(a, b, c, d, e, f),
-            acceleration=(acceleration,) * 6,
+            acceleration=(braking,) * 6,
             jerk=min(arm.jerk, acceleration / RAMP),
-            stop_acceleration=stop,
             transfer_velocity_scale=min(1.0, transfer),
             transfer_acceleration=acceleration,
         )
