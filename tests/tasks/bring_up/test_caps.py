@@ -253,9 +253,8 @@ def test_a_stop_from_the_cap_of_the_speed_ends_in_time(caps: Caps, stop: float) 
 def test_a_stop_on_a_gentle_step_brakes_no_harder_than_belongs_to_that_step() -> None:
     config = replace(STATION, arm=replace(STATION.arm, acceleration=(8.0,) * 6))
     slow = SlowStation.of(STATION, Caps())
-    arm, person = ListeningArm(HOME), Bystander()
-    person.inside = False
-    supervisor = Supervisor(arm, person, slow.robot, config, lambda: slow.world)
+    arm = ListeningArm(HOME)
+    supervisor = Supervisor(arm, Bystander(), slow.robot, config, lambda: slow.world)
     supervisor.mode = Mode.UNATTENDED
     trials = list(raise_acceleration(supervisor, replace(slow, config=config), 1, 8.0))
     assert borne(trials) == {1: 8.0}
