@@ -52,7 +52,7 @@ class ContactForce:
         step = self._newest / self._window
         if self._baseline:
             step -= self._older / self._baseline
-        least = guard.force + (guard.sway if time >= guard.sway_from else 0.0)
+        least = guard.force + (guard.sway if guard.sway_from <= time < guard.sway_until else 0.0)
         return float(step @ step) > least**2
 
 
@@ -68,9 +68,14 @@ SWAY, SWAYS = 2.0, 0.3
 """Step of the force with which a swung tool pulls at the hand, as a share of its mass times the step of its
 acceleration: a mass on an undamped spring swings between none and twice. And share of the largest step from which on it
 counts: before, in most of the run-up, a contact needs no more force."""
+AT_NAIL = 0.8
+"""Share of the distance of an early contact within which the sway no longer counts: what is felt there is the nail, and
+a light hammer's contact is hardly more force than its sway."""
 
 
-def swing_sway(mass: float, times: Array, face: Array, contact_time: float) -> tuple[float, float]:
+def swing_sway(
+    mass: float, times: Array, face: Array, contact_time: float, early: float, lag: float = 0.0
+) -> tuple[float, float, float]:
     """Compute the step of the force with which a tool sways in the hand on its way to the nail.
 
     Payload compensation takes the tool for a part of the flange, and the hand yields.
@@ -80,9 +85,11 @@ def swing_sway(mass: float, times: Array, face: Array, contact_time: float) -> t
         times: Times of the swing, evenly spaced, (N,) [s].
         face: Places of the face, (N, 3) [m].
         contact_time: When the swing should meet the nail [s].
+        early: How far before the nail a contact may be that counts as one with it [m].
+        lag: Delay of the arm behind its command [s].
 
     Returns:
-        The largest step before the contact, as `ContactForce` forms it [N], and when it begins on the trajectory [s].
+        The largest step before the contact, as `ContactForce` forms it [N], and from when to when it counts [s].
     """
     step = float(times[1] - times[0])
     acceleration = np.gradient(np.gradient(face, step, axis=0), step, axis=0)
@@ -93,9 +100,11 @@ def swing_sway(mass: float, times: Array, face: Array, contact_time: float) -> t
     counts = (ends >= ARMED_FROM * contact_time) & (ends <= contact_time)
     steps, ends = steps[counts], ends[counts]
     if len(steps) == 0:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     largest = float(np.max(steps))
-    return SWAY * mass * largest, float(ends[np.argmax(steps >= SWAYS * largest)])
+    away = np.linalg.norm(face - face[np.argmin(np.abs(times - contact_time))], axis=1)
+    near = float(times[np.argmax(away <= AT_NAIL * early)])
+    return SWAY * mass * largest, float(ends[np.argmax(steps >= SWAYS * largest)]), near + lag
 
 
 def strike_guard(
@@ -103,7 +112,7 @@ def strike_guard(
     contact_time: float,
     noise: Array | None = None,
     rate: float = 1.0,
-    sway: tuple[float, float] = (0.0, 0.0),
+    sway: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> ContactGuard:
     """Build the contact detection of a strike, whose threshold bears the noise of the force and the tool's sway.
 
@@ -112,7 +121,7 @@ def strike_guard(
         contact_time: When the strike should meet the nail, on its trajectory [s].
         noise: Readings of the force at rest, one a cycle, (N, 3) [N]; None if it was not measured.
         rate: Rate of these readings [Hz].
-        sway: Step of the force that the swing itself makes [N], and from when on [s]; see `swing_sway`.
+        sway: Step of the force that the swing itself makes [N], from when and until when [s]; see `swing_sway`.
 
     Returns:
         The contact detection.

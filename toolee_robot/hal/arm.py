@@ -82,8 +82,9 @@ class ContactGuard:
             Vibration (a late command, a swinging tool) changes sign and averages out, an obstacle does not.
         baseline: Time before that window whose mean force is subtracted [s], so that only a rise within it counts and
             not an offset that changes slowly; 0 for the absolute force.
-        sway: What the motion itself adds to the force from `sway_from` on, and is no contact [N].
+        sway: What the motion itself adds to the force from `sway_from` to `sway_until`, and is no contact [N].
         sway_from: Time on the trajectory [s].
+        sway_until: Time on the trajectory [s].
     """
 
     force: float
@@ -92,6 +93,7 @@ class ContactGuard:
     baseline: float = 0.0
     sway: float = 0.0
     sway_from: float = 0.0
+    sway_until: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -215,7 +215,8 @@ class Motions:
         self.check_hand()
         X_flange_ee = inverse(self.robot.arm.fk(plan.q_contact)) @ plan.X_base_ee_contact
         face = (self.robot.arm.fk(plan.strike.q) @ X_flange_ee)[:, :3, 3]
-        sway = swing_sway(held.payload.mass, plan.strike.times, face, plan.contact_time)
+        lag, early = self.config.servo.lag or 0.0, self.config.supervisor.early_contact
+        sway = swing_sway(held.payload.mass, plan.strike.times, face, plan.contact_time, early, lag)
         guard = strike_guard(self.config.strike, plan.contact_time, self.noise, self.arm.rate, sway)
         with self._watched(name, held) as hand:
             report, verdict = self.arm.swing(plan.strike, guard, plan.expected_contact)
