@@ -233,8 +233,9 @@ HAND_TROUBLE: dict[str, tuple[Callable[[Bench], None], type[DeviceError], str]] 
 @pytest.mark.parametrize(
     ("motion", "name"),
     [
-        *(("strike", name) for name in HAND_TROUBLE),
+        ("strike", "hand silent"),
         ("transfer", "tool dropped"),
+        *(pytest.param("strike", name, marks=pytest.mark.nightly) for name in HAND_TROUBLE if name != "hand silent"),
         *(pytest.param("transfer", name, marks=pytest.mark.nightly) for name in HAND_TROUBLE if name != "tool dropped"),
     ],
 )
