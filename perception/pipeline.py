@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
 from toolee_robot.perception.detection.passes import Crop, hand_crop
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.pose import UNKNOWN_CAMERA, CloudEstimator, PoseEstimator, fuse_in_hand
+from toolee_robot.perception.pose.tooleenet import PaperEstimator
 from toolee_robot.perception.trust import Trust
 from toolee_robot.types import CameraError, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
@@ -80,12 +81,15 @@ class ToolPerception:
         self.trust = trust or Trust()
 
     @classmethod
-    def load(cls, weights_dir: Path | None = None, device: str = "cpu") -> ToolPerception:
+    def load(
+        cls, weights_dir: Path | None = None, device: str = "cpu", estimator: Literal["ours", "tooleenet"] = "ours"
+    ) -> ToolPerception:
         """The pipeline with trained weights.
 
         Args:
             weights_dir: Folder of weights; None: the shipped ones.
             device: torch device, e.g. "cpu" or "cuda".
+            estimator: "tooleenet": the paper's pose estimator. No trust model was fitted for it.
 
         Returns:
             Detector, pose estimator and trust model, loaded.
@@ -93,8 +97,10 @@ class ToolPerception:
         Raises:
             AssetError: A weight file is missing or damaged; the message names it.
         """
-        detector, pose = Segmenter.load(weights_dir, device), PoseEstimator.load(weights_dir, device)
-        return cls(detector, pose, Trust.load(weights_dir, weights_dir))
+        detector = Segmenter.load(weights_dir, device)
+        if estimator == "tooleenet":
+            return cls(detector, PaperEstimator.load_for_job(weights_dir, device))
+        return cls(detector, PoseEstimator.load(weights_dir, device), Trust.load(weights_dir, weights_dir))
 
     def estimate(
         self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES

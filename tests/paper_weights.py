@@ -6,9 +6,9 @@ from pathlib import Path
 
 import torch
 
-from toolee_robot.perception.offline.research.tooleenet import COLUMNS
-from toolee_robot.perception.offline.research.tooleenet.estimator import save
-from toolee_robot.perception.offline.research.tooleenet.network import PaperNet
+from toolee_robot.perception.pose.tooleenet import COLUMNS
+from toolee_robot.perception.pose.tooleenet.estimator import save
+from toolee_robot.perception.pose.tooleenet.network import PaperNet
 
 
 def untrained_paper_weights(folder: Path, column: str = "symmetry-aware", seed: int = 0) -> Path:

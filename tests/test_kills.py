@@ -49,7 +49,7 @@ _SERVER.set_forkserver_preload(
         "toolee_robot.app.simulated",
         "toolee_robot.stations.simulated",
         "toolee_robot.perception.offline.synthesis.generate",
-        "toolee_robot.perception.offline.research.tooleenet.training",
+        "toolee_robot.perception.offline.research.tooleenet_training",
     ]
 )
 

@@ -112,7 +112,7 @@ class JobSpec:
         if unknown := [name for name in self.nails if name not in names]:
             raise UserError(f"--nail {unknown[0]}: the station's nails are {', '.join(names)} (work.nails)")
         if (self.variant is Variant.PAPER) != (self.paper_weights is not None):
-            from toolee_robot.perception.offline.research import HOW_TO_TRAIN
+            from toolee_robot.perception.pose.tooleenet.estimator import HOW_TO_TRAIN
 
             raise UserError(
                 "give --variant paper and --paper-weights DIR together. DIR is a training of the paper's "

@@ -104,7 +104,7 @@ def job_networks(paper_weights: Path | None = None, device: str = "cpu") -> Tool
     if paper_weights is None:
         return ToolPerception.load(device=device)
     from toolee_robot.perception.detection.segmenter import Segmenter
-    from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
+    from toolee_robot.perception.pose.tooleenet import PaperEstimator
 
     return ToolPerception(Segmenter.load(device=device), PaperEstimator.load_for_job(paper_weights, device))
 

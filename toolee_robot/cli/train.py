@@ -237,7 +237,7 @@ class Paper(JsonOption):
     """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
 
     def run(self) -> int:
-        from toolee_robot.perception.offline.research.tooleenet.training import PaperOptions, train_column
+        from toolee_robot.perception.offline.research.tooleenet_training import PaperOptions, train_column
         from toolee_robot.perception.offline.training.options import CHECKPOINT, options_of, remember
 
         given = {"session_minutes": self.minutes, "device": self.device}

@@ -182,7 +182,7 @@ def check_paper_weights(plan: TrialPlan, done: Iterable[Record]) -> None:
     if not plan.paper_weights:
         return
     # Networks take seconds to import, which no other plan needs here.
-    from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
+    from toolee_robot.perception.pose.tooleenet import PaperEstimator
     from toolee_robot.perception.weight_files import weights_hash
 
     folder = Path(plan.paper_weights)

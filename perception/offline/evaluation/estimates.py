@@ -16,10 +16,10 @@ from toolee_robot.frames import Array
 from toolee_robot.perception.offline.dataset.records import SHOWN_HAND
 from toolee_robot.perception.offline.evaluation import metrics
 from toolee_robot.perception.offline.evaluation.examples import Case, Examples, Instance
-from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
-from toolee_robot.perception.offline.research.tooleenet.estimator import NAME as PAPER
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult, with_hand
 from toolee_robot.perception.pose.estimator import PoseEstimator
+from toolee_robot.perception.pose.tooleenet import PaperEstimator
+from toolee_robot.perception.pose.tooleenet.estimator import NAME as PAPER
 from toolee_robot.perception.trust import Trust
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.types import HoldingHand

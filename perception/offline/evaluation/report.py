@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.end_effectors import CATEGORIES, label_of
+from toolee_robot.end_effectors import CATEGORIES, Category, label_of
 from toolee_robot.perception.offline.evaluation.estimates import Estimates
 from toolee_robot.perception.offline.evaluation.pose import GROUPS
 from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS
@@ -106,6 +106,45 @@ def _accuracy(title: str, found: list[tuple[str, dict[str, Any]]]) -> Table:
     ]
     errors = ("mm", "95 %", "deg", "95 %", "spin, hand")
     return Table(title, ("category", "estimator", "n", *_SHOWN, "usable", *errors), rows, 2)
+
+
+PUBLISHED = {
+    "object-prior": ((0.067, 0.182, 0.554), (0.463, 1.0, 1.0), (0.436, 0.840, 0.964), (0.504, 0.831, 0.882)),
+    "ee": ((0.961, 0.961, 0.995), (0.951, 0.951, 0.992), (0.219, 0.219, 0.330), (0.674, 0.674, 0.696)),
+    "ee-symmetry-prior": ((0.961, 0.961, 0.995), (0.973, 0.974, 0.993), (1.0, 1.0, 1.0), (0.677, 0.677, 0.697)),
+    "symmetry-aware": ((0.967, 0.967, 0.994), (0.976, 0.976, 0.997), (1.0, 1.0, 1.0), (0.996, 0.996, 0.999)),
+}
+"""Table I of the paper, by column: claw, hammer head, screwdriver, wrench, each within 5 deg 2 cm, 5 deg 5 cm and
+10 deg 5 cm."""
+_PUBLISHED_ROWS = (Category.HAMMER_GRIP, Category.HAMMER_HEAD, Category.SCREWDRIVER_HEAD, Category.WRENCH_HEAD)
+_PUBLISHED_THRESHOLDS = ("5deg2cm", "5deg5cm", "10deg5cm")
+
+
+def table1(report: dict[str, Any], column: str) -> Table:
+    """A column of the paper's Table I, by its own rule, beside the published figures.
+
+    Args:
+        report: What `run.evaluate_pose` gives for the column's estimator alone, under true masks.
+        column: Name of the column.
+    """
+    (estimator,) = report["estimators"].values()
+    groups = {group: found["table"] for group, found in estimator["truth"]["groups"].items()}
+    published: dict[str, Sequence[float]] = {
+        c.value: row for c, row in zip(_PUBLISHED_ROWS, PUBLISHED[column], strict=True)
+    }
+    published["average"] = np.mean(PUBLISHED[column], axis=0).tolist()
+    rows = []
+    for name, figures in published.items():
+        shares = [
+            [f"{table[name][f'paper_{threshold}']:.3f}" if name in table else "" for table in groups.values()]
+            + [f"{figure:.3f}"]
+            for threshold, figure in zip(_PUBLISHED_THRESHOLDS, figures, strict=True)
+            if threshold != "5deg5cm"  # all but the same
+        ]
+        count = sum(table[name]["instances"] for table in groups.values() if name in table)
+        rows.append([label_of(name), str(count), *(cell for each in shares for cell in each)])
+    heads = [f"{limits} {who}" for limits in ("5° 2 cm", "10° 5 cm") for who in (*groups, "paper")]
+    return Table(f"Table I, {column}, true masks", ("", "n", *heads), rows)
 
 
 def segmentation_tables(found: dict[str, Any]) -> list[Table]:

@@ -37,12 +37,12 @@ from toolee_robot.perception.offline.evaluation.examples import (
 )
 from toolee_robot.perception.offline.evaluation.pose import held_out_breakdown
 from toolee_robot.perception.offline.processes import ProcessMap
-from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 from toolee_robot.perception.offline.synthesis.example import expose
 from toolee_robot.perception.offline.synthesis.hard import hard_scene
 from toolee_robot.perception.offline.synthesis.placement import Pool
 from toolee_robot.perception.pipeline import EeDetector, ToolPerception
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
+from toolee_robot.perception.pose.tooleenet import PaperEstimator
 from toolee_robot.perception.trust import Trust
 from toolee_robot.render.renderer import Shot
 from toolee_robot.types import RgbdFrame

@@ -23,7 +23,6 @@ from toolee_robot.perception.detection.passes import Crop
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.evaluation.examples import parts, read_part
 from toolee_robot.perception.offline.rendered_clouds import clouds_of_part, tool_clouds_of_part
-from toolee_robot.perception.offline.research.tooleenet import PaperEstimator
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import sample_hands, sample_tools
@@ -33,6 +32,7 @@ from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.canonical import REST_MIN, CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.pose.network import NetworkConfig
+from toolee_robot.perception.pose.tooleenet import PaperEstimator
 from toolee_robot.types import Detection, RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=20)

@@ -14,11 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
 from tests.examples import examples
+from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception.offline.evaluation import metrics
 from toolee_robot.perception.offline.evaluation.photographs import crops, decided, evaluate, read_photographs
+from toolee_robot.perception.offline.evaluation.report import table1
 from toolee_robot.perception.pipeline import ToolPerception
 
 CUBE = 0.02 * (np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), -1).reshape(-1, 3) - 0.5)
@@ -147,3 +149,20 @@ def test_an_uncertain_annotation_decides_nothing_near_the_bounds() -> None:
     assert decided(record, 0.002, np.deg2rad(5.0)) is False
     assert decided(record, 0.040, np.deg2rad(5.0)) is True, "wrong by its position, however uncertain the rotation"
     assert decided({"annotation_mm": None, "annotation_deg": None}, 0.002, 0.0) is None
+
+
+def test_a_column_stands_beside_the_published_one() -> None:
+    row = {"instances": 3, "paper_5deg2cm": 0.25, "paper_5deg5cm": 0.5, "paper_10deg5cm": 0.75}
+    held_out = {"hammer_head": row, "average": {**row, "instances": 3}}
+    groups = {"held-out": {"table": held_out}, "seen": {"table": {"average": {**row, "instances": 4}}}}
+    table = table1({"estimators": {"aware": {"truth": {"groups": groups}}}}, "symmetry-aware")
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["hammer head"] == ["3", "0.250", "", "0.976", "0.750", "", "0.997"]
+    assert rows["average"] == ["7", "0.250", "0.250", "0.985", "0.750", "0.750", "0.998"]
+    assert rows["wrench"] == ["0", "", "", "0.996", "", "", "0.999"]
+    assert all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_without_weights_the_table_says_how_to_train_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["evaluate", "table1", "--weights", str(tmp_path)]) == 2
+    assert "toolee train paper" in capsys.readouterr().err

@@ -18,27 +18,10 @@ from tests.paper_weights import untrained_paper_weights
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import Array, angle_between, inverse, transform, transform_points
+from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.cloud import EeCloud
 from toolee_robot.perception.offline.research.classical import centroid_pose, registration
-from toolee_robot.perception.offline.research.tooleenet import COLUMNS, PaperEstimator
-from toolee_robot.perception.offline.research.tooleenet.estimator import (
-    NAME,
-    Rk45,
-    class_ambiguity,
-    decode,
-    encode,
-    mean_pose,
-    scatter,
-    solve,
-)
-from toolee_robot.perception.offline.research.tooleenet.network import (
-    Level,
-    PaperNet,
-    PointNet2,
-    SharedMlp,
-    ball_query,
-)
-from toolee_robot.perception.offline.research.tooleenet.training import (
+from toolee_robot.perception.offline.research.tooleenet_training import (
     ColumnTraining,
     PaperOptions,
     PreparedClouds,
@@ -51,6 +34,24 @@ from toolee_robot.perception.offline.training.loop import Distributed
 from toolee_robot.perception.pose.canonical import farthest_points_first
 from toolee_robot.perception.pose.cloud_estimator import PoseResult, with_hand
 from toolee_robot.perception.pose.processes import Euler, VarianceExploding
+from toolee_robot.perception.pose.tooleenet import COLUMNS, PaperEstimator, estimator
+from toolee_robot.perception.pose.tooleenet.estimator import (
+    NAME,
+    Rk45,
+    class_ambiguity,
+    decode,
+    encode,
+    mean_pose,
+    scatter,
+    solve,
+)
+from toolee_robot.perception.pose.tooleenet.network import (
+    Level,
+    PaperNet,
+    PointNet2,
+    SharedMlp,
+    ball_query,
+)
 from toolee_robot.perception.weight_files import load_weights, save_weights
 from toolee_robot.tools import NAIL_DRIVERS, Tool, make_tool
 from toolee_robot.types import HoldingHand, PoseHypotheses
@@ -265,6 +266,17 @@ def test_a_job_takes_no_estimator_of_whole_tools(tmp_path: Path) -> None:
     with raises(AssetError, code="asset.missing") as missing:
         PaperEstimator.load_for_job(tmp_path)
     assert all(command in str(missing.value) for command in ("dataset generate", "train clouds", "train paper"))
+
+
+@pytest.mark.sim
+def test_the_pipeline_takes_it_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(estimator, "SHIPPED", tmp_path)
+    with raises(AssetError, code="asset.missing"):
+        ToolPerception.load(estimator="tooleenet")
+    untrained_paper_weights(tmp_path)
+    pose = ToolPerception.load(estimator="tooleenet").pose
+    assert isinstance(pose, PaperEstimator)
+    assert pose.column.name == "symmetry-aware"
 
 
 def stored_clouds(count: int, of_tool: bool = False) -> RenderedClouds:

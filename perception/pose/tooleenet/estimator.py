@@ -21,13 +21,12 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception import weight_files
-from toolee_robot.perception.offline.research import HOW_TO_TRAIN
-from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, POINTS, PaperNet
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align, with_spin_variance
 from toolee_robot.perception.pose.processes import Field, Process, Sampler, VarianceExploding
 from toolee_robot.perception.pose.representation import twist_angles
+from toolee_robot.perception.pose.tooleenet.network import ORDERED, POINTS, PaperNet
 from toolee_robot.perception.precision import torch_device
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.types import PoseHypotheses
@@ -186,6 +185,14 @@ def solve(
 
 
 NAME = "pose_paper"
+HOW_TO_TRAIN = """\
+  toolee dataset generate --config hard --sensor mixed --size 12000 --seed 41 --test-share 0 --out data/paper-arm
+  toolee train clouds data/paper-arm/train --true-masks --out runs/paper-arm.npz
+  toolee train paper runs/paper-arm.npz --minutes 30 --out runs/paper-arm"""
+"""How the paper's estimator is trained for a job. `hard` images, because a job's camera has a sensor's errors. The
+weights are not shipped."""
+SHIPPED = weight_files.WEIGHTS_DIR / "tooleenet"
+"""Folder of the shipped weights of the paper's estimator."""
 OBJECT_RADIUS = 0.22
 """Radius [m] of the sphere around a whole tool's middle."""
 PROCESS = VarianceExploding()
@@ -261,11 +268,11 @@ class PaperEstimator(CloudEstimator):
         self.sampler = sampler or Rk45()
 
     @classmethod
-    def load(cls, weights_dir: Path, device: str = "cpu") -> PaperEstimator:
+    def load(cls, weights_dir: Path | None = None, device: str = "cpu") -> PaperEstimator:
         """Load the estimator from a training's folder.
 
         Args:
-            weights_dir: The folder.
+            weights_dir: The folder; None: the shipped weights.
             device: torch device that runs the network.
 
         Returns:
@@ -278,11 +285,11 @@ class PaperEstimator(CloudEstimator):
         return cls(net, column, device, start=start)
 
     @classmethod
-    def load_for_job(cls, weights_dir: Path, device: str = "cpu") -> PaperEstimator:
+    def load_for_job(cls, weights_dir: Path | None = None, device: str = "cpu") -> PaperEstimator:
         """Load an estimator that takes what a job has: the cloud of an end effector.
 
         Args:
-            weights_dir: The folder of a training.
+            weights_dir: The folder of a training; None: the shipped weights.
             device: torch device that runs the network.
 
         Returns:
@@ -384,11 +391,11 @@ def save(folder: Path, net: PaperNet, column: Column, report: dict[str, Any]) ->
     weight_files.save_weights(folder, NAME, net.state_dict(), {"column": column.name, "report": report})
 
 
-def load(folder: Path) -> tuple[PaperNet, Column, float]:
+def load(folder: Path | None) -> tuple[PaperNet, Column, float]:
     """Load the network that `save` wrote.
 
     Args:
-        folder: The folder.
+        folder: The folder; None: the shipped weights.
 
     Returns:
         The network (float32, eval mode, CPU), its column of the paper's table, and the time at which sampling starts.
@@ -396,6 +403,7 @@ def load(folder: Path) -> tuple[PaperNet, Column, float]:
     Raises:
         AssetError: The weights are missing or unreadable.
     """
+    folder = folder or SHIPPED
     if not (folder / f"{NAME}.json").is_file():
         raise AssetError(
             f"{folder} holds no {NAME}.json: the paper's estimator is not shipped; train it:\n{HOW_TO_TRAIN}",

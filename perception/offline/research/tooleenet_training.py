@@ -24,7 +24,12 @@ from torch import Tensor, nn
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.perception.offline.research.tooleenet.estimator import (
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
+from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
+from toolee_robot.perception.offline.training import pose_validation as validation
+from toolee_robot.perception.offline.training.loop import Distributed, TrainingRun, init_distributed, with_weights
+from toolee_robot.perception.offline.training.options import TrainingOptions
+from toolee_robot.perception.pose.tooleenet.estimator import (
     COLUMNS,
     NAME,
     OBJECT_RADIUS,
@@ -37,12 +42,7 @@ from toolee_robot.perception.offline.research.tooleenet.estimator import (
     mean_pose,
     save,
 )
-from toolee_robot.perception.offline.research.tooleenet.network import ORDERED, POINTS, PaperNet
-from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
-from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
-from toolee_robot.perception.offline.training import pose_validation as validation
-from toolee_robot.perception.offline.training.loop import Distributed, TrainingRun, init_distributed, with_weights
-from toolee_robot.perception.offline.training.options import TrainingOptions
+from toolee_robot.perception.pose.tooleenet.network import ORDERED, POINTS, PaperNet
 
 _CHUNK = 512
 """Clouds that are prepared at a time."""

@@ -6,6 +6,6 @@ reproduced: the step size of the RK45 solver is per cloud (theirs is shared by t
 axes because the prediction says so (`toolee_robot.perception.offline.evaluation` has that rule as an extra column).
 """
 
-from toolee_robot.perception.offline.research.tooleenet.estimator import COLUMNS, Column, PaperEstimator
+from toolee_robot.perception.pose.tooleenet.estimator import COLUMNS, Column, PaperEstimator
 
 __all__ = ["COLUMNS", "Column", "PaperEstimator"]
