@@ -229,7 +229,7 @@ class EvaluateTable1(_Evaluation):
                 workers=self.workers,
             )
             found = evaluate_pose(plan, progress).report
-        return self.end("the paper's Table I", "", {"column": column, **found}, [report.table1(found, column)])
+        return self.end("the paper's Table I", "", {"column": column, **found}, report.table1(found, column))
 
 
 COMMANDS = {

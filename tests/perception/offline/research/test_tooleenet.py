@@ -15,6 +15,7 @@ from torch import Tensor
 
 from tests.errors import raises
 from tests.paper_weights import untrained_paper_weights
+from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import Array, angle_between, inverse, transform, transform_points
@@ -277,6 +278,17 @@ def test_the_pipeline_takes_it_by_its_name(tmp_path: Path, monkeypatch: pytest.M
     pose = ToolPerception.load(estimator="tooleenet").pose
     assert isinstance(pose, PaperEstimator)
     assert pose.column.name == "symmetry-aware"
+
+
+@pytest.mark.nightly
+def test_the_shipped_weights_repeat_the_papers_column(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["evaluate", "table1", "--images", "24", "--json"]) == 0
+    groups = json.loads(capsys.readouterr().out)["estimators"]["symmetry-aware"]["truth"]["groups"]
+    tables = [group["table"]["average"] for group in groups.values()]
+    count = sum(table["instances"] for table in tables)
+    right = sum(table["instances"] * table["paper_10deg5cm"] for table in tables)
+    assert count > 25
+    assert right / count > 0.9, "0.995 of 5,479 clouds when the weights were made"
 
 
 def stored_clouds(count: int, of_tool: bool = False) -> RenderedClouds:
