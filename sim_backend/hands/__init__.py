@@ -34,7 +34,7 @@ def find_emulator(model: str) -> Build | None:
         What builds it; None where there is none.
 
     Raises:
-        ConfigError: What a package names cannot be imported (`config.device_plugin`).
+        ConfigError: What a package names cannot be imported.
     """
     build: Build | None = None
     if model in HAND_FILES:

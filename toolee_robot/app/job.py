@@ -116,7 +116,7 @@ class JobSpec:
 
             raise UserError(
                 "give --variant paper and --paper-weights DIR together. DIR is a training of the paper's "
-                f"estimator, which is not shipped:\n{HOW_TO_TRAIN}"
+                f"estimator for a job's views, which the shipped one has not learnt:\n{HOW_TO_TRAIN}"
             )
 
     @property

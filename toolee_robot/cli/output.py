@@ -180,7 +180,8 @@ class TerminalPerson:
 
     A terminal is no enabling switch. Nothing here notices that the person has gone, and a key takes part in no safety
     function: the person needs the robot's own emergency stop in the hand. The person counts as within reach, so that
-    nothing fast ever moves, and no question of a job is answered with yes. If `absent`, nobody is within reach.
+    nothing fast ever moves, and no question of a job is answered with yes. If `absent`, nobody is within reach, and
+    every question is.
 
     Args:
         console: Where the questions go.

@@ -1,8 +1,7 @@
 """The results of a plan's trials on the disk: `trials.jsonl`, whose first line is the plan, then one line a result.
 
-Trials that a person is led through have lines for what else happened, too: skipped, void, interrupted. The trials are
-also written as one table, for pandas, Polars, DuckDB, R and their like. Shares with intervals and paired comparisons
-are computed from them.
+Trials that a person is led through have lines for what else happened, too: skipped, void, interrupted. Shares with
+intervals and paired comparisons are computed from the trials.
 """
 
 from __future__ import annotations

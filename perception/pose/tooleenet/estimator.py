@@ -190,7 +190,7 @@ HOW_TO_TRAIN = """\
   toolee train clouds data/paper-arm/train --true-masks --out runs/paper-arm.npz
   toolee train paper runs/paper-arm.npz --minutes 30 --out runs/paper-arm"""
 """How the paper's estimator is trained for a job. `hard` images, because a job's camera has a sensor's errors. The
-weights are not shipped."""
+shipped weights learnt other views."""
 SHIPPED = weight_files.WEIGHTS_DIR / "tooleenet"
 """Folder of the shipped weights of the paper's estimator."""
 OBJECT_RADIUS = 0.22
@@ -406,7 +406,7 @@ def load(folder: Path | None) -> tuple[PaperNet, Column, float]:
     folder = folder or SHIPPED
     if not (folder / f"{NAME}.json").is_file():
         raise AssetError(
-            f"{folder} holds no {NAME}.json: the paper's estimator is not shipped; train it:\n{HOW_TO_TRAIN}",
+            f"{folder} holds no {NAME}.json, the paper's estimator: train it:\n{HOW_TO_TRAIN}",
             code="asset.missing",
         )
     tensors, card = weight_files.load_weights(folder, NAME)
