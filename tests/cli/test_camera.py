@@ -141,7 +141,7 @@ def refused(state: str, config: Path, folder: Path) -> str:
         "camera": "another camera or mode",
         "recording": "record again with this file",
         "unsaid": "add `undistorted: true` or `false`",
-        "rehearsed": "comes from a rehearsal",
+        "rehearsed": "belongs to camera 'simulated'",
     }[state]
 
 
