@@ -126,21 +126,22 @@ def test_what_is_seen_clearly_goes_on_as_it_was(direction: float, angle: float, 
     turn = transform(Rotation.from_rotvec([angle * np.cos(direction), angle * np.sin(direction), 0.0]))
     # The spin about the normal is the hand's, and no turn of the face.
     now = BEFORE @ turn @ transform(Rotation.from_rotvec([0.0, 0.0, spin]))
-    _, turned = holding_between(seen(BEFORE), seen(now), strikes, USUAL)
+    steady, turned = holding_between(seen(BEFORE), seen(now), strikes, USUAL)
     held = replace(HELD, turn=turned)
     for _ in range(strikes):
         held = held.turned()
     X = held.X_hand_ee
-    assert angle_between(X[:3, 2], now[:3, 2]) < 0.01 * angle + 1e-9
+    # A steady tool's turn is the noise of two looks.
+    assert angle_between(X[:3, 2], (BEFORE if steady else now)[:3, 2]) < 0.01 * angle + 1e-9
     np.testing.assert_array_equal(X[:3, 3], BEFORE[:3, 3])
 
 
 def test_what_is_seen_badly_is_believed_in_part() -> None:
-    now = BEFORE @ transform(Rotation.from_rotvec([np.deg2rad(2.0), 0.0, 0.0]))
+    now = BEFORE @ transform(Rotation.from_rotvec([np.deg2rad(4.0), 0.0, 0.0]))
     turns = [holding_between(seen(BEFORE, s), seen(now, s), 4, USUAL)[1][0] for s in np.deg2rad([0.01, 0.5, 1.0, 5.0])]
     assert np.all(np.diff(turns) < 0.0)
-    assert 4 * turns[0] == pytest.approx(np.deg2rad(2.0), rel=0.01)
-    assert 0.0 < 4 * turns[-1] < np.deg2rad(0.2)
+    assert 4 * turns[0] == pytest.approx(np.deg2rad(4.0), rel=0.01)
+    assert 0.0 < 4 * turns[-1] < np.deg2rad(0.4)
 
 
 @pytest.mark.parametrize(

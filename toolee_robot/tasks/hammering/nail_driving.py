@@ -32,6 +32,9 @@ LET_IN = "the nail went deep into very soft wood: check it"
 """What else may have become of a nail that is not where it should be after strikes."""
 STEADY_FACTOR = 3
 """How many times as many strikes a tool may do before the next look that has hardly slipped between the last two."""
+NEARLY_FLUSH = 0.003
+"""Height of a nail that the next measurement may find flush [m]: a face that has tilted by 4° since the last look meets
+the wood with its rim, and makes the nail seem 1 mm lower."""
 BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
 STRIKES_BEFORE_GIVING_UP, LEAST_SHARE = 10, 0.5
@@ -347,9 +350,12 @@ class NailDriving:
         met = verdict.meeting is Meeting.EXPECTED
         if self._forecast.surprise:
             self._motions.observer.message(self._forecast.surprise)
+        often, looked = self._config.task.strikes_between_looks, False
+        if self._look_at is not None and held.strikes > often and self._forecast.height < NEARLY_FLUSH:
+            held, looked = self._look(held, self._config.task.views_again), True
         try:
             with self._motions.stages(Stage.TOUCH):
-                if self._striking.leans:
+                if looked or self._striking.leans:
                     self._gauge.go_over(self._striking.plan_touch(before, held), held)
                 else:  # after a strike the face is no longer square to the nail
                     self._gauge.go_over(plan, held, near=True)
