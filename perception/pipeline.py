@@ -16,7 +16,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from toolee_robot.end_effectors import CATEGORIES, Category
-from toolee_robot.errors import PerceptionError
+from toolee_robot.errors import PerceptionError, UserError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
 from toolee_robot.perception.detection.passes import Crop, hand_crop
@@ -97,7 +97,10 @@ class ToolPerception:
 
         Raises:
             AssetError: A weight file is missing or damaged; the message names it.
+            UserError: There is no such estimator.
         """
+        if estimator not in ("ours", "tooleenet"):
+            raise UserError(f'there is no estimator {estimator!r}: give "ours" or "tooleenet"')
         detector = Segmenter.load(weights_dir, device)
         if estimator == "tooleenet":
             return cls(detector, PaperEstimator.load_for_job(weights_dir, device))

@@ -56,7 +56,7 @@ def open_camera(
 
     Raises:
         ConfigError: The station file names no camera, or a driver that is not there, or lacks what the driver needs, or
-            gives what another one needs, or names a rehearsed record of intrinsics.
+            gives what another one needs.
         UserError: airo-camera-toolkit is not installed.
     """
     device = config.device

@@ -271,6 +271,8 @@ def test_a_job_takes_no_estimator_of_whole_tools(tmp_path: Path) -> None:
 
 @pytest.mark.sim
 def test_the_pipeline_takes_it_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UserError, match="no estimator 'paper'"):
+        ToolPerception.load(estimator="paper")  # type: ignore[arg-type]
     monkeypatch.setattr(estimator, "SHIPPED", tmp_path)
     with raises(AssetError, code="asset.missing"):
         ToolPerception.load(estimator="tooleenet")
