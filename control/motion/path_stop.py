@@ -60,7 +60,7 @@ def stop_on_path(
     trajectory: Trajectory,
     start: float,
     period: float,
-    acceleration: float,
+    acceleration: float | Array,
     jerk: float,
     *,
     state: PathState | None = None,
@@ -76,8 +76,8 @@ def stop_on_path(
         trajectory: The running trajectory of n joints, with the braking that the torques permit.
         start: Time on the trajectory at which the stop begins [s].
         period: Time between two samples of the stop [s].
-        acceleration: Acceleration limit of every joint [rad/s^2]. On a swing it is kept if it is 4/3 of the swing's
-            own, and else exceeded for some 30 ms.
+        acceleration: Acceleration limit of every joint, or of each, (n,) [rad/s^2]. On a swing it is kept if it is 4/3
+            of the swing's own, and else exceeded for some 30 ms.
         jerk: Jerk limit of every joint [rad/s^3]; exceeded where the trajectory exceeds it, and by up to 70 % for some
             milliseconds where a swing turns a joint about.
         state: Progress of another stop that this one continues, instead of `start`.
@@ -140,7 +140,7 @@ class PathStop(Iterator[tuple[Array, Array]]):
         trajectory: Trajectory,
         start: float,
         period: float,
-        acceleration: float,
+        acceleration: float | Array,
         jerk: float,
         state: PathState | None = None,
     ) -> None:
@@ -219,7 +219,12 @@ class PathStop(Iterator[tuple[Array, Array]]):
         rise = float(np.min((self._jerk - own) / size))
         fade = float(np.min((self._jerk - np.maximum(own, 0.0)) / size))
         least = MIN_SHARE * self._jerk
-        return min(lowest, -MIN_SHARE * self._acceleration), max(hardest, least), max(rise, least), max(fade, least)
+        return (
+            min(lowest, -MIN_SHARE * float(np.min(self._acceleration))),
+            max(hardest, least),
+            max(rise, least),
+            max(fade, least),
+        )
 
     def _ruckig_step(self, lowest: float, jerk: float) -> tuple[float, float, float]:
         """Speed [rad/s], its change [rad/s^2] and the travelled path length [rad] after one step."""

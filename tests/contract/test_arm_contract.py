@@ -54,7 +54,7 @@ def braked_within_limits(report: MotionReport, rig: Rig) -> None:
     """Along its path, forwards, and with no joint's deceleration over what the configuration allows."""
     qd = np.diff(report.q_commanded, axis=0) * rig.arm.rate
     qdd = np.diff(qd, axis=0) * rig.arm.rate
-    assert np.abs(qdd).max() < 1.1 * max(rig.limits.stop_acceleration, *rig.limits.acceleration)
+    assert np.abs(qdd).max() < 1.1 * max(*rig.limits.stop_acceleration, *rig.limits.acceleration)
 
 
 def test_it_is_an_arm_at_its_rate(rig: Rig) -> None:

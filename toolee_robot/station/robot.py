@@ -87,9 +87,9 @@ class ArmLimits:
             raise ValueError("up is not a direction: give the upward direction in the base, (0, 0, 1) on a table")
 
     @property
-    def stop_acceleration(self) -> float:
-        """Largest acceleration of every joint while braking after a contact or a stop [rad/s^2]."""
-        return STOP_ROOM * max(self.acceleration)
+    def stop_acceleration(self) -> Array:
+        """Largest acceleration of each joint while braking after a contact or a stop, (6,) [rad/s^2]."""
+        return STOP_ROOM * np.asarray(self.acceleration)
 
     @property
     def gravity(self) -> Array:

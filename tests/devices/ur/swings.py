@@ -34,7 +34,7 @@ def swing(q: Array, duration: float | None = None) -> Trajectory:
 
 def shortest_stop(limits: ArmLimits, speed: float) -> float:
     """[s] From a joint's speed [rad/s] at constant velocity, with the limits' jerk and deceleration."""
-    a, j = limits.stop_acceleration, limits.stop_jerk
+    a, j = float(limits.stop_acceleration.max()), limits.stop_jerk
     return speed / a + a / j if speed * j >= a * a else 2.0 * float(np.sqrt(speed / j))
 
 

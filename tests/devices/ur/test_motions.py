@@ -114,7 +114,7 @@ def test_without_a_bound_the_controller_stops_the_arm_and_no_later_command_is_re
     assert report is not None
     assert report.commands is not None
     assert report.commands < len(report.stamps)
-    limit = replace(sim_station().arm, model=ArmModel.UR10).stop_acceleration
+    limit = replace(sim_station().arm, model=ArmModel.UR10).stop_acceleration.max()
     assert accelerations(report, report.commands).max() <= 1.05 * limit
     assert np.all(report.q_commanded[report.commands :] == report.q_commanded[report.commands - 1])
 

@@ -258,5 +258,5 @@ def smooth(trajectory: Trajectory, report: MotionReport, period: float) -> bool:
     if len(q) < 3:
         return True
     q = np.vstack([trajectory.q[:1], q])
-    limit = np.abs(trajectory.qdd).max() + sim_station().arm.stop_acceleration
+    limit = np.abs(trajectory.qdd).max() + sim_station().arm.stop_acceleration.max()
     return bool(np.abs(np.diff(q, n=2, axis=0)).max() <= 1.05 * limit * period**2)

@@ -234,7 +234,7 @@ def test_caps_only_lower_the_limits_of_a_station() -> None:
     assert (arm.velocity, arm.transfer_acceleration, arm.acceleration) == ((0.05,) * 6, 0.5, (0.5,) * 6)
     fast = Caps(100.0, 1000.0).apply(STATION).arm
     assert fast.transfer_velocity_scale == STATION.arm.transfer_velocity_scale
-    assert fast.stop_acceleration == STATION.arm.stop_acceleration
+    np.testing.assert_array_equal(fast.stop_acceleration, STATION.arm.stop_acceleration)
 
 
 @pytest.mark.parametrize(("caps", "stop"), [(Caps(), 4 / 3), (Caps(0.5), 5.0), (Caps(0.05, 3.0), 4.0)])

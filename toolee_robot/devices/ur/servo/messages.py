@@ -8,6 +8,7 @@ from enum import IntEnum
 from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.servo.clock import Realtime
 from toolee_robot.errors import DeviceError, NotReadyError
+from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionWatch
 
 
@@ -58,7 +59,7 @@ class MotionRequest:
         knots: Number of trajectory samples, as `ServoMemory.write_path` returned it.
         guard: Contact at which to stop, or None.
         watch: Bounds to check in every cycle.
-        acceleration: Joint deceleration of a path stop [rad/s^2].
+        acceleration: Deceleration of each joint in a path stop, (6,) [rad/s^2].
         jerk: Joint jerk of a path stop [rad/s^3].
         lag: Upper bound of the servo's delay [s].
         stop: Value of the task's stop counter when the request was sent; the arm stops when it changes.
@@ -68,7 +69,7 @@ class MotionRequest:
     knots: int
     guard: ContactGuard | None
     watch: MotionWatch
-    acceleration: float
+    acceleration: Array
     jerk: float
     lag: float
     stop: int
