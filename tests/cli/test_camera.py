@@ -125,28 +125,24 @@ def refused(state: str, config: Path, folder: Path) -> str:
     """Let a station file state a lens that a job refuses; returns words of the reason."""
     say_undistorted(folder, {"recording": True, "unsaid": None}.get(state, False))
     said = yaml.safe_load(config.read_text())
-    if state == "rehearsed":
-        said["camera"]["intrinsics"] = measured_lens(folder, "simulated")
-    else:
-        said["camera"]["distortion"] = list(LENS)
-        wrong: dict[str, dict[str, float]] = {
-            "size": {"width": 128},
-            "camera": {"fx": 140.0},
-            "recording": {"fx": INTRINSICS.fx + 0.1},
-        }
-        said["camera"] |= wrong.get(state, {})
+    said["camera"]["distortion"] = list(LENS)
+    wrong: dict[str, dict[str, float]] = {
+        "size": {"width": 128},
+        "camera": {"fx": 140.0},
+        "recording": {"fx": INTRINSICS.fx + 0.1},
+    }
+    said["camera"] |= wrong.get(state, {})
     config.write_text(yaml.safe_dump(said))
     return {
         "size": "96x72, those of the station file 128x72",
         "camera": "another camera or mode",
         "recording": "record again with this file",
         "unsaid": "add `undistorted: true` or `false`",
-        "rehearsed": "belongs to camera 'simulated'",
     }[state]
 
 
 @pytest.mark.realtime(light=True)
-@pytest.mark.parametrize("state", ["size", "camera", "recording", "unsaid", "rehearsed"])
+@pytest.mark.parametrize("state", ["size", "camera", "recording", "unsaid"])
 def test_a_lens_that_is_refused_keeps_nobody_from_looking_and_what_show_prints_is_accepted(
     state: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -339,9 +339,11 @@ class Freedrive(ArmOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class Acceleration(ArmOptions):
-    """Find the acceleration that each joint bears, for `arm.acceleration`. Fast: nobody is in reach.
+    """Find the acceleration that each joint bears.
 
     Example: toolee arm acceleration --config lab.yaml --most 8
+
+    It is for arm.acceleration of the station file. The motions are fast: nobody is in reach.
 
     One joint after the other turns about its present place, first gently, then faster. A joint ends at the first sign:
     half of the way to a protective stop or to supervisor.tracking_error, vibration, a stop, or a limit of the station.
