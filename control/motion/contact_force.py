@@ -73,6 +73,13 @@ AT_NAIL = 0.8
 a light hammer's contact is hardly more force than its sway."""
 
 
+def _steps(values: Array, period: float) -> Array:
+    """The steps that `ContactForce` forms of a strike's readings (N, 3), one every `period` [s]: (N - n, 3)."""
+    window, baseline = (max(round(time / period), 1) for time in (STEP_WINDOW, STEP_BASELINE))
+    rows = np.lib.stride_tricks.sliding_window_view(values, window + baseline, axis=0).swapaxes(1, 2)
+    return np.asarray(rows[:, baseline:].mean(axis=1) - rows[:, :baseline].mean(axis=1))
+
+
 def swing_sway(
     mass: float, times: Array, face: Array, contact_time: float, early: float, lag: float = 0.0
 ) -> tuple[float, float, float]:
@@ -93,10 +100,8 @@ def swing_sway(
     """
     step = float(times[1] - times[0])
     acceleration = np.gradient(np.gradient(face, step, axis=0), step, axis=0)
-    window, baseline = (max(round(time / step), 1) for time in (STEP_WINDOW, STEP_BASELINE))
-    rows = np.lib.stride_tricks.sliding_window_view(acceleration, window + baseline, axis=0).swapaxes(1, 2)
-    steps = np.linalg.norm(rows[:, baseline:].mean(axis=1) - rows[:, :baseline].mean(axis=1), axis=1)
-    ends = times[window + baseline - 1 :]
+    steps = np.linalg.norm(_steps(acceleration, step), axis=1)
+    ends = times[-len(steps) :]
     counts = (ends >= ARMED_FROM * contact_time) & (ends <= contact_time)
     steps, ends = steps[counts], ends[counts]
     if len(steps) == 0:
@@ -131,10 +136,7 @@ def strike_guard(
     """
     needed = 0.0
     if noise is not None:
-        window, baseline = (max(round(time * rate), 1) for time in (STEP_WINDOW, STEP_BASELINE))
-        rows = np.lib.stride_tricks.sliding_window_view(noise, window + baseline, axis=0).swapaxes(1, 2)
-        steps = rows[:, baseline:].mean(axis=1) - rows[:, :baseline].mean(axis=1)
-        needed = SIGMAS * float(np.sqrt(np.mean(steps**2)))
+        needed = SIGMAS * float(np.sqrt(np.mean(_steps(noise, 1.0 / rate) ** 2)))
     if needed > MAX_FACTOR * strike.contact_force:
         raise DeviceError(
             f"the force at rest is so noisy that a sure contact needs a step of {needed:.0f} N, more than "
