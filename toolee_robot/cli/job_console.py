@@ -265,4 +265,4 @@ def _true(f: Mapping[str, Any]) -> Rows:
 
 
 def _figure(value: float | None, unit: str) -> str:
-    return "unknown" if value is None else f"{value:.1f}{unit}"
+    return "unknown" if value is None else f"{value:z.1f}{unit}"

@@ -199,8 +199,8 @@ def _draw_cloud(figure: Figure, panel: SubplotSpec, frame: RgbdFrame, best: Tool
         ax.plot(*np.stack([np.zeros(3), tip]).T, color=colour, lw=3.4, solid_capstyle="round")
         ax.text(*(1.16 * tip), name, color=colour, fontsize=12, fontweight="bold", ha="center", va="center")
 
-    low = np.vstack([np.percentile(points, 0.5, axis=0), tips]).min(axis=0)
-    high = np.vstack([np.percentile(points, 99.5, axis=0), tips]).max(axis=0)
+    low = np.vstack([np.percentile(points, 0.5, axis=0), 1.2 * tips]).min(axis=0)
+    high = np.vstack([np.percentile(points, 99.5, axis=0), 1.2 * tips]).max(axis=0)
     middle, radius = (low + high) / 2, max(float((high - low).max()) / 2, 20.0) * 1.02
     right = np.array([-np.sin(np.deg2rad(_AZIMUTH)), np.cos(np.deg2rad(_AZIMUTH)), 0.0])  # of the view: true length
     bar = middle + np.array([0.0, 0.0, -1.12 * radius]) + np.outer([-5.0, 5.0], right)
@@ -239,7 +239,7 @@ def _draw_nails(figure: Figure, panel: SubplotSpec, nails: Sequence[NailCurve]) 
         ax.scatter(strikes, values, s=44, color=_AXES[2], zorder=4, edgecolors="white", linewidths=1)
         for i in {0, len(values) - 1} if values else set[int]():
             ax.annotate(
-                f"{values[i]:.1f}" + (f"\n{nail.name}" if several and i == 0 else ""), (strikes[i], values[i]),
+                f"{values[i]:z.1f}" + (f"\n{nail.name}" if several and i == 0 else ""), (strikes[i], values[i]),
                 xytext=(0, 9), textcoords="offset points", ha="center", fontweight="bold",
             )  # fmt: skip
         first += len(nail.protrusion_mm)

@@ -127,7 +127,7 @@ class NailDriving:
             before = self._forecast.height
             plan, measured, held = self._strike_or_miss(course, held)
             if course.home and measured is None:
-                return self._flush(f"the head stood {before * 1e3:.1f} mm over the wood before the last strike")
+                return self._flush(f"the head stood {before * 1e3:z.1f} mm over the wood before the last strike")
             if self._missed:
                 continue
             held = held.turned()
@@ -151,10 +151,10 @@ class NailDriving:
         )
         surely = not self._gauge.noisy or height <= SURE_SHARE_IN_NOISE * task.flush_protrusion
         if done and (surely or course.home or out_of_strikes):
-            return self._flush(f"the head stands {height * 1e3:.1f} mm over the wood")
+            return self._flush(f"the head stands {height * 1e3:z.1f} mm over the wood")
         course.home = done
         if out_of_strikes:
-            end = f"after {struck} strikes the head stands {height * 1e3:.1f} mm over the wood"
+            end = f"after {struck} strikes the head stands {height * 1e3:z.1f} mm over the wood"
             if 0 < forecast.left < MOST_TOLD * task.max_strikes:
                 more = math.ceil(1.2 * forecast.left)
                 end += (
@@ -222,7 +222,7 @@ class NailDriving:
             held = self._look(held, task.views_again)
         stall.measured(struck, course.progress, expected)
         if stall.strikes >= FEWEST and measured <= task.flush_protrusion:
-            words = f"{stall.strikes} strikes moved it no further, {measured * 1e3:.1f} mm over the wood"
+            words = f"{stall.strikes} strikes moved it no further, {measured * 1e3:z.1f} mm over the wood"
             return self._flush(words), held
         if not stall.over:
             course.doubted = course.doubted and stall.suspected
@@ -230,7 +230,7 @@ class NailDriving:
         if course.doubted or self._look_at is None:
             slow = "strike.speed asks for" if plan.speed >= 0.99 * plan.wanted_speed else "arm and hand permit"
             reason = (
-                f"{stall}, and it stands {measured * 1e3:.1f} mm over the wood. It has met something hard, or the "
+                f"{stall}, and it stands {measured * 1e3:z.1f} mm over the wood. It has met something hard, or the "
                 f"{plan.speed:.2f} m/s that {slow} are too slow"
             )
             return (Outcome.STUCK, reason), held
