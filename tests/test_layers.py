@@ -175,7 +175,6 @@ HEAVY = [
     "rtde_receive",
     "rtde_io",
     "warp",
-    "ray",
     "embreex",
     "manifold3d",
     "foxglove",

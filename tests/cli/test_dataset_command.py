@@ -113,7 +113,6 @@ def test_an_impatient_ctrl_c_ends_it_at_once(tmp_path: Path) -> None:
         (["generate", "--config", "hard", "--size", "2", "--out", "x", "--workers", "0"], "--workers 0"),
         (["generate", "--config", "hard", "--size", "2", "--out", "x", "--test-share", "2"], "--test-share"),
         (["generate", "--config", "hard", "--size", "2", "--out", "file"], "file"),
-        (["generate", "--config", "hard", "--size", "2", "--out", "x", "--device", "cuda", "--cluster", "ray"], "Ray"),
         pytest.param(
             ["generate", "--config", "hard", "--size", "2", "--out", "x", "--device", "cuda"],
             "choose cpu",

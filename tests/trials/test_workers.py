@@ -1,7 +1,4 @@
-"""Where trials run does not matter: threads of this process and a Ray cluster keep the same contract.
-
-Ray's part is nightly: a real cluster of one core, started on this machine.
-"""
+"""Jobs of trials side by side, on threads of this process; and runs that are interrupted or killed."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -20,33 +17,14 @@ import pytest
 
 from tests.errors import raises
 from tests.trials.test_trials import PLAN, job
-from toolee_robot.app.variant import Variant
 from toolee_robot.errors import TooleeError
-from toolee_robot.runtime.ray_cluster import on_ray
-from toolee_robot.trials import TrialPlan, load_plan, run_trials
+from toolee_robot.trials import load_plan, run_trials
 from toolee_robot.trials.report import FIGURES
 from toolee_robot.trials.results import RESULTS, Record, read_results
-from toolee_robot.trials.run import Workers, on_threads
+from toolee_robot.trials.run import on_threads
 
 OF_THE_RUN = frozenset({"seconds", "stage_seconds", "run_folder"})
 """Figures of a job that are no outcome: times of this machine, and where its folder lies."""
-
-
-@pytest.fixture(scope="module")
-def one_core() -> Iterator[None]:
-    os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # listens on the loopback address alone
-    import ray
-
-    ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False)
-    yield
-    ray.shutdown()
-
-
-@pytest.fixture(params=[on_threads, pytest.param(on_ray, marks=[pytest.mark.sim, pytest.mark.nightly])])
-def workers(request: pytest.FixtureRequest) -> Workers:
-    if request.param is on_ray:
-        request.getfixturevalue("one_core")
-    return request.param
 
 
 def _square(x: int) -> int:
@@ -69,31 +47,31 @@ def _breaks(x: int) -> int:
     return x
 
 
-def test_every_item_has_its_result_once(workers: Workers) -> None:
-    assert sorted(workers(_square, range(7), 2)) == [x * x for x in range(7)]
-    assert list(workers(_square, [], 2)) == []
-    assert sorted(workers(_square, range(3), None)) == [0, 1, 4]
+def test_every_item_has_its_result_once() -> None:
+    assert sorted(on_threads(_square, range(7), 2)) == [x * x for x in range(7)]
+    assert list(on_threads(_square, [], 2)) == []
+    assert sorted(on_threads(_square, range(3), None)) == [0, 1, 4]
 
 
-def test_no_more_run_at_a_time_than_was_said(workers: Workers, tmp_path: Path) -> None:
-    assert max(workers(partial(_busy, tmp_path), range(6), 1)) == 1
+def test_no_more_run_at_a_time_than_was_said(tmp_path: Path) -> None:
+    assert max(on_threads(partial(_busy, tmp_path), range(6), 1)) == 1
 
 
-def test_an_error_of_the_project_comes_back_as_it_is_after_what_was_finished(workers: Workers) -> None:
+def test_an_error_of_the_project_comes_back_as_it_is_after_what_was_finished() -> None:
     seen = []
-    with raises(TooleeError, code="trials.crashed"), closing(workers(_breaks, range(4), 1)) as results:
+    with raises(TooleeError, code="trials.crashed"), closing(on_threads(_breaks, range(4), 1)) as results:
         for result in results:
             seen.append(result)
     assert seen == [0, 1]
 
 
-def test_the_same_plan_has_the_same_results_anywhere(workers: Workers, tmp_path: Path) -> None:
+def test_the_same_plan_has_the_same_results_anywhere(tmp_path: Path) -> None:
     here = run_trials(PLAN, tmp_path / "here", 1, str, job)
-    there = run_trials(PLAN, tmp_path / "there", 2, str, job, workers)
+    there = run_trials(PLAN, tmp_path / "there", 2, str, job)
     assert [(r.trial, r.figures) for r in here] == [(r.trial, r.figures) for r in there]
 
 
-def test_ctrl_c_loses_no_result_that_was_told(workers: Workers, tmp_path: Path) -> None:
+def test_ctrl_c_loses_no_result_that_was_told(tmp_path: Path) -> None:
     told = []
 
     def tell(text: str) -> None:
@@ -102,43 +80,9 @@ def test_ctrl_c_loses_no_result_that_was_told(workers: Workers, tmp_path: Path) 
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_trials(PLAN, tmp_path, 1, tell, job, workers)
+        run_trials(PLAN, tmp_path, 1, tell, job)
     assert len(read_results(PLAN, tmp_path)[0]) == 3
-    assert len(run_trials(PLAN, tmp_path, 1, str, job, workers)) == 6
-
-
-def _dies_once(folder: Path, x: int) -> int:
-    mark = folder / str(x)
-    if not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return x
-
-
-@pytest.mark.sim
-@pytest.mark.nightly
-@pytest.mark.usefixtures("one_core")
-def test_what_a_lost_worker_was_doing_is_done_again(tmp_path: Path) -> None:
-    assert list(on_ray(partial(_dies_once, tmp_path), [5], 1)) == [5]
-
-
-@pytest.mark.sim
-@pytest.mark.nightly
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_run_on_ray_is_interrupted_as_any_other(tmp_path: Path, number: signal.Signals) -> None:
-    code = (
-        "import signal, time, sys; signal.signal(signal.SIGTERM, signal.default_int_handler)\n"
-        "from toolee_robot.runtime.ray_cluster import on_ray\n"
-        "try:\n"
-        "    for x in on_ray(time.sleep, [0.2] * 1000, 1): print('one', flush=True)\n"
-        "except KeyboardInterrupt: sys.exit(130)"
-    )
-    run = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
-    assert run.stdout is not None
-    assert run.stdout.readline() == "one\n"
-    run.send_signal(number)
-    run.communicate(timeout=120.0)
-    assert run.returncode == 130
+    assert len(run_trials(PLAN, tmp_path, 1, str, job)) == 6
 
 
 @pytest.mark.sim
@@ -183,21 +127,6 @@ def _until(condition: Callable[[], object], what: str) -> None:
     while not condition():
         assert time.monotonic() < end, f"not: {what}"
         time.sleep(0.2)
-
-
-@pytest.mark.sim(seconds=120)
-@pytest.mark.nightly
-@pytest.mark.usefixtures("one_core")
-def test_a_simulated_trial_has_the_same_outcome_on_ray(tmp_path: Path) -> None:
-    """The job itself, in a process of the worker's: every figure that is no time of this machine's."""
-    plan = TrialPlan("tiny", 101, 1, (Variant.NO_CORRECTION,), "exact")
-    (here,) = run_trials(plan, tmp_path / "here", 1, str)
-    (there,) = run_trials(plan, tmp_path / "there", None, str, workers=on_ray)
-    assert {k: v for k, v in here.figures.items() if k not in OF_THE_RUN} == {
-        k: v for k, v in there.figures.items() if k not in OF_THE_RUN
-    }
-    assert here.command == there.command
-    assert Path(there.figures["run_folder"], "summary.json").is_file()
 
 
 _MAIN = "from toolee_robot.cli import main; main()"

@@ -48,7 +48,7 @@ class Generate(JsonOption):
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the data set."""
     workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="(default: one per core)")] = None
-    """Processes (or Ray tasks) at a time."""
+    """Processes at a time."""
     seed: int = 0
     """Which data set of that kind."""
     test_share: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: 0.1; --tools: 1)")] = None
@@ -57,10 +57,8 @@ class Generate(JsonOption):
     """Your own tools instead of generated ones, all kept for tests: a folder for each, with tool.yaml
     (docs/dataset.md) and a mesh.
     """
-    cluster: Literal["local", "ray"] = "local"
-    """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share DIR."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Device that renders. cuda: the GPUs of this machine (not of a Ray cluster), which the processes share. Pixels may
+    """Device that renders. cuda: the GPUs of this machine, which the processes share. Pixels may
     differ by a rounding."""
     test_set: Flag = False
     """Mark it as a test set: every evaluation on it is logged (docs/results/protocol.md)."""
@@ -126,9 +124,9 @@ class Generate(JsonOption):
                 counts.append(done)
                 report("rendering", done, total)
 
-            made = generate(spec, self.out, workers, count, self.cluster, custom_tools)
+            made = generate(spec, self.out, workers, count, custom_tools)
         seconds = time.monotonic() - began
-        cost = Cost.of_workers(spec.size - counts[0], seconds) if made and self.cluster == "local" else None
+        cost = Cost.of_workers(spec.size - counts[0], seconds) if made else None
         if made:
             console.print(f"{spec.size} examples in {escape(str(self.out))}, {seconds:.0f} s", soft_wrap=True)
             if cost is not None:

@@ -6,7 +6,7 @@ import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -20,7 +20,6 @@ from toolee_robot.runtime.files import read_json
 if TYPE_CHECKING:
     from toolee_robot.app.job import JobSpec
     from toolee_robot.trials import TrialPlan
-    from toolee_robot.trials.run import Workers
 
 
 @dataclass(frozen=True)
@@ -45,9 +44,6 @@ class Trials(JsonOption):
     """Folder of the results: trials.jsonl, report.html, report.json, and runs/ with each job's folder."""
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
     """Jobs side by side."""
-    cluster: Literal["local", "ray"] = "local"
-    """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share this working directory and
-    DIR."""
     report_only: Flag = False
     """Run nothing, and write the report of the existing results."""
     results: Annotated[Path | None, tyro.conf.arg(metavar="JSONL", help_behavior_hint="")] = None
@@ -87,13 +83,6 @@ class Trials(JsonOption):
         self.tell(made)
         return 0
 
-    def _workers(self) -> Workers | None:
-        if self.cluster == "local":
-            return None
-        from toolee_robot.runtime.ray_cluster import on_ray
-
-        return on_ray
-
     def _do(self, plan: TrialPlan, out: Path, console: Console) -> None:
         from toolee_robot.trials import lead_trials, run_trials
 
@@ -102,12 +91,10 @@ class Trials(JsonOption):
 
         if not plan.led:
             jobs = None if self.jobs is None else max(1, self.jobs)
-            run_trials(plan, out, jobs, tell, workers=self._workers())
+            run_trials(plan, out, jobs, tell)
             return
-        if self.jobs not in (None, 1) or self.cluster != "local":
-            raise UserError(
-                "leave --jobs and --cluster out: in this plan a person runs one trial at a time on one robot"
-            )
+        if self.jobs not in (None, 1):
+            raise UserError("leave --jobs out: in this plan a person runs one trial at a time on one robot")
         if not (console.is_terminal and sys.stdin.isatty()):
             raise UserError("a person runs this plan at the terminal, and there is none. Start it from a terminal")
         lead_trials(plan, out, lambda question: console.input(question, markup=False), tell, partial(_job, console))

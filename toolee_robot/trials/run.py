@@ -23,7 +23,7 @@ from multiprocessing.connection import wait as wait_for
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.runtime.processes import ONE_THREAD, environment, interrupts_blocked, raise_interrupts
@@ -127,29 +127,12 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-class Workers(Protocol):
-    """Where jobs run: `on_threads` on this machine, `on_ray` on a cluster."""
-
-    def __call__(self, call: Callable[[T], R], items: Sequence[T], count: int | None, /) -> Generator[R]:
-        """Call a function for every item.
-
-        Args:
-            call: The function.
-            items: The items.
-            count: Largest number of calls at a time; None for one per core.
-
-        Yields:
-            The results, in the order in which they are finished.
-        """
-
-
 def run_trials(
     plan: TrialPlan,
     folder: Path,
     jobs: int | None = 1,
     tell: Callable[[str], object] = print,
     job: Job = run_apart,
-    workers: Workers | None = None,
 ) -> list[Record]:
     """Run the trials of a plan that its folder does not have yet.
 
@@ -159,7 +142,6 @@ def run_trials(
         jobs: Number of jobs side by side; None for one per core.
         tell: Told of each finished job.
         job: Does a job.
-        workers: Where; None for this machine.
 
     Returns:
         All results, in the plan's order.
@@ -180,7 +162,7 @@ def run_trials(
         if results.done:
             tell(f"{len(results.done)} of {len(results.done) + len(todo)} trials are already done")
         crashed: list[_Crash] = []
-        with closing((workers or on_threads)(partial(_run, job), todo, jobs)) as finished:
+        with closing(on_threads(partial(_run, job), todo, jobs)) as finished:
             in_a_row, most = 0, max(MOST_CRASHES, jobs or cores())
             for ended in finished:
                 if isinstance(ended, Record):

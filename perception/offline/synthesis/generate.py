@@ -1,4 +1,4 @@
-"""Parallel generation of a data set on local processes or a Ray cluster; the result does not depend on their number.
+"""Parallel generation of a data set on processes; the result does not depend on their number.
 
 An interrupted run resumes when it is started again.
 """
@@ -10,7 +10,7 @@ import os
 import resource
 import shutil
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -31,7 +31,6 @@ from toolee_robot.tools import TOOL_SPECS
 
 Progress = Callable[[int, int], None]
 """Called with the numbers of finished and of all examples."""
-CLUSTERS = ("local", "ray")
 
 
 def generate(
@@ -39,17 +38,15 @@ def generate(
     out: Path,
     workers: int = 1,
     progress: Progress | None = None,
-    cluster: str = "local",
     custom_tools: Sequence[CustomMesh] = (),
 ) -> bool:
     """Generate a data set; scenes that exist are kept.
 
     Args:
         spec: Specification of the data set.
-        out: Folder of the data set; all machines of a cluster must share it.
+        out: Folder of the data set.
         workers: Number of processes.
         progress: Called after each scene.
-        cluster: "local" or "ray".
         custom_tools: Meshes of `spec.tools`.
 
     Returns:
@@ -60,10 +57,6 @@ def generate(
         TooleeError: A worker process died.
     """
     check_workers(workers)
-    if cluster not in CLUSTERS:
-        raise UserError(f"--cluster {cluster}: choose one of {', '.join(CLUSTERS)}")
-    if cluster == "ray" and spec.device != "cpu":
-        raise UserError(f"--device {spec.device}: Ray gives its tasks no GPU unless they ask for it, choose cpu there")
     checked(spec.device)
     begin(spec, out, custom_tools)
     if is_finished(out):
@@ -73,14 +66,9 @@ def generate(
     done = spec.size - sum(job.last - job.first for job in todo)
     if progress is not None:
         progress(done, spec.size)
-    run: Callable[..., Generator[SceneJob]] = on_processes
-    if cluster == "ray":
-        from toolee_robot.runtime.ray_cluster import on_ray
-
-        run = on_ray
     waiting = deque(jobs)
     summary = Summary(spec, out)
-    with contextlib.closing(run(partial(make_scene_folder, spec, out.resolve()), todo, workers)) as made:
+    with contextlib.closing(on_processes(partial(make_scene_folder, spec, out.resolve()), todo, workers)) as made:
         for job in made:
             done += job.last - job.first
             if progress is not None:
