@@ -1,6 +1,5 @@
 """What `hal.RgbdCamera` promises, asked of every camera: the simulated one, a recording, the RealSense driver on
-librealsense's software device, Orbbec's on OrbbecSDK's playback device, and the adapter of airo-camera-toolkit on a
-camera of its interface; with --camera lab.yaml, the station file's."""
+librealsense's software device and Orbbec's on OrbbecSDK's playback device; with --camera lab.yaml, the station file's."""
 
 from __future__ import annotations
 
@@ -15,9 +14,7 @@ import pytest
 from tests.contract.lab import station_of
 from tests.errors import raises
 from tests.rigs.camera_rig import CameraEvent, OrbbecDevice
-from tests.rigs.software_airo import SoftwareAiroCamera
 from toolee_robot.devices.cameras import StreamedCamera
-from toolee_robot.devices.cameras.airo import AiroStream
 from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.recording import RecordedStream, RecordingWriter
 from toolee_robot.devices.cameras.stream import CameraMode
@@ -113,25 +110,6 @@ class OrbbecRig(Rig):
         self.clock.sleep(0.2)
 
 
-class AiroRig(Rig):
-    """The adapter of airo-camera-toolkit on a camera of its interface."""
-
-    def __init__(self) -> None:
-        self.clock = HostClock()
-        self.camera = StreamedCamera(AiroStream(self._opened, SERIAL), self.clock)
-
-    def _opened(self) -> SoftwareAiroCamera:
-        self._camera = SoftwareAiroCamera()
-        return self._camera
-
-    def freeze(self) -> None:
-        self._camera.frozen = True
-        self.clock.sleep(0.2)
-
-    def thaw(self) -> None:
-        self._camera.frozen = False
-
-
 class LabRig(Rig):
     """The camera of a station file. Nothing is done to it."""
 
@@ -148,7 +126,6 @@ TIERS = {
     "recorded": pytest.mark.realtime(light=True),
     "realsense": pytest.mark.realtime(light=True),
     "orbbec": pytest.mark.realtime(light=True),
-    "airo": pytest.mark.realtime(light=True),
     "lab": pytest.mark.realtime,
 }
 
@@ -173,14 +150,12 @@ def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
             pytest.skip("needs pyorbbecsdk2: docs/start/install.md")
         with OrbbecDevice(SERIAL, CameraEvent.SILENT, tmp_path) as orbbec:
             yield OrbbecRig(orbbec)
-    elif request.param == "airo":
-        yield AiroRig()
     else:
         with SimStation.build(sim_station(), 100) as simulation:
             yield SimRig(simulation)
 
 
-@on("simulated", "recorded", "realsense", "orbbec", "airo", "lab")
+@on("simulated", "recorded", "realsense", "orbbec", "lab")
 def test_its_frames_are_new_registered_and_of_its_intrinsics(rig: Rig) -> None:
     with rig.camera as camera:
         assert isinstance(camera, RgbdCamera)
@@ -201,7 +176,7 @@ def test_its_frames_are_new_registered_and_of_its_intrinsics(rig: Rig) -> None:
         assert stamps == sorted(set(stamps))
 
 
-@on("simulated", "recorded", "realsense", "orbbec", "airo", "lab")
+@on("simulated", "recorded", "realsense", "orbbec", "lab")
 def test_closed_it_gives_nothing(rig: Rig) -> None:
     with rig.camera as camera:
         camera.read()
@@ -211,7 +186,7 @@ def test_closed_it_gives_nothing(rig: Rig) -> None:
         camera.read()
 
 
-@on("simulated", "recorded", "realsense", "orbbec", "airo")
+@on("simulated", "recorded", "realsense", "orbbec")
 def test_without_a_new_frame_it_says_so_within_the_time(rig: Rig) -> None:
     with rig.camera as camera:
         camera.read()
@@ -223,7 +198,7 @@ def test_without_a_new_frame_it_says_so_within_the_time(rig: Rig) -> None:
         assert rig.clock.now() - asked < 1.0
 
 
-@on("simulated", "realsense", "airo")
+@on("simulated", "realsense")
 def test_it_goes_on_when_frames_come_again(rig: Rig) -> None:
     with rig.camera as camera:
         camera.read()
@@ -235,7 +210,7 @@ def test_it_goes_on_when_frames_come_again(rig: Rig) -> None:
         assert camera.read().stamp >= asked - EARLY
 
 
-@on("simulated", "recorded", "realsense", "orbbec", "airo", "lab")
+@on("simulated", "recorded", "realsense", "orbbec", "lab")
 def test_a_frame_that_was_given_stays_as_it_was(rig: Rig) -> None:
     with rig.camera as camera:
         first = camera.read()

@@ -2,7 +2,7 @@
 
 A RealSense is librealsense's software device, to which a fault can happen at any moment. Orbbec's SDK has a playback
 device, and recorded frames are played as well: what is to go wrong with the pictures is in the recording from HEALTHY
-seconds on. airo-camera-toolkit has neither; there the driver's other end is a camera of the toolkit's interface.
+seconds on.
 """
 
 from __future__ import annotations
@@ -19,11 +19,9 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.rigs import orbbec_recording, software_airo
+from tests.rigs import orbbec_recording
 from tests.rigs.orbbec_recording import write_recording
-from tests.rigs.software_airo import SoftwareAiroCamera
 from toolee_robot.devices.cameras import CameraStream, StreamedCamera, orbbec, realsense
-from toolee_robot.devices.cameras.airo import AiroStream
 from toolee_robot.devices.cameras.orbbec import OrbbecStream
 from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.recording import RecordedStream, RecordingWriter
@@ -151,28 +149,6 @@ class OrbbecDevice:
         return self._playback
 
 
-class AiroDevice:
-    """A camera of airo-camera-toolkit's interface."""
-
-    def __init__(self, _serial: str, event: CameraEvent, _: Path) -> None:
-        self._camera, self._event = SoftwareAiroCamera(), event
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def stream(self, serial: str) -> CameraStream:
-        return AiroStream(lambda: self._camera, serial)
-
-    def happen(self) -> None:
-        camera, event = self._camera, self._event
-        camera.silent = event is CameraEvent.SILENT
-        camera.frozen = event is CameraEvent.FROZEN
-        camera.broken = event is CameraEvent.UNPLUGGED
-        camera.depth = {CameraEvent.BLIND: float("nan"), CameraEvent.UNIT: DISTANCE}.get(event)
-
-
 class RecordedDevice:
     """Recorded frames."""
 
@@ -266,15 +242,6 @@ CAMERAS = (
                at_once=(_FROZEN, _UNPLUGGED)),
     CameraKind("Orbbec, playback device", _camera(ORBBEC), OrbbecDevice, orbbec.sdk, codes=_PLAYED,
                at_once=(_UNPLUGGED,)),
-    CameraKind(
-        "airo-camera-toolkit (no software device)", _camera("airo", software_airo.COLOR), AiroDevice, lambda: None,
-        lacks={
-            CameraEvent.REPEATED: "its images carry no stamps",
-            CameraEvent.LATE: "its images carry no stamps: a late one is not noticed",
-        },
-        codes={CameraEvent.SILENT: "no_answer.camera_unplugged"},  # the toolkit itself gives up waiting
-        other="", at_once=(_FROZEN, _UNPLUGGED),
-    ),
     CameraKind(
         "recorded frames", _camera(RECORDED), RecordedDevice, lambda: None,
         lacks={

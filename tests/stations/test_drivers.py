@@ -8,18 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.devices.cameras import airo_cameras
 from tests.devices.cameras.test_recording import INTRINSICS, SERIAL, toy_recording
 from tests.errors import raises
 from tests.robots.three_finger import THREE_FINGER_HAND
 from toolee_robot.devices.hands import hand_drivers, open_hand, wired_hand
-from toolee_robot.errors import ConfigError, NoAnswerError, NotReadyError, UserError
+from toolee_robot.errors import ConfigError, NoAnswerError, NotReadyError
 from toolee_robot.robots import HANDS, hand_model
 from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.station import CameraConfig, CameraDevice, HandConfig, load_station, sim_station
-from toolee_robot.stations.camera import camera_drivers, open_camera, toolkit_camera
+from toolee_robot.stations.camera import camera_drivers, open_camera
 from toolee_robot.stations.template import open_questions
 from toolee_robot.types import HandEfforts, HandMounting
 
@@ -61,80 +60,9 @@ def test_what_the_file_lacks_is_named() -> None:
         open_camera(config(CameraDevice("recorded", "1", 0.5)), clock)
 
 
-AIRO = """
-camera:
-  {fx: 60.0, fy: 61.0, cx: 31.0, cy: 22.0, width: 64, height: 48, distortion: [0.0, 0.0, 0.0, 0.0],
-   device: {driver: airo, serial: "0042", fps: 60, least_range: 0.3, camera_class: CLASS}}
-"""
-
-
-def test_a_camera_of_airo_camera_toolkit_is_opened_by_the_file_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    airo_cameras.installed(monkeypatch)
-    path = tmp_path / "lab.yaml"
-    path.write_text(AIRO.replace("CLASS", f"{airo_cameras.HERE}.LikeRealsense"))
-    with open_camera(load_station(path).camera, HostClock()) as camera:
-        assert (camera.profile.model, camera.profile.serial) == ("LikeRealsense", "0042")
-        assert camera.lens.lens.known
-        assert camera.read().rgb.shape == (48, 64, 3)
-
-
-def test_a_toolkits_class_is_for_its_driver_alone() -> None:
-    clock, device = HostClock(), CameraDevice("airo", "0042", 0.3)
-    with raises(ConfigError, says="camera.device.camera_class is missing") as raised:
-        open_camera(config(device), clock)
-    assert "camera.device.camera_class is missing" in str(raised.value)
-    named = replace(device, camera_class="airo_camera_toolkit.cameras.zed.zed.Zed")
+def test_an_exposure_is_refused_where_the_driver_sets_none() -> None:
     with raises(ConfigError, says="camera.device.exposure"):
-        open_camera(config(replace(named, exposure=0.01)), clock)
-    with raises(ConfigError, says="camera.device.camera_class is for the driver airo") as raised:
-        open_camera(config(replace(named, driver="realsense")), clock)
-    assert "leave it out" in str(raised.value)
-
-
-@pytest.mark.parametrize(
-    ("kind", "given"),
-    [
-        ("LikeRealsense", ((640, 480), 15, False, False, "0042")),
-        ("LikeZed", ((640, 480), 15, "neural", 42)),
-    ],
-)
-def test_a_class_is_told_camera_and_mode(kind: str, given: tuple[object, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    airo_cameras.installed(monkeypatch)
-    assert toolkit_camera(f"{airo_cameras.HERE}.{kind}", "0042", (640, 480), 15)().given == given
-
-
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        (f"{airo_cameras.HERE}.LikeReceiver", "takes no resolution, serial_number"),
-        (f"{airo_cameras.HERE}.NoSuchCamera", "NoSuchCamera"),
-        (f"{airo_cameras.HERE}.installed", "is no RGB-D camera"),
-        ("tests.rigs.software_airo.SoftwareAiroCamera", "is no RGB-D camera"),
-        ("no_such_package.cameras.Camera", "no_such_package"),
-        ("Zed", "cannot be imported"),
-    ],
-)
-def test_a_class_that_cannot_do_is_named(name: str, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    airo_cameras.installed(monkeypatch)
-    with raises(ConfigError, says="camera.device.camera_class") as raised:
-        toolkit_camera(name, "42", (640, 480), 15)
-    assert name in str(raised.value)
-    assert why in str(raised.value)
-
-
-def test_a_zeds_serial_number_is_digits(monkeypatch: pytest.MonkeyPatch) -> None:
-    airo_cameras.installed(monkeypatch)
-    with raises(ConfigError, says="is not a ZED's serial number"):
-        toolkit_camera(f"{airo_cameras.HERE}.LikeZed", "SN 42", (640, 480), 15)
-
-
-def test_without_the_toolkit_it_says_where_to_read_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, airo_cameras.INTERFACES, None)
-    with raises(UserError, "user.missing_package") as raised:
-        toolkit_camera(f"{airo_cameras.HERE}.LikeZed", "42", (640, 480), 15)
-    assert "docs/start/install.md" in str(raised.value)
+        open_camera(config(CameraDevice("orbbec", "0042", 0.3, exposure=0.01)), HostClock())
 
 
 def test_without_the_camera_it_says_which_are_there() -> None:

@@ -46,8 +46,6 @@ class CameraOptions(JsonOption):
     """Instead: the name of a driver, such as realsense, with --serial."""
     serial: Annotated[str | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Serial number of the camera."""
-    camera_class: Annotated[str | None, tyro.conf.arg(metavar="MODULE.CLASS", help_behavior_hint="")] = None
-    """With --driver airo: the class of airo-camera-toolkit that opens the camera."""
     size: Annotated[tuple[int, int], tyro.conf.arg(metavar="W H")] = (848, 480)
     """With --driver: size of the colour image [px]."""
     fps: int = 30
@@ -73,9 +71,7 @@ class CameraOptions(JsonOption):
             return replace(sim_station().camera, device=device)
         if self.driver is None or self.serial is None:
             raise UserError("--driver needs --serial, which `toolee camera list` shows")
-        device = CameraDevice(
-            self.driver, self.serial, _UNKNOWN_RANGE, self.fps, self.exposure, camera_class=self.camera_class
-        )
+        device = CameraDevice(self.driver, self.serial, _UNKNOWN_RANGE, self.fps, self.exposure)
         return replace(sim_station().camera, device=device, width=self.size[0], height=self.size[1])
 
     def open(self, clock: Clock, *, own_lens: bool = False) -> StreamedCamera:
@@ -332,8 +328,6 @@ def _station_lines(config: CameraConfig, profile: CameraProfile, chosen: ChosenL
     ]
     if device.exposure is not None:
         lines.append(f"    exposure: {device.exposure:g}")
-    if device.camera_class is not None:
-        lines.append(f"    camera_class: {device.camera_class}")
     if device.folder is not None:
         lines.append(f"    folder: {device.folder}")
     return "\n".join(lines)

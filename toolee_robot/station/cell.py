@@ -66,9 +66,6 @@ class CameraDevice:
     """Exposure of the colour image; null: automatic, which varies between views."""
     folder: str | None = None
     """Folder of the recording, for the driver `recorded`."""
-    camera_class: str | None = None
-    """Class of airo-camera-toolkit that opens the camera, with its module, for the driver `airo`, such as
-    airo_camera_toolkit.cameras.zed.zed.Zed."""
 
 
 @dataclass(frozen=True)

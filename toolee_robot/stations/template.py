@@ -30,7 +30,7 @@ from toolee_robot.station import (
     sim_station,
 )
 from toolee_robot.station.schema import ANY_NUMBER, StationField, record_fields
-from toolee_robot.stations.camera import AIRO, RECORDED, WITH_LENS, WITH_MODE, camera_drivers
+from toolee_robot.stations.camera import RECORDED, WITH_MODE, camera_drivers
 
 _SOURCES = {
     "frame": "the teach pendant, or ROS",
@@ -147,8 +147,6 @@ def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> I
             which = f"--recording {shlex.quote(str(device.get('folder') or 'DIR'))}"
         else:
             which = f"--driver {device.get('driver') or 'NAME'} --serial {device.get('serial') or 'NUMBER'}"
-            if device.get("driver") == AIRO:
-                which += f" --camera-class {device.get('camera_class') or 'MODULE.CLASS'}"
         if device.get("driver") in WITH_MODE:
             which += f" --size {camera.get('width') or 'W'} {camera.get('height') or 'H'}"
         yield OpenFields("camera", intrinsics, f"toolee camera show {which}", typed=False)
@@ -253,13 +251,13 @@ def _names(data: dict[str, Any]) -> Iterator[str]:
         yield from _all_of("hand.efforts") if kind is not None and kind.measured_efforts else ()
         yield "hand.strap_force"
     driver = get(data, "camera.device.driver")
-    own = {AIRO: ("camera_class",), RECORDED: ("folder",)}.get(driver, ())
+    own = ("folder",) if driver == RECORDED else ()
     yield from (f"camera.device.{name}" for name in ("driver", *own, "serial", "least_range"))
     given = given_by_pose(get(data, "camera.X_base_camera")) | given_by_intrinsics(get(data, "camera.intrinsics"))
     camera = [f"camera.{name}" for name in MEASURED["camera"]]
     if driver in WITH_MODE:  # the mode first: the driver opens the camera in it, and the camera then tells the rest
         camera.sort(key=lambda name: name.endswith(INTRINSICS[:4]))
-    if driver not in WITH_LENS:
+    if driver not in WITH_MODE:
         camera.append("camera.distortion")
     yield from (name for name in camera if name not in given)
     yield from (f"scene.{name}" for name in MEASURED["scene"])

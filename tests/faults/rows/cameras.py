@@ -67,9 +67,8 @@ def camera_rows(bench: Bench) -> Iterator[Measurement]:
     for kind in CAMERAS:
         if kind.missing:
             continue
-        if kind.other:
-            run = partial(other_camera_row, kind)
-            yield Measurement(24, "another camera is connected", Phase.START, kind.label, REFUSES, run)
+        run = partial(other_camera_row, kind)
+        yield Measurement(24, "another camera is connected", Phase.START, kind.label, REFUSES, run)
         run = partial(other_lens_row, kind)
         yield Measurement(24, "another lens than the station file's", Phase.START, kind.label, REFUSES, run)
         for name, calibration, words in CALIBRATIONS:
