@@ -1,5 +1,5 @@
 """What `hal.RgbdCamera` promises, asked of every camera: the simulated one, a recording, the RealSense driver on
-librealsense's software device and Orbbec's on OrbbecSDK's playback device; with --camera lab.yaml, the station file's."""
+librealsense's software device, Orbbec's on OrbbecSDK's playback device; with --camera lab.yaml, the station file's."""
 
 from __future__ import annotations
 

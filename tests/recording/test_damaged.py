@@ -13,7 +13,7 @@ from tests.errors import raises
 from tests.recording import small_run
 from toolee_robot.errors import UserError
 from toolee_robot.recording.history import RunHistory
-from toolee_robot.recording.reading import MAGIC, finish_copy, read_history
+from toolee_robot.recording.reading import MAGIC, read_history
 
 
 @pytest.fixture(scope="module")
@@ -88,19 +88,3 @@ def test_no_recording_is_refused(tmp_path: Path) -> None:
     assert _read(tmp_path / "text.mcap", b"this is no recording, whatever its name says") is None
     with raises(UserError, code="user.recording_unreadable"):
         read_history(tmp_path / "nothing.mcap")
-
-
-def test_a_copy_is_never_put_over_a_file_and_never_empty(whole: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_bytes(whole[:-4000])
-    for target in (path, tmp_path / "other.mcap"):
-        target.touch()
-        with raises(UserError, says="name a new file"):
-            finish_copy(path, target)
-    assert path.read_bytes() == whole[:-4000]
-    path.write_bytes(whole[:60])
-    with raises(UserError, code="user.recording_unreadable"):
-        finish_copy(path, tmp_path / "new.mcap")
-    with raises(UserError, says="cannot write"):
-        finish_copy(path, tmp_path / "no" / "such.mcap")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["other.mcap", "run.mcap"]

@@ -30,7 +30,7 @@ from toolee_robot.frames import transform
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionReport
 from toolee_robot.recording.history import SeenStatus
 from toolee_robot.recording.mcap_file import McapFile
-from toolee_robot.recording.reading import finish_copy, read_history
+from toolee_robot.recording.reading import read_history
 from toolee_robot.recording.recorder import FLUSH_PERIOD, RunRecorder
 from toolee_robot.types import RgbdFrame
 
@@ -223,7 +223,7 @@ for i in itertools.count():
 
 
 def test_after_a_kill_all_but_the_last_second_can_be_read(tmp_path: Path) -> None:
-    path, finished = tmp_path / "run.mcap", tmp_path / "finished.mcap"
+    path = tmp_path / "run.mcap"
     process = subprocess.Popen([sys.executable, "-c", _WRITES_UNTIL_KILLED, str(path)])
     try:
         deadline = time.monotonic() + 60.0
@@ -239,9 +239,6 @@ def test_after_a_kill_all_but_the_last_second_can_be_read(tmp_path: Path) -> Non
     assert history.station().work.nail_protrusion == 0.020
     ticks = [d.reason for _, d in history.decisions if d.name == "tick"]
     assert killed - float(ticks[-1].split()[1]) < FLUSH_PERIOD + 0.5
-    assert finish_copy(path, finished) > len(ticks)
-    assert len(messages(finished)["/decisions"]) == len(history.decisions)
-    assert read_history(finished).complete
 
 
 def test_who_records_waits_for_neither_encoding_nor_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,6 @@ GROUPS: dict[str, tuple[str, str]] = {
     "calibrate": ("calibrate", "Measure where camera, tool tip and nail are"),
     "trials": ("trials", "Run the jobs of a plan, and write their report"),
     "replay": ("replay", "Show a recorded run"),
-    "runs": ("replay", "List recorded runs"),
     "estimate": ("estimate", "Find tools and their poses in your own RGB-D files"),
     "annotate": ("estimate", "Click the tools in your own frames, to test on them"),
     "dataset": ("dataset", "Make a synthetic data set, look at it, check it"),

@@ -1,4 +1,4 @@
-"""The runs in a folder; and what a recording holds, also one that was never finished, or is damaged."""
+"""What a recording holds, also one that was never finished, or is damaged."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import datetime
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
@@ -21,28 +20,7 @@ from mcap.stream_reader import breakup_chunk
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.recording import RECORDING
 from toolee_robot.recording.history import RunHistory
-from toolee_robot.recording.mcap_file import McapFile
 from toolee_robot.recording.messages import decoder
-from toolee_robot.runtime.files import read_json
-
-
-def list_runs(folder: Path) -> list[dict[str, Any]]:
-    """The runs in a folder, the oldest first; what is no run's folder is left out.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        Of each run `folder`, `date`, `megabytes`, and of its summary `source`, `seed`, `outcome`, `success`, `strikes`,
-        `seconds`, `robot_seconds`. Without a summary, of a run that goes on or was killed, the outcome is "unfinished",
-        and the others are None.
-
-    Raises:
-        UserError: There is no such folder.
-    """
-    if not folder.is_dir():
-        raise UserError(f"there is no folder {folder}: give the --out of the runs")
-    return [_read(path) for path in sorted(folder.iterdir(), key=_order) if (path / RECORDING).is_file()]
 
 
 def recording_of(run: Path) -> Path:
@@ -59,29 +37,8 @@ def recording_of(run: Path) -> Path:
     """
     path = run / RECORDING if run.is_dir() else run
     if not path.is_file():
-        raise UserError(f"{run} holds no {RECORDING}: `toolee runs` lists the runs")
+        raise UserError(f"{run} holds no {RECORDING}: give the folder that the job named")
     return path
-
-
-def _order(path: Path) -> str:
-    return path.name.removeprefix(".")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        summary: dict[str, Any] = read_json(path / "summary.json")
-    except (OSError, ValueError):
-        summary = {}
-    try:
-        date = datetime.strptime("-".join(_order(path).split("-")[:2]), "%Y%m%d-%H%M%S")
-    except ValueError:
-        date = datetime.fromtimestamp((path / RECORDING).stat().st_mtime)
-    size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
-    told = {name: summary.get(name) for name in ("seed", "success", "strikes", "seconds", "robot_seconds")}
-    return {
-        "folder": str(path), "date": date.isoformat(), "source": summary.get("source") or "",
-        "outcome": summary.get("outcome") or "unfinished", "megabytes": size / 1e6, **told,
-    }  # fmt: skip
 
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -130,59 +87,6 @@ def read_history(path: Path) -> RunHistory:
     if not history.metadata and not len(history.decisions):
         raise _unreadable(path, records.damage or "it holds no recording of a run")
     return history
-
-
-def finish_copy(source: Path, target: Path) -> int:
-    """Copy all that can be read of an unfinished recording into a finished one, which every reader opens.
-
-    Args:
-        source: The unfinished file.
-        target: The finished file, which must not exist.
-
-    Returns:
-        Number of messages.
-
-    Raises:
-        UserError: The target exists or cannot be written; nothing can be read of
-            the source, code `user.recording_unreadable`.
-    """
-    if target.exists():
-        raise UserError(f"{target} exists: name a new file")
-    beside = target.with_name(f".{target.name}.partial")
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    count = 0
-    try:
-        file = McapFile(beside)
-
-        def take(record: Any) -> None:
-            nonlocal count
-            match record:
-                case Schema():
-                    schemas[record.id] = record
-                case Channel():
-                    channels[record.id] = record
-                case Metadata():
-                    file.metadata(record.name, record.metadata)
-                case Attachment():
-                    file.attach(record.name, record.media_type, record.data)
-                case Message():
-                    channel = channels[record.channel_id]
-                    schema = _schema(schemas[channel.schema_id])
-                    file.write(channel.topic, record.log_time, schema, record.data)
-                    count += 1
-
-        records = _Records(source)
-        records.read(take)
-        file.close()
-        if file.failure is not None:
-            raise UserError(f"cannot write {target}: {words_of(file.failure)}")
-        if not count:
-            raise _unreadable(source, records.damage or "nothing can be read of it")
-        beside.rename(target)
-    finally:
-        beside.unlink(missing_ok=True)
-    return count
 
 
 class _Records:
