@@ -271,7 +271,7 @@ def test_no_simulated_world_is_built_around_a_tilted_base() -> None:
         ["sim", "hammer", "--config", "lab.yaml"],
         ["station", "check", "lab.yaml"],
         ["calibrate", "camera", "--station", "lab.yaml", "--rehearse"],
-        ["calibrate", "nail", "--camera", "--station", "lab.yaml", "--rehearse"],
+        ["calibrate", "nail", "--station", "lab.yaml", "--rehearse"],
     ],
     ids=" ".join,
 )

@@ -14,7 +14,7 @@ from benchmarks.nail import SimulatedNailBoard, simulated_nail_board
 from tests.errors import raises
 from toolee_robot.app.calibrate_nail import known_camera
 from toolee_robot.calibration.board import SHEETS
-from toolee_robot.calibration.nail import LocatedNail, SeenNail, combine, see_nail
+from toolee_robot.calibration.nail import see_nail
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError, NotReadyError, UserError
 from toolee_robot.frames import angle_between
@@ -26,7 +26,6 @@ from toolee_robot.tasks.calibration.collect import mean_frame
 
 CONFIG = sim_station()
 SHEET = SHEETS["a3"]
-UP = np.array([0.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +46,6 @@ def test_the_nail_is_found_to_its_uncertainty(lab: SimulatedNailBoard, images: t
     assert off @ np.linalg.solve(nail.covariance, off) < 16.3, "99.9 %"
     assert np.linalg.norm(off) < 3e-3
     assert angle_between(nail.up, lab.up) < np.deg2rad(0.3)
-    both = combine(nail, lab.touched, lab.true.work.nail_protrusion)
-    assert np.all(np.linalg.eigvalsh(nail.covariance - both.covariance) > 0.0), "touches only add knowledge"
 
 
 @pytest.mark.sim(seconds=30)
@@ -74,16 +71,6 @@ def test_a_board_that_does_not_lie_on_the_wood_is_refused(lab: SimulatedNailBoar
         see_nail(lab.camera, SHEET.board, lab.on_wood, rgb, depth)
 
 
-def test_touches_of_another_nail_are_refused() -> None:
-    seen = SeenNail(np.array([0.75, 0.1, 0.26]), np.eye(3) * 1e-6, UP, 0.0, 1e-3, 20, 0.2)
-    touched = LocatedNail(seen.entry + np.array([0.02, 0.0, 0.02]), 0.0, np.eye(3) * 1e-7)
-    with raises(UserError, says="camera and touches disagree by"):
-        combine(seen, touched, 0.020)
-    near = LocatedNail(seen.entry + np.array([0.001, 0.0, 0.020]), 0.0, np.eye(3) * 1e-6)
-    both = combine(seen, near, 0.020, 1e-6)
-    np.testing.assert_allclose(both.entry - seen.entry, [0.0005, 0.0, 0.0], atol=1e-6)
-
-
 def test_a_calibration_that_does_not_hold_is_refused() -> None:
     path = Path("station.yaml")
     with SimStation.build(CONFIG) as simulation:
@@ -99,11 +86,8 @@ def test_a_calibration_that_does_not_hold_is_refused() -> None:
     "options",
     [
         ["--station", "examples/lab.yaml"],
-        ["--camera", "--station", "examples/lab.yaml"],
-        ["--camera", "--station", "examples/lab.yaml", "--rehearse", "--bars-mm", "361.3", "258.1"],
-        ["--camera", "--station", "examples/lab.yaml", "--rehearse", "--nail", "another"],
-        ["--camera", "--station", "examples/lab.yaml", "--rehearse", "--touches", "t.yaml", "--tip-mm", "0", "0", "1"],
-        ["--station", "examples/lab.yaml", "--touches", "touches.yaml"],
+        ["--station", "examples/lab.yaml", "--rehearse", "--bars-mm", "361.3", "258.1"],
+        ["--station", "examples/lab.yaml", "--rehearse", "--nail", "another"],
     ],
 )
 def test_options_that_contradict_each_other_are_refused(options: list[str]) -> None:

@@ -237,7 +237,7 @@ def test_what_a_job_needs_is_named_before_any_device_is_asked(
         (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--images", "x"], "not both"),
         (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--bars-mm", "1", "2"], "with --rehearse"),
         (["calibrate", "camera", "--station", str(LAB), "--rehearse", "--write"], "gives a calibration by hand"),
-        (["calibrate", "nail", "--camera", "--station", str(LAB), "--rehearse", "--write"], "leave --write out"),
+        (["calibrate", "nail", "--station", str(LAB), "--rehearse", "--write"], "leave --write out"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(

@@ -123,7 +123,7 @@ def test_from_an_empty_folder_to_a_driven_nail(tmp_path: Path, monkeypatch: pyte
     Path("rehearsal.yaml").write_text(Path("lab.yaml").read_text().replace("speed: 0.4", "speed: 1.2") + SERVO)
     told = person.runs("toolee calibrate camera --station rehearsal.yaml --rehearse --write")
     assert "Entered in rehearsal.measured.yaml" in told
-    told = person.runs("toolee calibrate nail --camera --station rehearsal.yaml --rehearse")
+    told = person.runs("toolee calibrate nail --station rehearsal.yaml --rehearse")
     assert "true errors" in told
     told = person.runs("toolee rehearse hammer rehearsal.yaml --seed 3 --real-time-factor 0.5")
     assert "the nail is flush" in told

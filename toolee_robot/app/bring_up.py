@@ -80,7 +80,6 @@ class BringUp:
         speed: float,
         force: float | None,
         show: Callable[[Trajectory, float, float], None],
-        met: Callable[[Touch], None] = lambda _: None,
     ) -> Touch | None:
         """Approach until the arm feels a force, and go back.
 
@@ -90,7 +89,6 @@ class BringUp:
             speed: Speed [m/s]; a noisy force lowers it.
             force: Force that ends the approach [N]; None for the station's. A noisy force raises it.
             show: Shows the plan, its force [N] and speed [m/s], before the person is asked.
-            met: Called with the contact, before the way back.
 
         Returns:
             The contact; None if nothing was felt on the whole way.
@@ -105,7 +103,7 @@ class BringUp:
         show(plan, settings.force, speed)
         self.person.confirm("Move?")
         with self.person.attending():
-            return approach(self.arm, self.slow, plan, settings, met=met)
+            return approach(self.arm, self.slow, plan, settings)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The location of a nail and of the wood: touches, images, their combination, and their entry in the station file."""
+"""The location of a nail and of the wood by the camera, and its entry in the station file."""
 
 from __future__ import annotations
 
@@ -11,26 +11,13 @@ import numpy as np
 
 from toolee_robot.app.sources import Listener
 from toolee_robot.calibration.board import SHEETS, Board
-from toolee_robot.calibration.nail import (
-    LocatedNail,
-    OnWood,
-    SeenNail,
-    WoodPlane,
-    check_height,
-    combine,
-    fit_wood,
-    foot_of,
-    locate_nail,
-    see_nail,
-)
+from toolee_robot.calibration.nail import OnWood, SeenNail, see_nail
 from toolee_robot.calibration.record import axes_swapped, camera_is_elsewhere, half_a_turn_apart, read_record
-from toolee_robot.calibration.touches import KnownCamera, read_touches
-from toolee_robot.control import RobotModel
-from toolee_robot.errors import ConfigError, NotReadyError, UserError
-from toolee_robot.frames import Array, BaseFrame, angle_between, inverse, transform_points
+from toolee_robot.calibration.touches import KnownCamera
+from toolee_robot.errors import ConfigError, NotReadyError
+from toolee_robot.frames import Array, BaseFrame, angle_between, inverse
 from toolee_robot.hal import Station
-from toolee_robot.station import StationConfig, WorkConfig, load_lab_station, read_station, unmeasured, write_measured
-from toolee_robot.station.work import LARGEST_TILT
+from toolee_robot.station import StationConfig, WorkConfig, read_station, write_measured
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.stations.rehearsal.emulated_lab import camera_covariance
@@ -39,9 +26,6 @@ from toolee_robot.tasks.calibration.collect import mean_frame
 
 PIXEL_NOISE = 0.3
 """Standard deviation of a board's corner where the camera was calibrated by another program [px]."""
-FARTHEST = 0.050
-"""Largest distance of the nail from the circle around the touches of the wood [m]: a rise that is known to 0.5 degrees
-is worth 0.4 mm of height there."""
 
 
 @dataclass(frozen=True)
@@ -57,21 +41,6 @@ class Print:
     sheet: str
     at: tuple[float, float] | None
     placing: float
-
-
-@dataclass(frozen=True)
-class Touching:
-    """How the tip on the flange touches.
-
-    Attributes:
-        tip_mm: The tip in the flange [mm].
-        repeat: Standard deviation of one touch from the next about each axis [m].
-        common: Standard deviation of what is the same in all of them [m].
-    """
-
-    tip_mm: tuple[float, float, float]
-    repeat: float
-    common: float
 
 
 @dataclass(frozen=True)
@@ -105,70 +74,40 @@ class Located:
     Attributes:
         config: The station; its work is about the nail.
         name: The nail's name.
-        touched: The head by touches; None without.
-        wood: The wood by touches; None without.
-        sight: What the camera has seen, with the touches of the head; None without.
+        sight: What the camera has seen.
     """
 
     config: StationConfig
     name: str
-    touched: LocatedNail | None = None
-    wood: WoodPlane | None = None
-    sight: Sight | None = None
-
-    @property
-    def with_nail(self) -> bool:
-        """Whether the nail was located, and not the wood alone."""
-        return self.sight is not None or self.touched is not None
+    sight: Sight
 
     @property
     def entry(self) -> Array:
         """Where the nail's axis meets the wood, `base`, (3,) [m]."""
-        work = self.config.work
-        if self.sight is not None:
-            return self.sight.nail.entry
-        if self.wood is not None:
-            return self.wood.point
-        assert self.touched is not None
-        return foot_of(self.touched.head, work.wood_normal, work.nail_protrusion, work.nail_lean)
+        return self.sight.nail.entry
 
     @property
-    def rise(self) -> Array | None:
-        """How the wood rises along x and y of `base`, (2,); None if nothing tells it."""
-        if self.sight is not None:
-            up = self.sight.nail.up
-            return np.asarray(-up[:2] / up[2])
-        return None if self.wood is None else self.wood.rise
+    def rise(self) -> Array:
+        """How the wood rises along x and y of `base`, (2,)."""
+        up = self.sight.nail.up
+        return np.asarray(-up[:2] / up[2])
 
     def figures(self) -> dict[str, Any]:
         """Figures by name, for programs."""
-        figures: dict[str, Any] = {}
-        if self.sight is not None:
-            seen = self.sight.nail
-            figures = {
-                "entry": seen.entry.tolist(),
-                "covariance": seen.covariance.tolist(),
-                "up": seen.up.tolist(),
-                "tilt_deg": round(float(np.rad2deg(seen.tilt)), 3),
-                "corners": seen.corners,
-                **self.sight.true_errors(),
-            }
-        elif self.wood is not None:
-            figures = {
-                "entry": self.wood.point.tolist(),
-                "rise": self.wood.rise.tolist(),
-                "wood_covariance": self.wood.covariance.tolist(),
-                "up": self.wood.normal.tolist(),
-                "tilt_deg": round(float(np.rad2deg(self.wood.tilt)), 3),
-                "residuals": self.wood.residuals.tolist(),
-            }
-        if self.touched is not None:
-            figures |= {"head": self.touched.head.tolist(), "spread": self.touched.spread}
-        return {**figures, "height_off": float(self.entry[2] - self.config.work.p_base_entry[2])}
+        seen = self.sight.nail
+        return {
+            "entry": seen.entry.tolist(),
+            "covariance": seen.covariance.tolist(),
+            "up": seen.up.tolist(),
+            "tilt_deg": round(float(np.rad2deg(seen.tilt)), 3),
+            "corners": seen.corners,
+            **self.sight.true_errors(),
+            "height_off": float(self.entry[2] - self.config.work.p_base_entry[2]),
+        }
 
     def entries(self, path: Path | None) -> dict[str, Any]:
         """Fields of `work` that the station file takes of it; None: no file, and so no frame but `base`."""
-        return nail_fields(self.config.work, self.name, self.entry, self.rise, path, with_nail=self.with_nail)
+        return nail_fields(self.config.work, self.name, self.entry, self.rise, path)
 
     def write(self, path: Path) -> None:
         """Enter it in `measured.yaml` beside a station file.
@@ -196,14 +135,12 @@ class NailSight:
         station_file: Its file.
         printed: The board on the wood.
         listener: Who hears of it.
-        touched: The head by touches, which is combined with what is seen; None without.
     """
 
     config: StationConfig
     station_file: Path
     printed: Print
     listener: Listener
-    touched: LocatedNail | None = None
 
     def rehearse(self, seed: int, factor: float) -> Sight:
         """Look at a nail with a lab's own camera driver, every device emulated.
@@ -252,70 +189,7 @@ class NailSight:
 
     def _look(self, station: Station, board: Board, on_wood: OnWood) -> SeenNail:
         camera = known_camera(self.config, self.station_file, station)
-        seen = see_nail(camera, board, on_wood, *mean_frame(station.camera))
-        if self.touched is None:
-            return seen
-        work = self.config.work
-        return combine(seen, self.touched, work.nail_protrusion, lean=work.nail_lean)
-
-
-def touch_head(config: StationConfig, touches: Path, touching: Touching) -> LocatedNail:
-    """Locate a nail's head by touches.
-
-    Args:
-        config: The station.
-        touches: File of the joint positions.
-        touching: How the tip touches.
-
-    Returns:
-        The head.
-
-    Raises:
-        TooleeError: The touches are refused.
-    """
-    return locate_nail(_flanges(config, touches), np.array(touching.tip_mm) / 1e3, touching.common)
-
-
-def touch_wood(config: StationConfig, touches: Path, touching: Touching, head: LocatedNail | None) -> WoodPlane:
-    """Locate the wood by touches of it.
-
-    Args:
-        config: The station; its work is about the nail.
-        touches: File of the joint positions.
-        touching: How the tip touches.
-        head: The nail's head by touches; None for its place in the station file.
-
-    Returns:
-        The wood.
-
-    Raises:
-        UserError: The touches are refused, or do not fit those of the head.
-        ConfigError: The file is no list of touches.
-    """
-    work, sigmas = config.work, {"repeat": touching.repeat, "common": touching.common}
-    flange = np.asarray(_flanges(config, touches)).reshape(-1, 4, 4)
-    p = transform_points(flange, np.array([touching.tip_mm]) / 1e3)[:, 0]
-    at = np.array(work.nail_xy) if head is None else head.head[:2]
-    wood = fit_wood(p, at, **sigmas)
-    check_near(p[:, :2], at)
-    if wood.tilt > LARGEST_TILT:
-        raise UserError(
-            f"the touches tilt the wood by {np.rad2deg(wood.tilt):.1f}°, and {np.rad2deg(LARGEST_TILT):.0f} are "
-            "allowed. Level it, or repeat touches that did not meet the wood"
-        )
-    if head is None:
-        return wood
-    foot = foot_of(head.head, wood.normal, work.nail_protrusion, work.nail_lean)
-    wood = fit_wood(p, foot[:2], **sigmas)
-    # What is off in all touches is off in head and wood alike.
-    variance = head.covariance[2, 2] + wood.covariance[0, 0] - 2.0 * touching.common**2
-    check_height(head.head, foot, float(wood.point[2]), work.nail_protrusion, float(np.sqrt(max(variance, 0.0))))
-    return wood
-
-
-def _flanges(config: StationConfig, touches: Path) -> list[Array]:
-    arm = RobotModel.of_station(config).arm
-    return [arm.fk(np.array(q)) for q in read_touches(touches).touches]
+        return see_nail(camera, board, on_wood, *mean_frame(station.camera))
 
 
 def known_camera(config: StationConfig, station_file: Path, station: Station) -> KnownCamera:
@@ -344,54 +218,6 @@ def known_camera(config: StationConfig, station_file: Path, station: Station) ->
     return KnownCamera(config.camera.X_base_camera, covariance, config.camera.intrinsics, PIXEL_NOISE)
 
 
-def touched_station(path: Path, *, wood_alone: bool) -> StationConfig:
-    """Load the station file of a lab whose nail or wood was touched.
-
-    Args:
-        path: The file, of the present version; it may leave out what touches do not need.
-        wood_alone: Whether only the wood was touched, so that the file says where the nail is.
-
-    Returns:
-        The station.
-
-    Raises:
-        ConfigError: As `load_lab_station`, or the file leaves out which arm it is, how its base stands, or where the
-            nail is although only the wood was touched.
-    """
-    config = load_lab_station(path, complete=False)
-    needed = ["arm.model", "arm.up", *(["work.nail_xy"] if wood_alone else [])]
-    left_out = unmeasured(path)
-    if missing := [name for name in needed if name in left_out]:
-        head = ", or also touch the nail's head (--touches)" if "work.nail_xy" in missing else ""
-        raise ConfigError(
-            f"{path} leaves out {', '.join(missing)}, and the simulated station's values must not stand in. Measure "
-            f"and give them{head}; `toolee station check {path}` says how"
-        )
-    return config
-
-
-def check_near(places: Array, at: Array) -> None:
-    """Refuse touches of the wood that are not around the nail, where its height would be extrapolated.
-
-    Args:
-        places: x and y of the touches in `base`, (N, 2) [m].
-        at: The nail's, (2,) [m].
-
-    Raises:
-        UserError: The nail is more than 50 mm outside the circle around the touches' mean that holds them all.
-    """
-    middle = np.mean(places, axis=0)
-    radius = np.max(np.linalg.norm(places - middle, axis=1))
-    off = float(np.linalg.norm(at - middle) - radius)
-    if off > FARTHEST:
-        raise UserError(
-            f"the nail at ({at[0]:.3f}, {at[1]:.3f}) m in base_link is {off * 1e3:.0f} mm outside the circle around "
-            f"the touches of the wood, and {FARTHEST * 1e3:.0f} mm are allowed. The circle's middle is "
-            f"({middle[0]:.3f}, {middle[1]:.3f}). Touch the wood around the nail, or correct the nail's position "
-            "(work.nail_xy, or its touches)"
-        )
-
-
 def mistake(entry: Array, by_file: Array) -> str:
     """Name the mistake that explains why a nail is far from where the station file has it.
 
@@ -409,38 +235,30 @@ def mistake(entry: Array, by_file: Array) -> str:
     return "x and y are swapped there: check the file's other positions, too" if axes_swapped(entry, by_file) else ""
 
 
-def nail_fields(
-    work: WorkConfig, name: str, entry: Array, rise: Array | None, path: Path | None, *, with_nail: bool
-) -> dict[str, Any]:
+def nail_fields(work: WorkConfig, name: str, entry: Array, rise: Array, path: Path | None) -> dict[str, Any]:
     """Compute the fields of `work` that say where a nail and the wood are.
 
     Args:
         work: The work as the station file has it.
         name: The nail's name.
         entry: Where its axis meets the wood, (3,) [m], `base`.
-        rise: How the wood rises along x and y of `base`, (2,); None for what the file says.
+        rise: How the wood rises along x and y of `base`, (2,).
         path: The station file, which says in which frame it gives positions; None for `base`.
-        with_nail: Whether the nail's place was located, and not the wood alone.
 
     Returns:
-        Values by field; of several `nails`, name and place of the one that was located.
-        With a rise there is always a `block_xy`, here or in the file: the plane hangs on the middle of the block, and
-        must not move with the next nail.
+        Values by field; of several `nails`, name and place of the one that was located. There is always a `block_xy`,
+        here or in the file: the plane hangs on the middle of the block, and must not move with the next nail.
     """
     data = {} if path is None else read_station(path)
     R = inverse(BaseFrame(data.get("frame", BaseFrame.BASE_LINK)).X_base_this)[:3, :3]
     xy = _rounded(R @ entry)
     center = _center(work, name, entry)
-    slope = np.array(work.wood_rise) if rise is None else rise
-    height = float(entry[2] + slope @ (center - entry[:2])) - work.block_size[2]
+    height = float(entry[2] + rise @ (center - entry[:2])) - work.block_size[2]
     fields: dict[str, Any] = {"stand_height": round(height, 5)}
-    if rise is not None:
-        if work.block_xy is None:
-            fields["block_xy"] = _rounded(R @ np.array([*center, 0.0]))
-        fields["wood_rise"] = _rounded(R @ np.array([*rise, 0.0]))
-    if with_nail:
-        fields |= {"nails": [{"name": name, "xy": xy}]} if work.nails else {"nail_xy": xy}
-    return fields
+    if work.block_xy is None:
+        fields["block_xy"] = _rounded(R @ np.array([*center, 0.0]))
+    fields["wood_rise"] = _rounded(R @ np.array([*rise, 0.0]))
+    return fields | ({"nails": [{"name": name, "xy": xy}]} if work.nails else {"nail_xy": xy})
 
 
 def _rounded(v: Array) -> list[float]:

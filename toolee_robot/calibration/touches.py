@@ -17,7 +17,6 @@ from toolee_robot.calibration.observation import BoardView, Observation, align, 
 from toolee_robot.calibration.record import CalibrationRecord, Row, TouchCheck
 from toolee_robot.errors import UserError
 from toolee_robot.frames import HALF_TURN, Array
-from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.types import CameraIntrinsics
 
@@ -75,27 +74,6 @@ def read_touches(path: Path) -> Touches:
         ConfigError: It cannot be read, or is no list of six joint positions each.
     """
     return read_record(path, Touches, "list of touches")
-
-
-def add_touch(path: Path, q: Array) -> int:
-    """Add a touch to a list of touches, which is begun where there is none.
-
-    Args:
-        path: The YAML file; comments in it are not kept.
-        q: Joint positions at the touch, (6,) [rad].
-
-    Returns:
-        Number of touches in the list now.
-
-    Raises:
-        ConfigError: There is a file, and it is no list of touches.
-        UserError: The file cannot be written.
-    """
-    touches = [list(row) for row in read_touches(path).touches] if path.exists() else []
-    touches.append([round(float(v), 6) for v in q])
-    rows = "".join(f"  - [{', '.join(str(v) for v in row)}]\n" for row in touches)
-    write_atomic(path, f"touches:\n{rows}".encode())
-    return len(touches)
 
 
 def locate_tip(Xs_base_flange: Sequence[Array]) -> Tip:

@@ -198,11 +198,8 @@ class Touch(MotionOptions):
 
     Example: toolee arm touch --robot-host 192.168.1.10 --config lab.yaml --along 0 0 -0.1 --frame pendant_base
 
-    Example: toolee arm touch --config lab.yaml --along 0 0 -0.03 --frame base_link --touches wood.yaml
-
     Touch something soft, such as a block of foam. It must not be in the station file, because the hand may not touch
-    what is. A calibration tip on the flange may touch the wood: --touches then lists the contact for `toolee calibrate
-    nail`. Any key stops the arm on its path, and so does Ctrl-C. Exit code 1: no contact.
+    what is. Any key stops the arm on its path, and so does Ctrl-C. Exit code 1: no contact.
     """
 
     along: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
@@ -215,16 +212,11 @@ class Touch(MotionOptions):
     """
     speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 0.01
     """Speed of the approach. If the force is noisy, it is lowered."""
-    touches: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """Add the joint positions of the contact to this list."""
 
     def run(self) -> int:
         console = self.console
-        from toolee_robot.calibration.touches import add_touch, read_touches
         from toolee_robot.tasks.bring_up.slow_motions import MotionFrame
 
-        if self.touches is not None and self.touches.exists():
-            read_touches(self.touches)  # refuses what is no such list before anything moves
         with self.robot(console) as robot:
 
             def show(plan: Trajectory, force: float, speed: float) -> None:
@@ -232,14 +224,8 @@ class Touch(MotionOptions):
                 what = f"touch: approach at {1e3 * speed:.1f} mm/s until {force:.1f} N{slower}, then go back"
                 _show(console, robot.slow, what, plan)
 
-            def note(q: Array) -> None:
-                if self.touches is not None:
-                    count = add_touch(self.touches, q)
-                    console.print(f"{self.touches} now lists {count} touch{'es' if count > 1 else ''}.", markup=False)
-
             way, frame = np.array(self.along), MotionFrame(self.frame)
-            # Noted before the way back: a stop on it does not cost the touch.
-            touch = robot.touch(way, frame, self.speed, self.force, show, met=lambda touch: note(touch.q))
+            touch = robot.touch(way, frame, self.speed, self.force, show)
         if touch is None:
             console.print("[yellow]No contact within the given distance.[/yellow] The arm is back at its start.")
             self.tell({"contact": False})

@@ -430,25 +430,18 @@ class Mount(JsonOption):
 
 @dataclass(frozen=True, kw_only=True)
 class Nail(BoardOptions):
-    """Locate a nail and the wood, by the camera or by touches.
+    """Locate a nail and the wood by the camera.
 
-    Example: toolee calibrate nail --camera --station lab.yaml --rehearse
+    Example: toolee calibrate nail --station lab.yaml --rehearse
 
-    Example: toolee calibrate nail --camera --station lab.yaml --bars-mm 361.3 258.1 --thickness-mm 0.2 --write
+    Example: toolee calibrate nail --station lab.yaml --bars-mm 361.3 258.1 --thickness-mm 0.2 --write
 
-    Example: toolee calibrate nail --wood wood.yaml --touches nail.yaml --tip-mm 0.3 -0.2 151.4 --station lab.yaml
+    Nothing moves. Lay a board from `toolee calibrate board` flat on the wood, glued or on a stiff plate, with the nail
+    through its white cross.
 
-    With --camera nothing moves. Lay a board from `toolee calibrate board` flat on the wood, glued or on a stiff plate,
-    with the nail through its white cross. With --touches as well, the command weights both by their uncertainties. For
-    --touches, touch the middle of the nail's head at least three times, from different sides. For --wood, touch the
-    wood around the nail at three points or more, at least 30 mm apart; a fourth reveals a wrong one. Both files list
-    joint positions, and `toolee arm touch --touches` writes them. Locate the tip first with `toolee calibrate mount`.
-
-    Exit code 0: the nail is located; 1: a device failed; 2: images or touches are refused, with the reason.
+    Exit code 0: the nail is located; 1: a device failed; 2: the image is refused, with the reason.
     """
 
-    camera: Flag = False
-    """Locate it by the camera."""
     nail: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Which of several nails (work.nails)."""
     thickness_mm: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
@@ -459,62 +452,31 @@ class Nail(BoardOptions):
     """
     placing_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.5
     """Standard deviation of that position along each axis: how well the nail meets the cross."""
-    touches: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """The joint positions of touches."""
-    tip_mm: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")] = None
-    """With --touches and --wood: the tip in the flange."""
-    touch_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.5
-    """With --touches and --wood: standard deviation of their mean along each axis, from tip, kinematics and eye."""
-    wood: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """The joint positions of touches of the wood around the nail."""
-    repeat_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.2
-    """With --wood: standard deviation between touches, from force, kinematics and grain."""
 
     def run(self) -> int:
         self._check()
-        from toolee_robot.app.calibrate_nail import Located, NailSight, Print, Touching, touch_head, touch_wood
-        from toolee_robot.station import check_upright
+        from toolee_robot.app.calibrate_nail import Located, NailSight, Print
+        from toolee_robot.station import check_upright, load_lab_station
 
-        config = self._station()
+        config = load_lab_station(self.station)
         check_upright(config.arm, "the place of a nail")
         names = config.work.names
         name = names[0] if self.nail is None else self.nail
         if name not in names:
             raise UserError(f"--nail {name}: the station's nails are {', '.join(names)} (work.nails)")
         config = replace(config, work=config.work.only(name))
-        listener = ConsoleListener(self.console)
-        touched = wood = sight = None
-        if self.tip_mm is not None:
-            touching = Touching(self.tip_mm, self.repeat_mm / 1e3, self.touch_mm / 1e3)
-            if self.touches is not None:
-                touched = touch_head(config, self.touches, touching)
-                listener.say(
-                    f"centre of the nail's head by touch: ({_mm(touched.head)}) mm in base_link; the touches "
-                    f"scatter by {touched.spread * 1e3:.2f} mm"
-                )
-            if self.wood is not None:
-                wood = touch_wood(config, self.wood, touching, touched)
-        if self.camera:
-            printed = Print(self.sheet, None if self.at_mm is None else _metres(self.at_mm), self.placing_mm / 1e3)
-            look = NailSight(config, self.station, printed, listener, touched)
-            if self.rehearse:
-                sight = look.rehearse(self.seed, self.real_time_factor)
-            else:
-                sight = look.live(_metres(self.bars_mm), (self.thickness_mm or 0.0) / 1e3)
-        located = Located(config, name, touched, wood, sight)
+        printed = Print(self.sheet, None if self.at_mm is None else _metres(self.at_mm), self.placing_mm / 1e3)
+        look = NailSight(config, self.station, printed, ConsoleListener(self.console))
+        if self.rehearse:
+            sight = look.rehearse(self.seed, self.real_time_factor)
+        else:
+            sight = look.live(_metres(self.bars_mm), (self.thickness_mm or 0.0) / 1e3)
+        located = Located(config, name, sight)
         if self.write:
             located.write(self.station)
         self._show(located)
         self.tell(located.figures())
         return 0
-
-    def _station(self) -> StationConfig:
-        from toolee_robot.app.calibrate_nail import touched_station
-        from toolee_robot.station import load_lab_station
-
-        if self.camera:
-            return load_lab_station(self.station)
-        return touched_station(self.station, wood_alone=self.touches is None)
 
     def _show(self, located: Located) -> None:
         from toolee_robot.app.calibrate_nail import mistake
@@ -523,7 +485,7 @@ class Nail(BoardOptions):
         rows.append(("difference to the station file", f"({_mm(located.entry - by_file, '+.2f')}) mm"))
         if why := mistake(located.entry, by_file):
             rows.append(("", f"[red]{why}[/red]"))
-        true = {} if located.sight is None else located.sight.true_errors()
+        true = located.sight.true_errors()
         if true:
             beside, height, tilt = true.values()
             rows.append(("true errors *", f"beside {beside} mm, height {height} mm, tilt {tilt}°"))
@@ -534,42 +496,23 @@ class Nail(BoardOptions):
         lines += [f"  nails, {nail['name']}: xy: {nail['xy']}" for nail in entries.get("nails", ())]
         if true:
             lines += ["", "[dim]* known to the simulation only[/dim]"]
-        _panel(self.console, f"the {'nail' if located.with_nail else 'wood'} is located", rows, lines)
+        _panel(self.console, "the nail is located", rows, lines)
 
     def _check(self) -> None:
-        touches = [f"--{name}" for name in ("touches", "wood") if getattr(self, name) is not None]
-        sees = self.camera and not self.rehearse
         of_print = self.bars_mm, self.thickness_mm
-        deviations = self.placing_mm, self.touch_mm, self.repeat_mm
         self.refuse(
             (
-                not self.camera and not touches,
-                "give --camera, --touches or --wood: one of them has to locate the nail",
-            ),
-            (
-                bool(touches) and self.tip_mm is None,
-                f"{''.join(touches[:1])} needs --tip-mm (from `toolee calibrate mount`)",
-            ),
-            (
-                self.wood is not None and self.camera,
-                "give --wood or --camera, not both: the board already shows how the wood lies",
-            ),
-            (self.rehearse and bool(touches), "give --rehearse with --camera alone: touches are of the real nail"),
-            (
-                sees and None in of_print,
+                not self.rehearse and None in of_print,
                 "--bars-mm and --thickness-mm are missing. Measure the two scale bars on your print, and the "
                 "height of its printed side over the wood",
             ),
             (
-                not sees and of_print != (None, None),
+                self.rehearse and of_print != (None, None),
                 "leave --bars-mm and --thickness-mm out: they are of a real print that the camera sees",
             ),
             (not 0.0 <= (self.thickness_mm or 0.0) <= 50.0, f"--thickness-mm {self.thickness_mm}: give 0 to 50"),
             (self.write and self.rehearse, "leave --write out: a rehearsed nail would replace your real one"),
-            (
-                not all(0.01 <= value <= 10.0 for value in deviations),
-                "give --placing-mm, --touch-mm and --repeat-mm 0.01 to 10",
-            ),
+            (not 0.01 <= self.placing_mm <= 10.0, "give --placing-mm 0.01 to 10"),
         )
 
 
@@ -614,26 +557,11 @@ def _panel(console: Console, title: str, rows: list[tuple[str, str]], lines: lis
 
 
 def _nail_rows(located: Located) -> list[tuple[str, str]]:
-    """What was seen, or touched, of the nail and the wood."""
-    if located.sight is not None:
-        seen = located.sight.nail
-        sigmas = 2 * np.sqrt(np.diag(seen.covariance))
-        return [
-            ("nail at the wood", f"({_mm(seen.entry)}) ± ({_mm(sigmas)}) mm in base_link (95 %)"),
-            ("tilt of the wood", f"{np.rad2deg(seen.tilt):.2f} ± {np.rad2deg(2 * seen.tilt_sigma):.2f}°"),
-            ("board", f"{seen.corners} corners, {seen.reprojection:.2f} px"),
-        ]
-    if (wood := located.wood) is None:
-        return []
-    height, apart = float(np.sqrt(wood.covariance[0, 0])), float(np.max(np.abs(wood.residuals)))
-    count = len(wood.residuals)
-    fit = (
-        f"{count}, up to {apart * 1e3:.2f} mm off the plane"
-        if count > 3
-        else "3: a fourth touch would reveal a wrong one"
-    )
+    """What was seen of the nail and the wood."""
+    seen = located.sight.nail
+    sigmas = 2 * np.sqrt(np.diag(seen.covariance))
     return [
-        ("wood at the nail", f"{wood.point[2] * 1e3:.2f} ± {2e3 * height:.2f} mm over the base (95 %)"),
-        ("tilt of the wood", f"{np.rad2deg(wood.tilt):.2f} ± {np.rad2deg(2 * wood.tilt_sigma):.2f}°"),
-        ("touches of the wood", fit),
+        ("nail at the wood", f"({_mm(seen.entry)}) ± ({_mm(sigmas)}) mm in base_link (95 %)"),
+        ("tilt of the wood", f"{np.rad2deg(seen.tilt):.2f} ± {np.rad2deg(2 * seen.tilt_sigma):.2f}°"),
+        ("board", f"{seen.corners} corners, {seen.reprojection:.2f} px"),
     ]

@@ -162,7 +162,7 @@ def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> I
             command += "  # or type in the other program's, docs/how-to/calibrate.md"
         yield OpenFields("", ("calibration",), command, typed=False)
         nail, place = (" --nail NAME", "nails") if (data.get("work") or {}).get("nails") else ("", "nail_xy")
-        command = f"toolee calibrate nail --camera --station {path}{nail} --bars-mm X Y --thickness-mm T --write"
+        command = f"toolee calibrate nail --station {path}{nail} --bars-mm X Y --thickness-mm T --write"
         yield OpenFields("work", (place, "stand_height"), command, typed=False, note="more exactly")
 
 

@@ -38,7 +38,7 @@ from toolee_robot.tasks.bring_up.slow_motions import (
     plan_to_place,
 )
 from toolee_robot.tasks.bring_up.touch import SPEED as TOUCH_SPEED
-from toolee_robot.tasks.bring_up.touch import Touch, approach
+from toolee_robot.tasks.bring_up.touch import approach
 from toolee_robot.types import Trajectory
 
 STATION = sim_station()
@@ -189,28 +189,6 @@ def test_a_touch_that_feels_contacts_where_nothing_presses_goes_on_and_gives_up_
     heights = [slow.robot.arm.fk(trajectory.q[-1])[2, 3] for trajectory in arm.given]
     np.testing.assert_allclose(heights[:3], heights[0], atol=1e-6)
     np.testing.assert_allclose(arm.q, HOME, atol=1e-6)
-
-
-def test_a_touch_is_told_before_the_way_back_which_may_end_in_a_stop() -> None:
-    class StoppedOnItsWayBack(ListeningArm):
-        def execute(
-            self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
-        ) -> MotionReport:
-            if self.given:
-                raise DeviceError("stopped", code="device.arm")
-            return super().execute(trajectory, guard, watch)
-
-    slow = SlowStation.of(STATION, Caps())
-    arm = StoppedOnItsWayBack(HOME)
-    arm.meets = 0.5
-    plan = Approach((0.0, 0.0, -0.05))
-    supervisor = Supervisor(arm, Bystander(), slow.robot, slow.config, lambda: slow.world)
-    settings = TouchSettings(8.0, 0.024, 0.01, None, 0.0, 12.0)
-    met: list[Touch] = []
-    with raises(DeviceError, code="device.arm"):
-        approach(supervisor, slow, plan(slow, HOME), settings, met=met.append)
-    (touch,) = met
-    assert 0.0 < touch.travelled < 0.05
 
 
 def test_the_supervisor_itself_refuses_what_is_over_the_caps() -> None:

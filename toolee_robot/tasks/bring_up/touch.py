@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,7 +78,6 @@ def approach(
     trajectory: Trajectory,
     settings: TouchSettings,
     clock: Clock | None = None,
-    met: Callable[[Touch], None] = lambda _: None,
 ) -> Touch | None:
     """Zero the force, move until the arm feels one, then back to where the approach began.
 
@@ -91,7 +89,6 @@ def approach(
         trajectory: The approach, from `plan_line`.
         settings: Threshold and window, from `measured_settings`.
         clock: The station's clock; None for the host's.
-        met: Called with the contact, before the way back.
 
     Returns:
         The contact; None where the way ended without one.
@@ -122,7 +119,6 @@ def approach(
             X_base_flange = fk(report.contact.q)
             travelled = float(np.linalg.norm(X_base_flange[:3, 3] - begin))
             touch = Touch(report.contact.q, travelled, X_base_flange, pressing)
-            met(touch)
             break
         phantoms += 1
         q = report.q_commanded[-1]
