@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.calibration.pictures import BOARD, CAMERA, picture
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.observation import camera_board, find_board
-from toolee_robot.calibration.report import board_pdf
+from toolee_robot.calibration.sheet import board_pdf
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import UserError
 from toolee_robot.frames import inverse, rotation_angle, transform, transform_points

@@ -50,9 +50,6 @@ def test_a_folder_of_images_gives_the_cameras_pose(calibrated: Path) -> None:
     assert (record.robot_serial, record.camera_serial) == ("20185500001", "cam-7")
     assert record.board.square == pytest.approx(BOARD.square, rel=1e-5)
     assert len(record.poses) == 12
-    page = (calibrated / "report.html").read_text()
-    assert 'src="data:image/png;base64' in page
-    assert "http" not in page.replace("http-equiv", ""), "nothing is fetched"
 
 
 def test_a_record_that_was_altered_is_refused(calibrated: Path, tmp_path: Path) -> None:

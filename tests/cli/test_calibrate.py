@@ -47,7 +47,6 @@ def test_a_simulated_lab_is_calibrated_without_knowing_the_truth(calibrated: Pat
     assert len(record.poses) >= 10
     session = json.loads((calibrated / "poses.json").read_text())
     assert len(session["poses"]) == 12
-    assert (calibrated / "report.html").stat().st_size > 100_000
 
 
 def test_the_recorded_images_give_the_same_calibration_again(calibrated: Path, tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from toolee_robot.app.variant import Variant
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.weight_files import weights_hash
+from toolee_robot.runtime.html_page import Page
 from toolee_robot.sim_backend.cell_errors import CellErrors
 from toolee_robot.trials import Trial, TrialPlan, load_plan, run_trials, write_report
 from toolee_robot.trials.plan import InSimulation
@@ -461,3 +462,13 @@ def test_a_nail_that_is_flush_for_the_robot_alone_is_a_failure_with_a_name(tmp_p
     assert made["arms"]["full"]["outcomes"] == {"flush_by_the_robot_alone": 2}
     assert "flush by the robot alone" in page
     assert "conditions" not in page, "no trial has any"
+
+
+def test_a_page_escapes_what_it_is_given() -> None:
+    out = Page("<b>", "a & b")
+    out.section("Über 5° 2 cm")
+    out.table(["<i>"], [["<script>alert(1)</script>"], [("1 < 2", True)]])
+    html = out.text()
+    assert not re.search(r"https?://|<script|<link|@import|url\(|<b>|<i>", html)
+    assert 'href="#über-5-2-cm"' in html
+    assert 'id="über-5-2-cm"' in html

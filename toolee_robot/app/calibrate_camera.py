@@ -1,4 +1,4 @@
-"""The calibration of a fixed camera's place: images, solution, record and report."""
+"""The calibration of a fixed camera's place: images, solution and record."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.calibration.record import CalibrationRecord, write_record
-from toolee_robot.calibration.report import calibration_report
 from toolee_robot.calibration.session import Session, SessionPose, build_record, observe, read_session, write_session
 from toolee_robot.control import RobotModel
 from toolee_robot.devices.cameras.recording import recording_of
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
-from toolee_robot.runtime.files import write_atomic
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.station import StationConfig, unmeasured
@@ -32,8 +30,8 @@ from toolee_robot.stations.simulated import simulated_board
 from toolee_robot.tasks.calibration.collect import Collector, save, session_of
 from toolee_robot.tasks.calibration.views import Plate, missing, plan_views
 
-RECORD, REPORT = "camera.json", "report.html"
-"""Files of a calibration's folder."""
+RECORD = "camera.json"
+"""File of the record in a calibration's folder."""
 Bars = tuple[float, float]
 """Measured lengths of a print's two scale bars [m]."""
 
@@ -62,7 +60,7 @@ class CameraJob:
     Attributes:
         config: The station.
         sheet: Name of the board's sheet.
-        folder: Where images, record and report are written.
+        folder: Where images and record are written.
         listener: Who hears of it.
     """
 
@@ -216,8 +214,6 @@ class CameraJob:
             now=datetime.now(UTC),
         )
         signature = write_record(self.folder / RECORD, record)
-        page = calibration_report(record, images, signature, lacking)
-        write_atomic(self.folder / REPORT, page.encode())
         return calibration, _figures(record, calibration, lacking, signature)
 
 

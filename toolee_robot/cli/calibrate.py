@@ -58,7 +58,7 @@ class PrintBoard:
 
     def run(self) -> int:
         from toolee_robot.calibration.board import SHEETS
-        from toolee_robot.calibration.report import write_board
+        from toolee_robot.calibration.sheet import write_board
 
         sheet = SHEETS[self.sheet]
         write_board(self.out, sheet)
@@ -121,7 +121,7 @@ class Camera(BoardOptions):
     plate_mass: Annotated[float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="(rehearsed: 1.2)")] = None
     """Mass of plate and holder."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("calibrations")
-    """Parent of the calibration's folder, which holds camera.json, the record, report.html and the images."""
+    """Parent of the calibration's folder, which holds camera.json, the record, and the images."""
 
     def run(self) -> int:
         self._check()
@@ -163,7 +163,7 @@ class Camera(BoardOptions):
         return job.live(views, _metres(self.bars_mm))
 
     def _show(self, f: dict[str, Any], folder: Path) -> None:
-        from toolee_robot.app.calibrate_camera import RECORD, REPORT
+        from toolee_robot.app.calibrate_camera import RECORD
 
         record = escape(str(folder / RECORD))
         rows = [
@@ -176,12 +176,12 @@ class Camera(BoardOptions):
         rehearsed = "true_error_mm" in f
         if rehearsed:
             rows.append(("true error *", f"{f['true_error_mm']:.2f} mm"))
-        rows += [("record", record), ("report", escape(str(folder / REPORT)))]
+        rows.append(("record", record))
         if self.write:
-            lines = [f"Entered in {_measured(self.station)}. Read the report before you rely on it."]
+            lines = [f"Entered in {_measured(self.station)}. First do the touch test: toolee calibrate check."]
         else:
             entry = ["calibration:", f"  record: {record}"]
-            lines = ["Read the report, then enter this in the station file:", "", *entry]
+            lines = ["Enter this in the station file:", "", *entry]
         if rehearsed:
             lines += ["", "[dim]* known to the simulation only[/dim]"]
         _panel(self.console, "the camera is calibrated", rows, lines)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import os
 import platform
-import shlex
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -27,13 +24,12 @@ if TYPE_CHECKING:
 
 _Dir = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
 _Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LABEL=]DIR", help_behavior_hint="")]
-Pictures = dict[str, bytes]
 _Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Evaluation(JsonOption):
-    """Options of every evaluation, and what it ends with: report.json and report.html, the tables, the line of JSON."""
+    """Options of every evaluation, and what it ends with: report.json, the tables, the line of JSON."""
 
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder for the report (none if left out)."""
@@ -42,28 +38,19 @@ class _Evaluation(JsonOption):
     device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
     """Where the networks run: cpu or cuda."""
 
-    def end(
-        self, title: str, about: str, record: dict[str, Any], tables: Sequence[Table], pictures: Pictures | None = None
-    ) -> int:
+    def end(self, record: dict[str, Any], tables: Sequence[Table]) -> int:
         """Write the report if it was asked for, and print the tables."""
-        from toolee_robot.perception.offline.evaluation.report import page
-
-        machine = describe_machine()
-        record = {"machine": machine, **record}
+        record = {"machine": describe_machine(), **record}
         if self.out is not None:
-            now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-            command = "toolee " + shlex.join(sys.argv[1:])
-            subtitle = f"{now} · {machine['cpu']}, {machine['cores']} cores · {command}"
             try:
                 self.out.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise UserError(
                     f"cannot make the folder {self.out}: {words_of(error)}. Choose another place"
                 ) from error
-            write_atomic(self.out / "report.json", json_line(record).encode() + b"\n")
-            html = page(title, subtitle, about, tables, pictures or {})
-            write_atomic(self.out / "report.html", html.encode())
-            self.console.print(f"report: {escape(str(self.out / 'report.html'))}", soft_wrap=True)
+            path = self.out / "report.json"
+            write_atomic(path, json_line(record).encode() + b"\n")
+            self.console.print(f"report: {escape(str(path))}", soft_wrap=True)
         for table in tables:
             self.console.print(text_table(table.title, table.columns, table.rows, table.left))
         self.tell(record)
@@ -80,7 +67,7 @@ class EvaluatePose(_Evaluation):
 
     Example: toolee evaluate pose data/hard --weights ours=runs/pose paper=runs/paper --no-tool 1000
 
-    Writes report.json and one self-contained report.html. docs/results/protocol.md defines every figure.
+    Writes report.json. docs/results/protocol.md defines every figure.
     """
 
     data: _Dir
@@ -122,11 +109,8 @@ class EvaluatePose(_Evaluation):
             found = evaluate_pose(plan, progress)
         if ledger is not None:
             weights = plan.weights if self.true_masks_only else {**plan.weights, "detector": self.detector}
-            ledger.enter("pose", weights, pose_figures(found.report), self.limit)
-        about = report.described(found.report["data"])
-        pictures = {} if self.out is None else report.accuracy_pictures(found.estimates)
-        title, tables = "6D pose of tool end effectors", report.pose_tables(found.report)
-        return self.end(title, about, found.report, tables, pictures)
+            ledger.enter("pose", weights, pose_figures(found), self.limit)
+        return self.end(found, report.pose_tables(found))
 
 
 @dataclass(frozen=True)
@@ -151,7 +135,7 @@ class EvaluateSegmentation(_Evaluation):
         if ledger is not None:
             ledger.enter("segmentation", {"detector": self.weights}, {"average": found["average"]}, self.limit)
         record = {"data": self.data.name, **found}
-        return self.end("segmentation", segmentation.ABOUT, record, report.segmentation_tables(found))
+        return self.end(record, report.segmentation_tables(found))
 
 
 @dataclass(frozen=True)
@@ -184,7 +168,7 @@ class EvaluatePhotographs(_Evaluation):
         if ledger is not None:
             ledger.enter("photographs", {"ours": self.weights}, {"table": found["table"]}, self.limit)
         record = {"data": self.data.name, **found}
-        return self.end("photographs", "", record, report.photograph_tables(found))
+        return self.end(record, report.photograph_tables(found))
 
 
 @dataclass(frozen=True)
@@ -228,8 +212,8 @@ class EvaluateTable1(_Evaluation):
                 device=self.device,
                 workers=self.workers,
             )
-            found = evaluate_pose(plan, progress).report
-        return self.end("the paper's Table I", "", {"column": column, **found}, report.table1(found, column))
+            found = evaluate_pose(plan, progress)
+        return self.end({"column": column, **found}, report.table1(found, column))
 
 
 COMMANDS = {

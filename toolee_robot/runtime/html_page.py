@@ -1,8 +1,7 @@
-"""A self-contained HTML page: headings, tables, embedded pictures; nothing is fetched."""
+"""A self-contained HTML page: headings and tables; nothing is fetched."""
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -48,15 +47,6 @@ class Page:
             left: Number of left-aligned columns of text.
         """
         self._add("table", head=head, rows=rows, left=left)
-
-    def picture(self, png: bytes, caption: str) -> None:
-        """Embed a picture.
-
-        Args:
-            png: Content of a PNG file.
-            caption: Text below it.
-        """
-        self._add("picture", data=base64.b64encode(png).decode(), caption=caption)
 
     def definitions(self, entries: dict[str, str]) -> None:
         """Add a list of terms."""

@@ -1,31 +1,21 @@
-"""The report of `toolee evaluate`: the same tables for the terminal and for one self-contained page."""
+"""The tables of `toolee evaluate`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from typing import Any
 
 import numpy as np
 
-from toolee_robot.end_effectors import CATEGORIES, Category, label_of
-from toolee_robot.perception.offline.evaluation.estimates import Estimates
+from toolee_robot.end_effectors import Category, label_of
 from toolee_robot.perception.offline.evaluation.pose import GROUPS
 from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS
-from toolee_robot.runtime.html_page import Page
 
 MASKS = {"truth": "true masks", "predicted": "predicted masks"}
 """Kinds of masks, and how the report calls them."""
 _SHOWN = ("5deg2cm", "10deg5cm", "5deg1cm", "5deg5mm")
 """Thresholds of the tables; report.json has all."""
-_COLOURS = ("#12609e", "#d1662b", "#5a8f3c", "#8a5aa8", "#8c8c8c", "#b0902a")
-DEFINITIONS = {
-    "n deg m cm": "share of instances whose rotation error, modulo the category's symmetry group, and position error "
-    "are both under the threshold; an instance without an estimate counts as over it",
-    "held-out, seen": "tools that were not, and that were, in the training data; both in new images",
-    "usable": "the estimate's confidence is over the threshold that was fixed after training",
-}
 
 
 @dataclass(frozen=True)
@@ -185,93 +175,6 @@ def photograph_tables(report: dict[str, Any]) -> list[Table]:
         tables.append(Table("Medians of errors, and of the annotations' standard deviations", columns, errors))
     where = ("where", "frames", "false alarms", "certain", "frames with a usable one")
     return [*tables, Table("Frames without a tool", where, alarms)]
-
-
-def described(data: dict[str, Any]) -> str:
-    """What an evaluation of poses was asked for, in one paragraph; of the "data" of its record."""
-    return (
-        f"{data['images']} images of the data set “{data['folder']}”, {data['targets']} end effectors asked for, "
-        f"{data['targets_held_out']} of them on {data['held_out_tools']} held-out tools. "
-        f"{data['left_out_under_50_points']} more are left out because fewer than 50 of their pixels have a depth."
-    )
-
-
-def page(title: str, subtitle: str, about: str, tables: Sequence[Table], pictures: dict[str, bytes]) -> str:
-    """The HTML report.
-
-    Args:
-        title: What was evaluated.
-        subtitle: Line below the title.
-        about: First paragraph.
-        tables: The tables.
-        pictures: Caption to PNG.
-
-    Returns:
-        The page.
-    """
-    out = Page(f"TOOLEE benchmark: {title}", subtitle)
-    if about:
-        out.paragraph(about)
-    for caption, png in pictures.items():
-        out.picture(png, caption)
-    for table in tables:
-        out.section(table.title)
-        out.table(table.columns, table.rows, left=table.left)
-    out.section("Definitions")
-    out.definitions(DEFINITIONS)
-    return out.text()
-
-
-def accuracy_pictures(estimates: dict[str, dict[str, Estimates]]) -> dict[str, bytes]:
-    """Share of the instances under a threshold, over the threshold, as in the paper's Fig. 5.
-
-    Args:
-        estimates: Label of an estimator to kind of masks to its estimates.
-
-    Returns:
-        Caption to PNG, of each group and kind of masks: rotation above, position below, a column per category.
-    """
-    made = {}
-    for masks, text in MASKS.items():
-        for group in GROUPS:
-            rows = {
-                label: e.rows(e.held_out == (group == "held-out"))
-                for label, by_masks in estimates.items()
-                if (e := by_masks.get(masks)) is not None
-            }
-            rows = {label: e for label, e in rows.items() if len(e)}
-            if rows:
-                made[f"Share of instances under a threshold: {group}, {text}"] = _accuracy_curves(rows)
-    return made
-
-
-def _accuracy_curves(estimates: dict[str, Estimates]) -> bytes:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    present = [i for i in range(len(CATEGORIES)) if any((e.category == i).any() for e in estimates.values())]
-    size = (2.9 * len(present), 5.0)
-    figure, axes = pyplot.subplots(2, len(present), figsize=size, squeeze=False, layout="constrained", sharey=True)
-    for column, i in enumerate(present):
-        axes[0, column].set_title(CATEGORIES[i].spec.label, fontsize=10)
-        for row, (unit, limit) in enumerate((("rotation threshold [deg]", 20), ("position threshold [mm]", 30))):
-            ax, thresholds = axes[row, column], np.linspace(0, limit, 201)
-            for k, (label, e) in enumerate(estimates.items()):
-                own = e.rows(e.category == i)
-                errors = 1e3 * own.position if row else np.rad2deg(own.angle)
-                if len(own):
-                    share = np.searchsorted(np.sort(errors), thresholds, side="right") / len(own)
-                    ax.plot(thresholds, share, color=_COLOURS[k % len(_COLOURS)], label=label)
-            ax.set(xlabel=unit, xlim=(0, limit), ylim=(0, 1.02))
-            ax.grid(color="#e3e8ed", linewidth=0.8)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
-    pyplot.close(figure)
-    return buffer.getvalue()
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -19,9 +19,7 @@ from toolee_robot.perception.offline.dataset.spec import generated_catalogue_of
 from toolee_robot.perception.offline.evaluation import pose
 from toolee_robot.perception.offline.evaluation.estimates import (
     Answer,
-    Estimates,
     Question,
-    Ranked,
     answer,
     load_estimator,
     questions,
@@ -111,20 +109,7 @@ class Networks:
         return ToolPerception(self.detector, estimator, self.trust[label])
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """Result of an evaluation.
-
-    Attributes:
-        report: Contents of report.json.
-        estimates: Label to kind of masks to estimates, for the pictures.
-    """
-
-    report: dict[str, Any]
-    estimates: dict[str, dict[str, Estimates]]
-
-
-def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
+def evaluate_pose(plan: Plan, progress: Progress) -> dict[str, Any]:
     """Evaluate. Apart from times, the report is the same for any number of workers.
 
     Args:
@@ -132,7 +117,7 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
         progress: Called with the name of the stage, the finished number and the total.
 
     Returns:
-        The report, and the estimates.
+        The report, the contents of report.json.
 
     Raises:
         AssetError: Data or weights are missing.
@@ -145,10 +130,8 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
         if plan.role is not None:
             examples = of_role(examples, plan.role)
         report: dict[str, Any] = {"data": _data(plan.folder, examples), "estimators": {}}
-        estimates: dict[str, dict[str, Estimates]] = {}
-        rankings: dict[tuple[str, str], list[Ranked]] = {}
         for label, estimator in networks.estimators.items():
-            estimates[label] = {}
+            record: dict[str, Any] = {"method": describe(estimator)}
             for masks in examples.cases:
                 asked = questions(examples, masks, estimator.of_tool)
                 answers = _counted(
@@ -156,14 +139,11 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
                     partial(progress, f"{label}, {masks} masks"),
                     len(asked),
                 )
-                estimates[label][masks], rankings[label, masks] = summary(examples, estimator.of_tool, answers)
-        for label, estimator in networks.estimators.items():
-            record: dict[str, Any] = {"method": describe(estimator)}
-            for masks, rows in estimates[label].items():
+                rows, ranked = summary(examples, estimator.of_tool, answers)
                 record[masks] = {
                     "groups": pose.tables(rows),
                     "breakdown": held_out_breakdown(examples.instances, rows, estimator.of_tool),
-                    "usable": pose.usable_poses(examples.instances, rankings[label, masks], examples.images),
+                    "usable": pose.usable_poses(examples.instances, ranked, examples.images),
                     "latency": {
                         **pose.latency(rows),
                         "device": plan.device,
@@ -177,7 +157,7 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
             catalogue = generated_catalogue_of(plan.folder)
             looked = processes.map(partial(_claims, plan.seed, catalogue), itertools.islice(frames, plan.empty_frames))
             report["no_tool"] = no_tool(list(_counted(looked, partial(progress, "no tool"), plan.empty_frames)))
-    return Evaluation(report, estimates)
+    return report
 
 
 def _read(networks: Networks, part: Part) -> Examples:

@@ -20,12 +20,6 @@ MIN_PIXELS = 50
 """Instances with fewer visible pixels are crowd: too small for a pose."""
 STATISTICS = ("AP", "AP50", "AP75", "AP_S", "AP_M", "AP_L")
 """COCO's first six: mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px]."""
-ABOUT = (
-    "AP in percent, the mean over IoU .50 to .95, at .50, at .75, and for areas under 32², to 96² and over [px]. "
-    "Instances of under 50 visible pixels are neither found nor missed; in the average of targets neither are those of "
-    "which more than 70 % is hidden, or that are not 0.4 to 1.1 m away."
-)
-"""Meaning of the statistics, for the report."""
 _TARGET = "target"
 _CATEGORIES = [{"id": k, "name": name} for k, name in enumerate(CLASSES) if k > 0]
 
