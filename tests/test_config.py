@@ -318,3 +318,19 @@ def test_every_measured_field_is_one_of_the_station_file() -> None:
     for section, names in MEASURED.items():
         record = getattr(sim_station(), section)
         assert set(names) <= {field.name for field in fields(record)}
+
+
+@pytest.mark.parametrize(
+    ("distortion", "words"),
+    [
+        ([0.1, -0.2, 0.001], "3 numbers"),
+        ([0.1, -0.2, 0.07, 0.001, 0.001], "in the order k1, k2, p1, p2, k3"),
+        (0.1, "distortion"),
+    ],
+)
+def test_what_is_no_distortion_is_said(tmp_path: Path, distortion: Any, words: str) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump({"camera": {"distortion": distortion}}))
+    with raises(ConfigError) as error:
+        load_station(path)
+    assert words in str(error.value)

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -71,6 +72,21 @@ def test_a_signed_record_of_a_camera_that_cannot_be_is_refused(calibrated: Path,
                 read_record(tmp_path / "camera.json")
             assert words in str(refused.value)
     assert read_record(tmp_path / "camera.json").pose[0, 3] == 0.5
+
+
+@pytest.mark.parametrize(
+    "change", [{"fx": -615.0}, {"width": 10**18}, {"cx": 1e308}, {"fy": 61.5}], ids=lambda change: next(iter(change))
+)
+def test_a_signed_record_with_intrinsics_of_no_camera_is_refused(
+    change: dict[str, Any], calibrated: Path, tmp_path: Path
+) -> None:
+    data = json.loads((calibrated / "camera.json").read_text())
+    del data[SIGNATURE]
+    data["intrinsics"] |= change
+    write_signed(tmp_path / "camera.json", data)
+    with raises(ConfigError) as refused:
+        read_record(tmp_path / "camera.json")
+    assert next(iter(change)).replace("width", "fx") in str(refused.value)
 
 
 def _station(folder: Path, calibrated: Path, more: str = "") -> Path:
@@ -218,7 +234,7 @@ def test_a_recording_whose_lens_was_not_known_is_refused(
     assert run([*command, "--out", str(tmp_path / "out")]) == 2
     told = " ".join(capsys.readouterr().err.split())
     assert "says `undistorted: false`" in told
-    assert "toolee calibrate intrinsics --station" in told
+    assert "camera.distortion" in told
     assert not (tmp_path / "out").exists()
 
 

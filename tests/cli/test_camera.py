@@ -11,8 +11,6 @@ import pytest
 import yaml
 
 from tests.devices.cameras.test_recording import INTRINSICS, SERIAL, say_undistorted, toy_recording
-from toolee_robot.calibration.board import SHEETS
-from toolee_robot.calibration.record import INTRINSICS_FORMAT, IntrinsicsRecord, write_record
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
 from toolee_robot.devices.cameras.recording import open_recording
 
@@ -92,7 +90,7 @@ def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
     assert run(doctor) == 0
     (lens,) = (f for f in json.loads(capsys.readouterr().out)["findings"] if f["name"] == "lens")
     assert lens["level"] == "warn"
-    assert "toolee calibrate intrinsics" in lens["remedy"]
+    assert "camera.distortion" in lens["remedy"]
     assert run(show) == 0
     shown = capsys.readouterr().out
     assert "taken for a pinhole" in shown
@@ -108,17 +106,6 @@ def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
     told = json.loads(capsys.readouterr().out)["distortion"]
     assert told["coefficients"] == [-0.2, 0.0, 0.0, 0.0]
     assert 4.0 < told["largest_displacement"] < 9.0
-
-
-def measured_lens(folder: Path, serial: str) -> str:
-    """Write a record of LENS beside the station file; returns its name."""
-    record = IntrinsicsRecord(
-        INTRINSICS_FORMAT, "2026-11-28T00:00:00+00:00", "0", serial,
-        SHEETS["a3"].board, INTRINSICS, LENS, (0.1,) * 4,
-        (1e-4,) * 4, 0.1, 0.1, 5.0, 0.9, 30,
-    )  # fmt: skip
-    write_record(folder.parent / "intrinsics.json", record)
-    return "intrinsics.json"
 
 
 def refused(state: str, config: Path, folder: Path) -> str:
@@ -158,28 +145,23 @@ def test_a_lens_that_is_refused_keeps_nobody_from_looking_and_what_show_prints_i
     said = yaml.safe_load(config.read_text())
     lens = yaml.safe_load(out[out.index("camera:\n") : out.index("\n\nWritten")])["camera"]
     del lens["device"]
-    kept = {name: said["camera"][name] for name in said["camera"] if name not in ("distortion", "intrinsics")}
+    kept = {name: said["camera"][name] for name in said["camera"] if name != "distortion"}
     config.write_text(yaml.safe_dump({**said, "camera": {**kept, **lens}}))
     assert run(doctor) == 0
 
 
 @pytest.mark.realtime(light=True)
-@pytest.mark.parametrize("measured", [True, False], ids=["record", "typed"])
 def test_a_recording_is_not_undistorted_again_by_the_lens_of_then(
-    measured: bool, folder: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config, out = station(folder.parent / "lab.yaml", folder), folder.parent / "again"
     said = yaml.safe_load(config.read_text())
-    if measured:
-        said["camera"]["intrinsics"] = measured_lens(folder, SERIAL)
-    else:
-        said["camera"]["distortion"] = list(LENS)
+    said["camera"]["distortion"] = list(LENS)
     config.write_text(yaml.safe_dump(said))
     assert run(["camera", "show", "--config", str(config)]) == 0
     shown = capsys.readouterr().out
     assert "undistorted when it was recorded" in shown
-    entered = yaml.safe_load(shown[shown.index("camera:") :])["camera"]
-    assert entered["intrinsics"] == "intrinsics.json" if measured else entered["distortion"] == list(LENS)
+    assert yaml.safe_load(shown[shown.index("camera:") :])["camera"]["distortion"] == list(LENS)
     assert run(["camera", "record", "--config", str(config), "--out", str(out), "--seconds", "0.5"]) == 0
     played, again = open_recording(folder), open_recording(out)
     assert again.undistorted is True
@@ -212,22 +194,6 @@ def test_a_recording_that_does_not_say_whether_it_is_undistorted_takes_no_lens(
         say_undistorted(folder, undistorted)
         assert run(show) == 0
         assert words in capsys.readouterr().out
-
-
-@pytest.mark.realtime(light=True)
-@pytest.mark.parametrize("undistorted", [True, None])
-def test_a_lens_is_not_measured_on_a_recording_that_may_be_undistorted(
-    undistorted: bool | None, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    say_undistorted(folder, undistorted)
-    config = station(folder.parent / "lab.yaml", folder)
-    before = config.read_text()
-    options = ["--bars-mm", "360", "257", "--out", str(folder.parent / "i.json"), "--write"]
-    assert run(["calibrate", "intrinsics", "--station", str(config), *options]) == EXIT_USER
-    told = " ".join(capsys.readouterr().err.split())
-    assert "camera.device is a recording" in told
-    assert ("add `undistorted: false`" in told) == (undistorted is None)
-    assert config.read_text() == before
 
 
 @pytest.mark.realtime

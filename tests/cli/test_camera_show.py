@@ -10,8 +10,6 @@ from typing import Any
 import pytest
 import yaml
 
-from toolee_robot.calibration.board import SHEETS
-from toolee_robot.calibration.record import INTRINSICS_FORMAT, IntrinsicsRecord, write_record
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
 from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.stream import CameraMode
@@ -19,7 +17,6 @@ from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import COEFFICIENTS, COLOR, SERIAL, SoftwareRealSense
 from toolee_robot.station import CameraConfig, CameraDevice
 from toolee_robot.stations import camera
-from toolee_robot.types import CameraIntrinsics
 
 rs: Any = pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
@@ -45,9 +42,8 @@ def station(path: Path, lens: Mapping[str, object], serial: str = SERIAL) -> Pat
     """A station file; `lens` takes the place of the camera's own pinhole model."""
     k = COLOR
     own = {"fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height}
-    stated = {} if "intrinsics" in lens else own
     device = {"driver": "realsense", "serial": serial, "least_range": 0.2, "exposure": 0.008}
-    path.write_text(yaml.safe_dump({"version": 3, "camera": {**stated, **lens, "device": device}}))
+    path.write_text(yaml.safe_dump({"version": 3, "camera": {**own, **lens, "device": device}}))
     return path
 
 
@@ -132,38 +128,6 @@ def test_a_distortion_that_is_the_cameras_own_is_not_refused(
     assert told["refused_lens"] is None
     assert told["distortion"]["from"] == "the camera's own"
     assert entered(people)["distortion"] == rounded, "what the file has and holds stays"
-
-
-def record(folder: Path, k: CameraIntrinsics, serial: str = SERIAL) -> str:
-    """Write a record of a measured lens beside the station file; returns its name."""
-    measured = IntrinsicsRecord(
-        INTRINSICS_FORMAT, "2026-11-28T00:00:00+00:00", "0", serial,
-        SHEETS["a3"].board, k, (0.05, -0.1, 0.0, 0.0), (0.1,) * 4,
-        (1e-4,) * 4, 0.1, 0.1, 5.0, 0.9, 30,
-    )  # fmt: skip
-    write_record(folder / "intrinsics.json", measured)
-    return "intrinsics.json"
-
-
-@pytest.mark.parametrize("own", [True, False])
-def test_a_measured_lens_holds_unless_it_is_another_cameras(
-    own: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    k = (
-        CameraIntrinsics(391.0, 392.0, 214.0, 119.5, 424, 240)
-        if own
-        else CameraIntrinsics(500, 500, 212, 120, 424, 240)
-    )
-    path = station(tmp_path / "lab.yaml", {"intrinsics": record(tmp_path, k)})
-    told, people = shown(capsys, "--config", str(path))
-    assert (told["refused_lens"] is None) == own
-    lens = told["distortion"]
-    assert lens["from"] == ("measured by `toolee calibrate intrinsics`" if own else "the camera's own")
-    assert told["intrinsics"]["fx"] == pytest.approx(k.fx if own else COLOR.fx, abs=1e-3)
-    section = entered(people)
-    assert (section.get("intrinsics") == "intrinsics.json") == own
-    if not own:
-        assert "another camera or mode" in told["refused_lens"]
 
 
 def test_coefficients_that_are_no_lenss_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -273,7 +273,7 @@ def test_a_camera_whose_lens_nobody_knows_is_not_calibrated(config: StationConfi
     lab = LabStation(config, print, purpose=Purpose.CALIBRATION, stream=UntoldLens(config))
     with raises(NotReadyError, "not_ready.camera_lens_unknown") as caught, lab:
         pass
-    assert "toolee calibrate intrinsics" in str(caught.value)
+    assert "camera.distortion" in str(caught.value)
     told = replace(config, camera=replace(config.camera, distortion=(0.0, 0.0, 0.0, 0.0)))
     arm = replace(told.arm, host="127.0.0.99")  # nobody is there: what is refused next
     lab = LabStation(replace(told, arm=arm), print, purpose=Purpose.CALIBRATION, stream=UntoldLens(config))

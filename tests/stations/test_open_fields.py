@@ -81,8 +81,6 @@ def test_the_lens_is_asked_of_a_driver_that_may_not_tell_it() -> None:
         parse(question, "0.1 barrel")
     (entry,) = (entry for entry in open_fields(lab, FILE) if "distortion" in entry.names)
     assert entry.note, "a job goes without it; the doctor warns"
-    lab["camera"]["intrinsics"] = "intrinsics.json"
-    assert "camera.distortion" not in {q.name for q in open_questions(lab)}, "the record has it"
 
 
 def test_the_commands_are_commands(capsys: pytest.CaptureFixture[str]) -> None:

@@ -222,8 +222,8 @@ def _check_undistorted(images: Path) -> None:
     recording = recording_of(images)
     if recording is not None and recording.undistorted is False:
         raise UserError(
-            f"{recording.folder} says `undistorted: false`, but a calibration needs undistorted images. Measure the "
-            "lens by `toolee calibrate intrinsics --station FILE --write`, then record again"
+            f"{recording.folder} says `undistorted: false`, but a calibration needs undistorted images. Give "
+            "the lens in camera.distortion, then record again"
         )
 
 

@@ -1,6 +1,6 @@
-"""The records of a calibrated camera, of its pose and of its intrinsics: JSON files that a station file names.
+"""The record of a calibrated camera's pose: a JSON file that a station file names.
 
-Each holds a hash over its content: it shows alteration by mistake or by an editor, not by somebody who signs again.
+It holds a hash over its content: it shows alteration by mistake or by an editor, not by somebody who signs again.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -33,15 +33,10 @@ Row = tuple[float, ...]
 Rows = tuple[Row, ...]
 """A matrix, row by row."""
 _STRICT = {"extra": "forbid", "allow_inf_nan": False}
-INTRINSICS_FORMAT = "toolee camera intrinsics 1"
-"""Name and version of the format."""
-DISTORTED = 0.3
-"""Displacement of a pixel by the lens from which on images must be undistorted [px]."""
 ROUNDED = 1e-4
 """Largest difference of two coefficients that are the same but for rounding: under 0.05 px at the image's corners."""
 SIGNATURE = "sha256"
 """The file's key that holds the hash."""
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -184,63 +179,12 @@ class CalibrationRecord:
         return replace(self, checks=(*self.checks, check))
 
 
-@dataclass(frozen=True)
-class IntrinsicsRecord:
-    """Intrinsics, and how far they can be relied on.
-
-    Attributes:
-        format: `INTRINSICS_FORMAT`.
-        measured_at: Date and time, ISO 8601.
-        software: Version of this software.
-        camera_serial: Serial number of the camera.
-        board: The board, its square as measured.
-        intrinsics: The pinhole model.
-        distortion: k1, k2, p1, p2 of OpenCV's model; they hold for images as the camera gives them.
-        sigma: Standard deviations of fx, fy, cx, cy [px].
-        sigma_distortion: Standard deviations of the distortion.
-        reprojection: Root mean square reprojection error of all views [px].
-        held_out: The same of views that took no part, each by the others of its fifth left out [px].
-        largest_distortion: Largest displacement of a pixel by the lens, in the part of the image that has corners [px].
-        covered: Share of the image's parts that have corners.
-        views: Number of views.
-        left_out: Number of corners that did not fit the others and took no part.
-    """
-
-    __pydantic_config__ = _STRICT
-    format: str
-    measured_at: str
-    software: str
-    camera_serial: str
-    board: Board
-    intrinsics: CameraIntrinsics
-    distortion: tuple[float, ...]
-    sigma: tuple[float, ...]
-    sigma_distortion: tuple[float, ...]
-    reprojection: float
-    held_out: float
-    largest_distortion: float
-    covered: float
-    views: int
-    left_out: int = 0
-
-    def __post_init__(self) -> None:
-        if self.format != INTRINSICS_FORMAT:
-            raise ValueError(f"format {self.format!r}: this software reads {INTRINSICS_FORMAT!r}")
-        if wrong := self.intrinsics.problems():
-            raise ValueError(f"intrinsics.{wrong[0][0]}: {wrong[0][1]}")
-
-    @property
-    def distorts(self) -> bool:
-        """Whether images must be undistorted before anything is measured in them."""
-        return self.largest_distortion > DISTORTED
-
-
 def rows(matrix: Array) -> Rows:
     """A matrix as a record holds it."""
     return tuple(tuple(float(v) for v in row) for row in matrix)
 
 
-def write_record(path: Path, record: CalibrationRecord | IntrinsicsRecord) -> str:
+def write_record(path: Path, record: CalibrationRecord) -> str:
     """Sign and write a record.
 
     Args:
@@ -277,16 +221,7 @@ def read_record(path: Path) -> CalibrationRecord:
         ConfigError: It cannot be read, was altered, or is no valid
             record.
     """
-    return _read_signed(path, CalibrationRecord, "camera calibration")
-
-
-def read_intrinsics(path: Path) -> IntrinsicsRecord:
-    """As `read_record`, of a camera's intrinsics."""
-    return _read_signed(path, IntrinsicsRecord, "record of intrinsics")
-
-
-def _read_signed(path: Path, kind: type[T], what: str) -> T:
-    """A record of a kind; `what` is its name in errors, which `read_record` lists."""
+    what = "camera calibration"
     try:
         data = read_json(path)
     except (OSError, ValueError) as error:
@@ -300,7 +235,7 @@ def _read_signed(path: Path, kind: type[T], what: str) -> T:
             f"{path} was altered since it was written: nothing in it can be relied on; take the original, or calibrate "
             "again"
         )
-    return to_record(data, path, kind, what)
+    return to_record(data, path, CalibrationRecord, what)
 
 
 def _signature(data: dict[str, Any]) -> str:

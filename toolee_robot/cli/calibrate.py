@@ -24,7 +24,6 @@ from toolee_robot.runtime.clock import check_real_time_factor
 
 if TYPE_CHECKING:
     from toolee_robot.app.calibrate_nail import Located
-    from toolee_robot.calibration.record import IntrinsicsRecord
     from toolee_robot.frames import Array
     from toolee_robot.station import StationConfig
 
@@ -34,8 +33,6 @@ _BARS_MISSING = (
 )
 _PLATE = 0.12, 1.2
 """Distance of a rehearsed print from the flange [m], and mass of its plate [kg]."""
-_MIN_VIEWS = 15
-"""Fewest views that are asked of a person."""
 
 Rule = tuple[bool, str]
 """Whether options do not fit together, and the message."""
@@ -295,104 +292,6 @@ class Check(JsonOption):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Intrinsics(JsonOption):
-    """Measure a camera's intrinsics by a board that is held before it.
-
-    Example: toolee calibrate intrinsics --station lab.yaml --bars-mm 361.3 258.1 --write
-
-    Example: toolee calibrate intrinsics --images views --bars-mm 361.3 258.1 --camera-serial F1370001
-
-    With --station the command takes an image each time the board is held still in a new pose. With --images it uses a
-    folder of raw images. Frames of `toolee camera record` are undistorted, so they do not serve. Tilt the board by 30
-    to 45° in most images, and show it in all corners of the image. A camera with factory intrinsics needs this only as
-    a check.
-
-    Exit code 0: the record is written; 1: the camera failed; 2: the images are refused, with the reason.
-    """
-
-    bars_mm: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]
-    """Lengths of the board's two scale bars, measured on the print."""
-    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """The station file."""
-    images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """Folder of images, all of one size."""
-    camera_serial: Annotated[str | None, tyro.conf.arg(metavar="TEXT", help_behavior_hint="")] = None
-    """Serial number of the camera, without --station."""
-    sheet: Literal["a4", "a3"] = "a3"
-    """The board, as `toolee calibrate board` drew it."""
-    views: Annotated[int, tyro.conf.arg(metavar="N")] = 30
-    """Number of images that are taken with --station."""
-    write: Flag = False
-    """Enter the result in `measured.yaml` beside the station file."""
-    out: Annotated[Path, tyro.conf.arg(metavar="JSON")] = Path("intrinsics.json")
-    """The record."""
-
-    def run(self) -> int:
-        self._check()
-        from toolee_robot.app.calibrate_intrinsics import IntrinsicsJob, camera_of, check_entry, enter
-        from toolee_robot.calibration.record import write_record
-
-        camera = None if self.station is None else camera_of(self.station)
-        if self.write:
-            assert self.station is not None
-            check_entry(self.station)
-        console, bars = self.console, _metres(self.bars_mm)
-        job = IntrinsicsJob(self.sheet, ConsoleListener(console), console.bell)
-        if self.images is not None:
-            serial = self.camera_serial if camera is None or camera.device is None else camera.device.serial
-            assert serial is not None
-            record = job.from_images(self.images, bars, serial)
-        else:
-            assert camera is not None
-            record = job.live(camera, self.views, bars)
-        self.out.parent.mkdir(parents=True, exist_ok=True)
-        write_record(self.out, record)
-        if self.write:
-            assert self.station is not None
-            enter(self.station, self.out)
-        self._show(record)
-        self.tell(asdict(record))
-        return 0
-
-    def _show(self, record: IntrinsicsRecord) -> None:
-        K = record.intrinsics
-        values = zip(("fx", "fy", "cx", "cy"), (K.fx, K.fy, K.cx, K.cy), record.sigma, strict=True)
-        rows = [(name, f"{value:9.3f} ± {2 * sigma:.3f} px") for name, value, sigma in values]
-        names = zip(("k1", "k2", "p1", "p2"), record.distortion, record.sigma_distortion, strict=True)
-        rows += [(name, f"{value:+9.5f} ± {2 * sigma:.5f}") for name, value, sigma in names]
-        left_out = f"; {record.left_out} outlier corners left out" if record.left_out else ""
-        effect = "images must be undistorted" if record.distorts else "negligible"
-        out = escape(str(self.out))
-        rows += [
-            ("reprojection", f"{record.reprojection:.3f} px, on images left out of the fit {record.held_out:.3f} px"),
-            ("views", f"{record.views}, {100 * record.covered:.0f} % of the image{left_out}"),
-            ("lens", f"shifts pixels by up to {record.largest_distortion:.2f} px: {effect}"),
-            ("record", out),
-        ]
-        if self.write:
-            lines = [f"Entered in {_measured(self.station)}. Next, calibrate the camera's pose."]
-        else:
-            lines = ["The line for the station file:", "", "camera:", f"  intrinsics: {out}"]
-        _panel(self.console, "the intrinsics are measured", rows, lines, width=16)
-
-    def _check(self) -> None:
-        serial = self.camera_serial is not None
-        _refuse(
-            (
-                self.images is None and self.station is None,
-                "give --station to take images with its camera, or --images with a folder of images",
-            ),
-            (self.station is not None and serial, "leave --camera-serial out: the station file gives it"),
-            (
-                self.station is None and not serial,
-                "--camera-serial is missing. Intrinsics belong to one camera: give its serial number, or --station",
-            ),
-            (self.write and self.station is None, "--write needs --station, the station file to write to"),
-            (not _MIN_VIEWS <= self.views <= 200, f"give --views {_MIN_VIEWS} to 200"),
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Mount(JsonOption):
     """Locate a tip on the flange from touches of one fixed point.
 
@@ -521,7 +420,6 @@ COMMANDS = {
         "board": PrintBoard,
         "camera": Camera,
         "check": Check,
-        "intrinsics": Intrinsics,
         "mount": Mount,
         "nail": Nail,
     }

@@ -143,7 +143,7 @@ class Show(CameraOptions):
             age = clock.now() - frame.stamp
             profile, chosen = camera.profile, camera.lens
         if refused is not None:
-            config = replace(config, distortion=None, intrinsics_record=None)
+            config = replace(config, distortion=None)
             told = f"[yellow]Shown without the station file's lens. A job refuses it:[/yellow] {escape(refused)}\n"
             console.print(told, soft_wrap=True)
         k = frame.intrinsics
@@ -334,18 +334,13 @@ def _station_lines(config: CameraConfig, profile: CameraProfile, chosen: ChosenL
 
 
 def _lens_lines(config: CameraConfig, chosen: ChosenLens) -> list[str]:
-    from toolee_robot.devices.cameras.lens_choice import LensSource
-
-    recorded = chosen.source is LensSource.RECORDING and config.intrinsics_record is not None
-    if chosen.source is LensSource.RECORD or recorded:
-        return [f"  intrinsics: {config.intrinsics_record}"]
     k, distortion = chosen.lens.intrinsics, config.distortion
     lines = [f"  {name}: {getattr(k, name):.3f}" for name in ("fx", "fy", "cx", "cy")]
     lines += [f"  width: {k.width}", f"  height: {k.height}"]
     if distortion is not None:
         lines.append(f"  distortion: {list(distortion)}")
     elif not chosen.lens.known:
-        lines.append("  distortion:          # by `toolee calibrate intrinsics`; [0, 0, 0, 0] for undistorted images")
+        lines.append("  distortion:          # k1, k2, p1, p2 by OpenCV or ROS; [0, 0, 0, 0] for undistorted images")
     return lines
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from toolee_robot.control import RobotModel
 from toolee_robot.control.planning.views import DISTANCE
 from toolee_robot.devices.cameras import StreamedCamera
-from toolee_robot.devices.cameras.lens_choice import UNKNOWN_LENS, LensSource
+from toolee_robot.devices.cameras.lens_choice import UNKNOWN_LENS
 from toolee_robot.errors import TooleeError
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hal import Clock, Hand, RgbdCamera
@@ -225,9 +225,6 @@ def check_lens(camera: StreamedCamera) -> Finding:
         )
     if not chosen.lens.known:
         return warn("lens", chosen.words, UNKNOWN_LENS)
-    if chosen.source is LensSource.RECORD and chosen.told.known:
-        off = chosen.told.largest_difference(chosen.lens)
-        return ok("lens", f"{chosen.words}; the camera's own is up to {off:.1f} px off")
     return ok("lens", chosen.words)
 
 

@@ -10,7 +10,6 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 """
 
 from toolee_robot.station.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
-from toolee_robot.station.camera_files import given_by_intrinsics
 from toolee_robot.station.cell import CameraConfig, CameraDevice, Obstacle, SceneConfig, ToolEnvelope
 from toolee_robot.station.head import VERSION, check_current, is_current
 from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig, ToolData

@@ -1,4 +1,4 @@
-"""What a station file says of its camera as a whole: its pose by another program, and the record of its intrinsics."""
+"""The pose of the camera by another program, as a station file gives it."""
 
 from __future__ import annotations
 
@@ -8,101 +8,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.calibration.record import read_intrinsics, rows, same_distortion
+from toolee_robot.calibration.record import rows
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, BaseFrame, transform
 
-CAMERA, INTRINSICS, HELD = "camera", "intrinsics", "intrinsics_record"
-"""Section and field that name the record, and the field of `CameraConfig` that holds the name."""
-PINHOLE = ("fx", "fy", "cx", "cy", "width", "height")
-"""Fields of the section that the record gives, beside `distortion`."""
-ROUNDED = 0.01
-"""Largest difference of a number that the file gives, too: digits that were rounded off [px]."""
-
-
-def take_intrinsics(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Read the record of the camera's intrinsics that a station file names.
-
-    Args:
-        data: What the file holds.
-        path: The file, in whose folder a relative path begins.
-
-    Returns:
-        The data with what the record gives; unchanged where the file names none.
-
-    Raises:
-        ConfigError: The record cannot be read or was altered; or the file gives other numbers than the record
-            (`config.intrinsics_twice`); or the record is of another camera than `camera.device.serial`
-            (`config.intrinsics_serial`); or the file gives by hand what only a record gives.
-    """
-    camera = data.get(CAMERA)
-    if not isinstance(camera, dict):
-        return data
-    if HELD in camera:
-        raise ConfigError(
-            f"{path}: {CAMERA}.{HELD} cannot be given by hand. Name a record of `toolee calibrate intrinsics` "
-            f"in {CAMERA}.{INTRINSICS}"
-        )
-    if INTRINSICS not in camera:
-        return data
-    others = {name: value for name, value in camera.items() if name != INTRINSICS}
-    name = camera[INTRINSICS]
-    if not isinstance(name, str):
-        return {**data, CAMERA: {**others, HELD: name}}
-    record = read_intrinsics(path.parent / name)
-    pinhole = {field: getattr(record.intrinsics, field) for field in PINHOLE}
-    differing = [
-        f"{field} {pinhole[field]:.6g} (the file's: {others[field]!r})"
-        for field in PINHOLE
-        if others.get(field) is not None and not _same(others[field], pinhole[field])
-    ]
-    distortion = list(record.distortion)
-    if others.get("distortion") is not None and not _same_distortion(others["distortion"], distortion):
-        differing.append(f"distortion {[round(v, 5) for v in distortion]} (the file's: {others['distortion']})")
-    if differing:
-        raise ConfigError(
-            f"{path}: the record in {CAMERA}.{INTRINSICS} has {', '.join(differing)}. Leave these out of the file, "
-            "because the record gives them; or leave the record out",
-            code="config.intrinsics_twice",
-        )
-    device = others.get("device")
-    serial = device.get("serial") if isinstance(device, dict) else None
-    if isinstance(serial, str) and record.camera_serial != serial:
-        raise ConfigError(
-            f"{path}: the record in {CAMERA}.{INTRINSICS} belongs to camera {record.camera_serial!r}, the file "
-            f"names {serial!r}. Measure this one by `toolee calibrate intrinsics --station {path} --write`",
-            code="config.intrinsics_serial",
-        )
-    given = {**pinhole, "distortion": distortion, HELD: name}
-    return {**data, CAMERA: {**others, **given}}
-
-
-def given_by_intrinsics(record: Any) -> set[str]:
-    """Tell which measured fields a record of the intrinsics makes unnecessary.
-
-    Args:
-        record: The station file's `camera.intrinsics`; None for none.
-
-    Returns:
-        Names of the fields, such as `camera.fx`.
-    """
-    return set() if record is None else {f"{CAMERA}.{name}" for name in (*PINHOLE, "distortion")}
-
-
-def _same(given: Any, value: float) -> bool:
-    try:
-        return abs(float(given) - value) <= ROUNDED
-    except (TypeError, ValueError):
-        return False
-
-
-def _same_distortion(given: Any, value: list[float]) -> bool:
-    try:
-        return same_distortion([float(v) for v in given], value)
-    except (TypeError, ValueError):
-        return False
-
-
+CAMERA = "camera"
+"""The section."""
 POSE_FIELD, POSE_HELD = "X_base_camera", "measured_pose"
 """Field of the section that gives the pose, and that of `CameraConfig` that holds it."""
 LOOK_AT = ("position", "target")

@@ -102,10 +102,6 @@ class CameraConfig:
     """Distortion of the lens by OpenCV's model: k1, k2, p1, p2 and optionally k3. All 0: the driver's images are
     undistorted; null: the camera reports its own, or it is unknown.
     """
-    intrinsics_record: str | None = field(default=None, metadata={IN_FILE: "intrinsics"})
-    """File of `toolee calibrate intrinsics`, relative to the station file. It replaces the seven fields above and
-    what the camera reports.
-    """
     device: CameraDevice | None = None
     """The camera itself, for its driver; null for the simulated one."""
     pose: Rows | None = field(default=None, metadata={IN_FILE: ""})

@@ -13,7 +13,7 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.frames import BaseFrame
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import YamlLines
-from toolee_robot.station.camera_files import CAMERA, INTRINSICS, LOOK_AT, POSE_FIELD, given_by_intrinsics
+from toolee_robot.station.camera_files import CAMERA, LOOK_AT, POSE_FIELD
 from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.station.head import FRAME, check_current
 from toolee_robot.station.job import StrikeConfig, check_enclosed
@@ -89,7 +89,6 @@ def _missing(data: Any) -> list[str]:
     if _field(data, "hand", "model") == MOUNT and "hand.weighed" in missing:
         missing.remove("hand.weighed")  # a mount's data say what it weighs
     unneeded = given_by_nails(_field(data, "work", "nails")) | given_by_pose(_field(data, CAMERA, POSE_FIELD))
-    unneeded |= given_by_intrinsics(_field(data, CAMERA, INTRINSICS))
     return [name for name in missing if name not in unneeded]
 
 

@@ -12,8 +12,6 @@ from pydantic import TypeAdapter, ValidationError
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import BaseFrame
 from toolee_robot.runtime.yaml_files import YamlLines, read_yaml
-from toolee_robot.station.camera_files import CAMERA, INTRINSICS, PINHOLE
-from toolee_robot.station.cell import CameraConfig
 from toolee_robot.station.head import FRAME, to_base
 from toolee_robot.station.robot import ServoConfig
 from toolee_robot.station.schema import StationField, record_fields
@@ -21,7 +19,6 @@ from toolee_robot.station.work import WorkConfig
 
 COMMANDS: Mapping[str, str] = {
     "calibration.record": "toolee calibrate camera",
-    f"{CAMERA}.{INTRINSICS}": "toolee calibrate intrinsics",
     "servo.gain": "toolee arm lag",
     "servo.lookahead": "toolee arm lag",
     "servo.lag": "toolee arm lag",
@@ -72,7 +69,7 @@ def read_measured(station: Path) -> dict[str, Any]:
 
 def _wrong(measured: dict[str, Any], path: Path) -> Iterator[str]:
     known: dict[str, StationField] = {}
-    for record, section in ((ServoConfig, "servo"), (WorkConfig, "work"), (CameraConfig, CAMERA)):
+    for record, section in ((ServoConfig, "servo"), (WorkConfig, "work")):
         known |= {field.name: field for field in record_fields(record, (section,))}
     lines = YamlLines(path)
     for section, values in measured.items():
@@ -115,8 +112,6 @@ def with_measured(data: dict[str, Any], measured: dict[str, Any], station: Path)
         if section == "work":
             _check_moved(typed, values, station)
             values = _with_nails(typed, values)
-        if INTRINSICS in values and section == CAMERA:  # what was typed in before it was measured
-            typed = {name: value for name, value in typed.items() if name not in (*PINHOLE[:4], "distortion")}
         merged[section] = {**typed, **values}
     if FRAME not in merged and "work" in measured:
         merged[FRAME] = BaseFrame.BASE_LINK.value

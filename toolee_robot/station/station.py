@@ -12,7 +12,7 @@ from typing import Any
 from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.yaml_files import YamlLines, read_yaml, to_record
 from toolee_robot.station.calibration import CalibrationConfig, check_place, check_record, take_record
-from toolee_robot.station.camera_files import take_camera_pose, take_intrinsics
+from toolee_robot.station.camera_files import take_camera_pose
 from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.station.head import FRAME, VERSION_FIELD, is_current, take_frame, to_base
 from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig, ToolData, check_enclosed
@@ -191,7 +191,6 @@ def to_station(data: Any, path: Path) -> StationConfig:
     data = without_blanks({name: value for name, value in data.items() if name != VERSION_FIELD}, StationConfig)
     frame = take_frame(data)
     data, record = take_record(for_each_joint(_first_nail(data)), path)
-    data = take_intrinsics(data, path)
     data = take_camera_pose(data, frame, path)
     config = to_record(_over_sim(data), path, StationConfig, what)
     if (converted := to_base(data, frame)) is not data:

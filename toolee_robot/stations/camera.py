@@ -57,8 +57,7 @@ def open_camera(
         )
     if stream is None:
         stream = _driver(device.driver)(config, device, clock)
-    measured = config.intrinsics_record is not None
-    stated = StatedLens(config.intrinsics, config.distortion, measured) if check_intrinsics else None
+    stated = StatedLens(config.intrinsics, config.distortion) if check_intrinsics else None
     return StreamedCamera(_OfSerial(stream, device.serial), clock, stated)
 
 

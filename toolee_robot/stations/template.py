@@ -24,7 +24,6 @@ from toolee_robot.station import (
     MEASURED,
     VERSION,
     StationConfig,
-    given_by_intrinsics,
     given_by_nails,
     given_by_pose,
     sim_station,
@@ -40,7 +39,7 @@ _SOURCES = {
     "hand.efforts": "`toolee hand efforts`, spring balance; docs/how-to/shadow_hand.md",
     "camera.device": "its label and data sheet",
     "camera": "tape measure",
-    "camera.distortion": "`toolee calibrate intrinsics --station`, or the driver's documents",
+    "camera.distortion": "the driver's documents, or a calibration by OpenCV or ROS",
     "scene": "teach pendant, tape measure",
     "work": "ruler, calliper; the wood's kind",
     "person": "how door and switch are wired",
@@ -253,7 +252,7 @@ def _names(data: dict[str, Any]) -> Iterator[str]:
     driver = get(data, "camera.device.driver")
     own = ("folder",) if driver == RECORDED else ()
     yield from (f"camera.device.{name}" for name in ("driver", *own, "serial", "least_range"))
-    given = given_by_pose(get(data, "camera.X_base_camera")) | given_by_intrinsics(get(data, "camera.intrinsics"))
+    given = given_by_pose(get(data, "camera.X_base_camera"))
     camera = [f"camera.{name}" for name in MEASURED["camera"]]
     if driver in WITH_MODE:  # the mode first: the driver opens the camera in it, and the camera then tells the rest
         camera.sort(key=lambda name: name.endswith(INTRINSICS[:4]))
@@ -363,8 +362,8 @@ def contradiction(data: dict[str, Any], section: str) -> str:
         What is wrong, of the records of which every field is there; empty for nothing.
     """
     probe = {name: value for name, value in data.items() if name not in ("version", "frame", "calibration")}
-    if isinstance(camera := probe.get("camera"), dict):  # the loader takes them, as it does those two
-        probe["camera"] = {n: value for n, value in camera.items() if n not in ("X_base_camera", "intrinsics")}
+    if isinstance(camera := probe.get("camera"), dict):  # the loader takes it, as it does those two
+        probe["camera"] = {n: value for n, value in camera.items() if n != "X_base_camera"}
         if "X_base_camera" in camera:
             probe["camera"] |= {name: getattr(sim_station().camera, name) for name in ("position", "target")}
     try:

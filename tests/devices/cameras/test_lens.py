@@ -145,7 +145,7 @@ def test_a_file_that_states_no_distortion_must_have_the_cameras_pinhole(told: Le
         choose_lens(told, StatedLens(replace(PINHOLE, fx=390.1)))
     for stated in (
         StatedLens(replace(PINHOLE, width=640)),
-        StatedLens(replace(PINHOLE, width=640), COEFFICIENTS_LENS_CHOICE, True),
+        StatedLens(replace(PINHOLE, width=640), COEFFICIENTS_LENS_CHOICE),
     ):
         with raises(NotReadyError, "not_ready.camera_size"):
             choose_lens(told, stated)
@@ -174,20 +174,7 @@ def test_a_typed_distortion_must_be_the_cameras_own() -> None:
         choose_lens(Lens(PINHOLE), StatedLens(PINHOLE, COEFFICIENTS_LENS_CHOICE))
 
 
-@pytest.mark.parametrize("told", [KNOWN, UNKNOWN, Lens(PINHOLE)])
-def test_a_record_holds_unless_it_is_another_cameras(told: Lens) -> None:
-    measured = StatedLens(replace(PINHOLE, fx=391.5, cx=215.0), (0.07, -0.08, 0.0, 0.0), measured=True)
-    chosen = choose_lens(told, measured)
-    assert chosen.source is LensSource.RECORD
-    assert chosen.lens.intrinsics == measured.intrinsics
-    with raises(NotReadyError, "not_ready.camera_distortion"):
-        choose_lens(told, replace(measured, intrinsics=replace(PINHOLE, fx=480.0, fy=480.0)))
-
-
-RECORD = StatedLens(PINHOLE, COEFFICIENTS_LENS_CHOICE[:4], measured=True)
-
-
-@pytest.mark.parametrize("stated", [None, StatedLens(PINHOLE), StatedLens(PINHOLE, COEFFICIENTS_LENS_CHOICE), RECORD])
+@pytest.mark.parametrize("stated", [None, StatedLens(PINHOLE), StatedLens(PINHOLE, COEFFICIENTS_LENS_CHOICE)])
 def test_images_that_are_undistorted_are_not_undistorted_again(stated: StatedLens | None) -> None:
     """As a recording's, which the station's own lens undistorted."""
     chosen = choose_lens(Lens(PINHOLE), stated, undistorted=True)
@@ -201,6 +188,5 @@ def test_images_that_are_undistorted_are_not_undistorted_again(stated: StatedLen
 def test_where_nobody_knows_whether_images_are_undistorted_no_lens_is_applied() -> None:
     for stated in (None, StatedLens(PINHOLE), StatedLens(PINHOLE, (0.0,) * 4)):
         assert not choose_lens(UNKNOWN, stated, undistorted=None).lens.distorts
-    for stated in (StatedLens(PINHOLE, COEFFICIENTS_LENS_CHOICE), RECORD):
-        with raises(NotReadyError, "not_ready.camera_undistorted"):
-            choose_lens(UNKNOWN, stated, undistorted=None)
+    with raises(NotReadyError, "not_ready.camera_undistorted"):
+        choose_lens(UNKNOWN, StatedLens(PINHOLE, COEFFICIENTS_LENS_CHOICE), undistorted=None)

@@ -9,7 +9,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from toolee_robot.errors import NotReadyError
 from toolee_robot.frames import Array
@@ -72,13 +71,11 @@ class Lens:
         """
         return self.largest_difference(Lens(self.intrinsics))
 
-    def largest_difference(self, other: Lens, *, but_for_a_turn: bool = False) -> float:
+    def largest_difference(self, other: Lens) -> float:
         """How far two lenses differ.
 
         Args:
             other: Another lens, of images of the same size.
-            but_for_a_turn: Whether the other camera may be turned so that it fits best, as a calibration of its place
-                does.
 
         Returns:
             Largest distance of the places of one pixel's two directions in a pinhole image [px].
@@ -88,12 +85,7 @@ class Lens:
         """
         k = self.intrinsics
         u, v = np.meshgrid(np.linspace(0, k.width - 1, COARSE + 1), np.linspace(0, k.height - 1, COARSE + 1))
-        mine, theirs = self._directions(u, v), other._directions(u, v)
-        if but_for_a_turn:
-            a, b = (np.stack([*x.reshape(2, -1), np.ones(x[0].size)], axis=1) for x in (mine, theirs))
-            turned = Rotation.align_vectors(a, b)[0].apply(b)
-            theirs = (turned[:, :2] / turned[:, 2:]).T.reshape(mine.shape)
-        off = mine - theirs
+        off = self._directions(u, v) - other._directions(u, v)
         return float(np.hypot(k.fx * off[0], k.fy * off[1]).max())
 
     def rays(self) -> NDArray[np.float32]:

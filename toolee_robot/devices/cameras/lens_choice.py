@@ -19,8 +19,8 @@ REFUSED = frozenset(f"not_ready.camera_{what}" for what in ("size", "intrinsics"
 """Codes of the errors by which a lens that a station file states is refused (`choose_lens`)."""
 
 UNKNOWN_LENS = (
-    "measure it by `toolee calibrate intrinsics --station FILE --write`; or, if the driver's images are undistorted, "
-    "give camera.distortion: [0, 0, 0, 0]"
+    "give camera.distortion by a calibration with OpenCV or ROS; or, if the driver's images are undistorted, give "
+    "camera.distortion: [0, 0, 0, 0]"
 )
 """What a person does about a lens that nobody tells."""
 
@@ -30,7 +30,6 @@ class LensSource(StrEnum):
 
     CAMERA = "the camera's own"
     FILE = "the station file's"
-    RECORD = "measured by `toolee calibrate intrinsics`"
     RECORDING = "undistorted when it was recorded"
 
 
@@ -41,12 +40,10 @@ class StatedLens:
     Attributes:
         intrinsics: The pinhole model.
         distortion: k1, k2, p1, p2 and possibly k3 of OpenCV's model; None where the file does not say.
-        measured: Whether this is a record of `toolee calibrate intrinsics`.
     """
 
     intrinsics: CameraIntrinsics
     distortion: tuple[float, ...] | None = None
-    measured: bool = False
 
     @property
     def lens(self) -> Lens:
@@ -89,9 +86,9 @@ class ChosenLens:
 def choose_lens(told: Lens, stated: StatedLens | None, *, undistorted: bool | None = False) -> ChosenLens:
     """Choose the lens that holds.
 
-    A record of `toolee calibrate intrinsics` holds, since it was measured on this camera's images; without one the
-    camera's own; where the camera tells no coefficients, those that the station file has. None is applied to images
-    that were undistorted before, and the file's pinhole model must be theirs. What contradicts each other is refused.
+    The camera's own holds; where the camera tells no coefficients, those that the station file has. None is applied to
+    images that were undistorted before, and the file's pinhole model must be theirs. What contradicts each other is
+    refused.
 
     Args:
         told: What the camera tells.
@@ -131,9 +128,9 @@ def choose_lens(told: Lens, stated: StatedLens | None, *, undistorted: bool | No
                 code="not_ready.camera_intrinsics",
             )
         return ChosenLens(told, own, told)
-    if stated.measured or (stated.distortion is not None and not told.known):
+    if stated.distortion is not None and not told.known:
         _check_near(told, stated)
-        return ChosenLens(stated.lens, LensSource.RECORD if stated.measured else LensSource.FILE, told)
+        return ChosenLens(stated.lens, LensSource.FILE, told)
     if not mine.agrees(theirs):
         raise NotReadyError(
             f"the camera's intrinsics are {_text(mine)}, the station file's {_text(theirs)}: `toolee camera show` "
@@ -143,8 +140,7 @@ def choose_lens(told: Lens, stated: StatedLens | None, *, undistorted: bool | No
     if stated.distortion is not None and (off := told.largest_difference(stated.lens)) > SAME_LENS:
         raise NotReadyError(
             f"camera.distortion of the station file is not the camera's own: they differ by up to {off:.1f} px, and "
-            "one is wrong. Leave it out to use the camera's own, or measure it by `toolee calibrate intrinsics "
-            "--station`",
+            "one is wrong. Leave it out to use the camera's own",
             code="not_ready.camera_distortion",
         )
     return ChosenLens(told, LensSource.CAMERA, told)
@@ -153,17 +149,11 @@ def choose_lens(told: Lens, stated: StatedLens | None, *, undistorted: bool | No
 def _check_near(told: Lens, stated: StatedLens) -> None:
     """Refuse a lens that cannot be this camera's in this mode."""
     # A camera that tells no distortion may have any.
-    off = (
-        told.largest_difference(stated.lens)
-        if told.distorts
-        else Lens(told.intrinsics).largest_difference(Lens(stated.intrinsics))
-    )
+    off = Lens(told.intrinsics).largest_difference(Lens(stated.intrinsics))
     if off > OTHER_LENS * told.intrinsics.width:
-        what = "the record in camera.intrinsics" if stated.measured else "camera.fx and the others"
         raise NotReadyError(
-            f"{what} shift pixels by up to {off:.0f} px from the camera's own intrinsics "
-            f"({_text(told.intrinsics)}). They belong to another camera or mode. Measure again by `toolee calibrate "
-            "intrinsics --station`",
+            f"camera.fx and the others shift pixels by up to {off:.0f} px from the camera's own intrinsics "
+            f"({_text(told.intrinsics)}). They belong to another camera or mode",
             code="not_ready.camera_distortion",
         )
 
