@@ -126,16 +126,6 @@ def test_the_handover_leaves_room_for_a_tool_of_which_nothing_is_known() -> None
     assert held.closest(way.q[-1], 0.1).distance > 0.0
 
 
-@pytest.mark.sim
-@pytest.mark.parametrize("variant", ["normal_only", "position_only", "mask_centroid"])
-def test_what_believes_where_the_face_nominally_is_is_refused(
-    variant: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    options = ["--config", str(LAB.with_name("unknown_hammer.yaml")), "--variant", variant, "--out", str(tmp_path)]
-    assert run(["sim", "hammer", *options]) == 2
-    assert "tool.face_normal" in " ".join(capsys.readouterr().err.split())
-
-
 CEILING = (0.0, 0.0, -1.0)
 Q = np.array(sim_station().scene.home)
 _angles = st.tuples(st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi))

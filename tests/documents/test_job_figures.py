@@ -23,11 +23,6 @@ README, PAGE = (ROOT / "README.md").read_text(), (ROOT / "docs" / "results" / "j
 ARMS = {
     "whole system": Variant.FULL,
     "true poses instead of estimates": Variant.PERFECT_PERCEPTION,
-    "one view instead of six": Variant.ONE_VIEW,
-    "ICP on the exact shape instead of the pose network": Variant.ICP,
-    "mask centroid, expected direction": Variant.MASK_CENTROID,
-    "estimated position, expected direction": Variant.POSITION_ONLY,
-    "estimated direction, expected position": Variant.NORMAL_ONLY,
     "no correction": Variant.NO_CORRECTION,
 }
 """How the table of variants calls each."""
@@ -118,11 +113,10 @@ def test_the_table_of_two_hundred_hammers_is_of_their_records(row: str) -> None:
 
 
 NEW = "The strike of this version"
-TABLES = [("What each part is worth", "paired_trials", row) for row in ARMS] + [
+TABLES = [
     (heading, plan, row)
     for heading, plan in (("Two hundred distinct hammers", "distinct_hammers"), (NEW, "one_strike"))
-    for row, arm in ARMS.items()
-    if arm in (Variant.FULL, Variant.PERFECT_PERCEPTION, Variant.NO_CORRECTION)
+    for row in ARMS
 ]
 """Tables of arms: heading, plan, row."""
 

@@ -284,7 +284,6 @@ def test_nails_and_woods_of_the_plan_are_told_to_person_and_job(tmp_path: Path) 
     ("change", "what"),
     [
         ({"arms": (Variant.FULL, Variant.PERFECT_PERCEPTION)}, "only a simulation knows"),
-        ({"arms": (Variant.ICP,)}, "nobody has measured"),
         ({"errors": "exact"}, "for simulations only"),
         ({"errors": {"ruler": 0.001}}, "for simulations only"),
         ({"where": InSimulation(), "attended": True}, "no station file"),
@@ -336,7 +335,7 @@ def test_intervals_are_wilsons(hits: int, of: int, low: float, high: float) -> N
 
 def test_pairs_are_compared_by_the_exact_test() -> None:
     """Ten pairs differ, one of them for the better: 2 (1 + 10) / 2^10."""
-    found = compare(records("x" + "." * 9 + "xx", Variant.ONE_VIEW), records("." + "x" * 9 + "xx"))
+    found = compare(records("x" + "." * 9 + "xx", Variant.NO_CORRECTION), records("." + "x" * 9 + "xx"))
     assert (found.pairs, found.better, found.worse) == (12, 1, 9)
     assert found.p == pytest.approx(22 / 1024)
     assert compare(records("xx"), records("xx")).p == 1.0

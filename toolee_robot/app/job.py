@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from toolee_robot.app.figures import Ran, job_figures, job_summary
-from toolee_robot.app.perceivers import job_networks, job_perceiver
+from toolee_robot.app.perceivers import job_networks, true_poses
 from toolee_robot.app.sources import JobObserver, Opened, Source
 from toolee_robot.app.variant import Variant
 from toolee_robot.end_effectors import Category
@@ -204,10 +204,10 @@ def _run(
         observer.opened(opened.words, spec.mode, recorder)
         if opened.shape is not None:
             recorder.attach("tool.glb", "model/gltf-binary", tool_model(opened.shape))
-        perceiver, config = job_perceiver(spec.variant, networks, opened)
+        perceiver = true_poses(opened) if networks is None else networks
         keeper = RecordingObserver(recorder, opened.station, opened.config)
         task = HammeringTask(
-            opened.station, perceiver if spec.variant.corrects else None, config, opened.grasp,
+            opened.station, perceiver if spec.variant.corrects else None, opened.config, opened.grasp,
             observer=Observers(observer, keeper, collector), nails=spec.nails or source.config.work.names,
         )  # fmt: skip
         if machine is not None:

@@ -14,16 +14,6 @@ class Variant(StrEnum):
     """It strikes with the nominal pose of the tool in the hand."""
     PERFECT_PERCEPTION = "perfect_perception"
     """It gets the tool's true pose instead of the camera's."""
-    POSITION_ONLY = "position_only"
-    """It believes the estimated place of the face, and its nominal direction."""
-    NORMAL_ONLY = "normal_only"
-    """It believes the estimated direction of the face, and its nominal place."""
-    ONE_VIEW = "one_view"
-    """It looks once where the whole system looks from several views."""
-    MASK_CENTROID = "mask_centroid"
-    """It takes the mask's centroid for the face's place, and its nominal direction."""
-    ICP = "icp"
-    """It registers the tool's own shape, which it is told, to the cloud (iterative closest point)."""
     PAPER = "paper"
     """It estimates poses by the paper's estimator."""
 
@@ -46,6 +36,5 @@ class Variant(StrEnum):
 
 SIMULATED_ONLY = {
     Variant.PERFECT_PERCEPTION: "it gets the tool's true pose, which only a simulation knows",
-    Variant.ICP: "it gets the tool's own shape, which nobody has measured",
 }
 """Variants that a robot cannot have, and why."""

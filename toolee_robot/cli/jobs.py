@@ -42,10 +42,8 @@ if TYPE_CHECKING:
 EXIT_FAILED = 1
 PAGE_PORT = 8080
 """Port of the page of a running job; the next free one where it is in use."""
-OnRobot = Literal[
-    "full", "no_correction", "position_only", "normal_only", "one_view", "mask_centroid", "paper"
-]  # fmt: skip
-InSimulation = OnRobot | Literal["perfect_perception", "icp"]
+OnRobot = Literal["full", "no_correction", "paper"]
+InSimulation = OnRobot | Literal["perfect_perception"]
 VARIANT = tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: full)")
 SEED = tyro.conf.arg(metavar="N", help_behavior_hint="(default: 0)")
 
@@ -68,7 +66,7 @@ class JobOptions(JsonOption):
     """Where the networks run: cpu or cuda."""
     variant: Annotated[InSimulation, VARIANT] = "full"
     """A baseline instead of the whole system (docs/how-to/run_trials.md): no_correction, perfect_perception,
-    position_only, normal_only, one_view, mask_centroid, icp, paper.
+    paper.
     """
     paper_weights: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """For --variant paper: the folder of a training of the paper's estimator (docs/how-to/run_trials.md)."""
