@@ -223,7 +223,7 @@ def realsense(monkeypatch: pytest.MonkeyPatch) -> SoftwareRealSense:
 @pytest.mark.usefixtures("realsense")
 def test_another_serial_number_of_the_camera_is_told_with_those_there_are(tmp_path: Path, said: Say) -> None:
     device = {"driver": "realsense", "serial": "832112070999", "least_range": 0.28}
-    command = ["camera", "doctor", "--config", lab(tmp_path, camera={"device": device})]
+    command = ["camera", "show", "--config", lab(tmp_path, camera={"device": device})]
     assert run(command) == EXIT_FAILED
     told = said()
     assert f"no RealSense with serial number 832112070999 is connected (there are: {SERIAL})" in told
@@ -246,7 +246,7 @@ def in_millimetres(tmp_path: Path) -> Path:
 
 @pytest.mark.realtime(light=True)
 def test_a_camera_whose_depth_is_in_millimetres_is_told(in_millimetres: Path, said: Say) -> None:
-    assert run(["camera", "doctor", "--recording", str(in_millimetres), "--no-tool"]) == EXIT_FAILED
+    assert run(["camera", "show", "--recording", str(in_millimetres)]) == EXIT_FAILED
     told = said()
     assert "with 0.1 m to a step, which looks like millimetres taken for metres" in told
     assert "correct the step's length, `depth_scale`" in told

@@ -19,7 +19,7 @@ from toolee_robot.doctor.configuration import (
     check_reach,
     check_sides,
 )
-from toolee_robot.doctor.devices import check_camera, check_hand, check_lens, check_range
+from toolee_robot.doctor.devices import check_camera, check_exposure, check_hand, check_lens, check_range
 from toolee_robot.doctor.frames import check_base
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time, check_weights, examine_robot
 from toolee_robot.errors import ConfigError, DeviceError, UserError
@@ -142,6 +142,7 @@ class DoctorReport:
             with self.doing("asking the camera"), open_camera(self.config.camera, clock) as camera:
                 self._camera_serial = camera.profile.serial
                 yield from check_camera(camera, clock, self.config)
+                yield from check_exposure(camera.read(), camera.profile.auto_exposure)
                 yield check_lens(camera)
         except (UserError, DeviceError) as error:
             yield Finding.of_error("camera", error, "fix it, then check again")

@@ -32,7 +32,7 @@ GROUPS: dict[str, tuple[str, str]] = {
     "doctor": ("doctor", "Check a station before any motion: robot, devices, computer"),
     "arm": ("arm", "Move a UR arm slowly, for its bring-up"),
     "hand": ("hand", "Read, open or close the hand of a station"),
-    "camera": ("camera", "Find, show, record and check an RGB-D camera"),
+    "camera": ("camera", "Find, show and record an RGB-D camera"),
     "calibrate": ("calibrate", "Measure where camera, tool tip and nail are"),
     "trials": ("trials", "Run the jobs of a plan, and write their report"),
     "replay": ("replay", "Show a recorded run"),

@@ -1,4 +1,4 @@
-"""Find, show, record and check an RGB-D camera.
+"""Find, show and record an RGB-D camera.
 
 Example: toolee camera list
 """
@@ -6,7 +6,7 @@ Example: toolee camera list
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,20 +15,14 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from toolee_robot.cli.doctor import findings_table
-from toolee_robot.cli.output import Flag, JsonOption
+from toolee_robot.cli.output import JsonOption
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.findings import Finding, Level, warn, worst
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from toolee_robot.devices.cameras import CameraProfile, StreamedCamera
     from toolee_robot.devices.cameras.lens_choice import ChosenLens
     from toolee_robot.hal import Clock
     from toolee_robot.station import CameraConfig
-    from toolee_robot.types import RgbdFrame
 
 _UNKNOWN_RANGE = 1e-3
 """Stands in for the least range of a camera that no station file describes, where nothing asks for it [m]."""
@@ -250,62 +244,7 @@ class Record(CameraOptions):
         return 0
 
 
-@dataclass(frozen=True)
-class CheckCamera(CameraOptions):
-    """Check a camera alone.
-
-    Example: toolee camera doctor --config lab.yaml
-
-    It checks rate, clock, exposure, lens, least range, and missing depth on a tool held in front of the camera. Exit
-    code 0: as it should be, or warnings only; 1: a fault must be repaired first; 2: invalid input.
-    """
-
-    seconds: float = 3.0
-    """How long to listen to it."""
-    no_tool: Flag = False
-    """Do not look for a tool, so the networks are not loaded."""
-
-    def run(self) -> int:
-        from toolee_robot.doctor.devices import (
-            check_exposure,
-            check_holes,
-            check_lens,
-            check_range,
-            check_stream,
-            sample_stream,
-        )
-        from toolee_robot.runtime.clock import HostClock
-        from toolee_robot.station import load_station
-
-        if not 0.0 < self.seconds < inf:
-            raise UserError(f"--seconds {self.seconds:g}: give a time above 0")
-        console = self.console
-        config, clock = self.camera(), HostClock()
-        with console.status("listening to the camera"), self.open(clock) as camera:
-            sample = sample_stream(camera, clock, self.seconds)
-            findings = [
-                *check_stream(sample, camera),
-                *check_exposure(sample.frames[-5:], camera.profile.auto_exposure),
-                check_lens(camera),
-            ]
-            if self.config is not None and not camera.intrinsics.agrees(config.intrinsics):
-                findings.append(
-                    Finding(Level.FAIL, "intrinsics", "not the station file's", "`toolee camera show` prints them")
-                )
-        if not self.no_tool:
-            with console.status("looking for a tool"):
-                findings.append(check_holes(sample.frames[-1], _tool(sample.frames[-1])))
-        if self.config is not None:
-            findings.append(check_range(load_station(self.config)))
-        else:
-            findings.append(warn("range", "not compared with the views", "give --config, with camera.device"))
-        console.print(findings_table(findings))
-        level = worst(findings)
-        self.tell({"worst": level, "findings": [asdict(f) for f in findings]})
-        return int(level is Level.FAIL)
-
-
-COMMANDS = {"camera": {"list": ListCameras, "show": Show, "record": Record, "doctor": CheckCamera}}
+COMMANDS = {"camera": {"list": ListCameras, "show": Show, "record": Record}}
 
 
 def _registered(profile: CameraProfile, chosen: ChosenLens) -> str:
@@ -342,14 +281,3 @@ def _lens_lines(config: CameraConfig, chosen: ChosenLens) -> list[str]:
     elif not chosen.lens.known:
         lines.append("  distortion:          # k1, k2, p1, p2 by OpenCV or ROS; [0, 0, 0, 0] for undistorted images")
     return lines
-
-
-def _tool(frame: RgbdFrame) -> NDArray[np.bool_] | None:
-    """Pixels of the tool that is seen best; None without one."""
-    from toolee_robot.perception.pipeline import ToolPerception
-
-    estimates = ToolPerception.load().estimate(frame)
-    best = max(estimates, key=lambda e: e.detection.score, default=None)
-    if best is None:
-        return None
-    return best.detection.mask if best.detection.tool_mask is None else best.detection.tool_mask

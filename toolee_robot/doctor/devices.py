@@ -1,12 +1,10 @@
-"""Checks of hand and camera through the hardware abstraction, and of a camera alone; nothing is moved."""
+"""Checks of hand and camera; nothing is moved."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from toolee_robot.control import RobotModel
 from toolee_robot.control.planning.views import DISTANCE
@@ -105,96 +103,22 @@ BRIGHT, DARK = 250, 5
 OVEREXPOSED, UNDEREXPOSED = 0.05, 0.30
 """Shares of such pixels above which the exposure is warned of. Assumed: a lamp in the picture is under the first, dark
 surroundings under the second."""
-HOLES, TOO_MANY_HOLES = 0.3, 0.6
-"""Shares of the tool without depth that are warned of, and that are too many. Assumed: the networks were trained on
-tools that lack less than half."""
-RATE = 0.8
-"""Share of the stated rate below which frames are lost."""
 HEAD = 0.10
 """Length of a tool's head that may be nearer to the camera than its face [m]; the views are of the face."""
 
 
-@dataclass(frozen=True)
-class StreamSample:
-    """What a camera gave over some time."""
-
-    frames: tuple[RgbdFrame, ...]
-    """The frames, in their order."""
-    ages: tuple[float, ...]
-    """Age of each when it was there [s]."""
-
-    @property
-    def rate(self) -> float:
-        """Frames per second."""
-        stamps = [frame.stamp for frame in self.frames]
-        return (len(stamps) - 1) / (stamps[-1] - stamps[0]) if len(stamps) > 1 else 0.0
-
-
-def sample_stream(camera: StreamedCamera, clock: Clock, duration: float) -> StreamSample:
-    """Take every frame that a camera gives for some time.
-
-    Args:
-        camera: The camera, open.
-        clock: The station's clock.
-        duration: How long [s].
-
-    Returns:
-        The frames.
-
-    Raises:
-        StaleDataError: It gives none.
-        DeviceError: It fails.
-    """
-    begin = clock.now()
-    frames, ages, stamp = [], [], -np.inf
-    while clock.now() < begin + duration:
-        frame = camera.newer(stamp)
-        stamp = frame.stamp
-        frames.append(frame)
-        ages.append(clock.now() - stamp)
-    return StreamSample(tuple(frames), tuple(ages))
-
-
-def check_stream(sample: StreamSample, camera: StreamedCamera) -> Iterator[Finding]:
-    """Check rate and age of the frames, and whether any was refused.
-
-    Args:
-        sample: What the camera gave.
-        camera: The camera.
-
-    Yields:
-        The findings.
-    """
-    wanted = camera.profile.fps
-    message = f"{sample.rate:.1f} of {wanted:g} frames a second"
-    if sample.rate < RATE * wanted:
-        yield warn("rate", message, "reduce the load on this computer, and plug the camera into its own USB 3 port")
-    else:
-        yield ok("rate", message)
-    spread = float(np.quantile(sample.ages, 0.95) - min(sample.ages))
-    message = f"frames are {np.median(sample.ages) * 1e3:.0f} ms old, 95 % within {spread * 1e3:.0f} ms of the least"
-    yield ok("clock", message) if spread < 0.1 else warn("clock", message, "check the load on this computer")
-    refused = {reason: count for reason, count in camera.refused.items() if reason.name != "WARMING_UP"}
-    if refused:
-        told = ", ".join(f"{reason} ({count} times)" for reason, count in refused.items())
-        yield warn("gate", told, "watch whether it grows; change the cable, then the port")
-    else:
-        yield ok("gate", "every pair of images was a new frame")
-
-
-def check_exposure(frames: Sequence[RgbdFrame], automatic: bool | None) -> Iterator[Finding]:
+def check_exposure(frame: RgbdFrame, automatic: bool | None) -> Iterator[Finding]:
     """Check the exposure of a camera's colour images.
 
     Args:
-        frames: Frames of one scene.
+        frame: A frame.
         automatic: Whether the camera chooses the exposure; None if unknown.
 
     Yields:
         The findings.
     """
-    brightest = [float(np.mean(frame.rgb.max(axis=2) >= BRIGHT)) for frame in frames]
-    darkest = [float(np.mean(frame.rgb.max(axis=2) <= DARK)) for frame in frames]
-    over, under = float(np.mean(brightest)), float(np.mean(darkest))
+    brightest = frame.rgb.max(axis=2)
+    over, under = float(np.mean(brightest >= BRIGHT)), float(np.mean(brightest <= DARK))
     message = f"{over:.1%} overexposed, {under:.1%} underexposed"
     if over > OVEREXPOSED:
         yield warn("exposure", message, "lower camera.device.exposure, or turn the lamp away")
@@ -226,32 +150,6 @@ def check_lens(camera: StreamedCamera) -> Finding:
     if not chosen.lens.known:
         return warn("lens", chosen.words, UNKNOWN_LENS)
     return ok("lens", chosen.words)
-
-
-def check_holes(frame: RgbdFrame, tool: NDArray[np.bool_] | None) -> Finding:
-    """Check how much of the tool has a depth.
-
-    Args:
-        frame: A frame with a tool before the camera.
-        tool: Pixels of the tool, (H, W); None if none was found.
-
-    Returns:
-        The finding.
-    """
-    known = np.isfinite(frame.depth) & (frame.depth > 0)
-    everywhere = f"{1 - known.mean():.0%} of the image"
-    if tool is None or not tool.any():
-        return warn("holes", f"{everywhere} without depth; no tool was seen", "hold a tool in front of the camera")
-    holes = float(np.mean(~known[tool]))
-    message = f"{holes:.0%} of the tool and {everywhere} without depth"
-    near, far = DISTANCE
-    remedy = (
-        f"hold it {near:.2f} to {far:.2f} m away, as in a job's views: nothing nearer than "
-        "camera.device.least_range has depth. Then use matt spray or tape on chrome, and less direct light"
-    )
-    if holes > TOO_MANY_HOLES:
-        return fail("holes", message, remedy)
-    return warn("holes", message, remedy) if holes > HOLES else ok("holes", message)
 
 
 def check_range(config: StationConfig) -> Finding:
