@@ -37,7 +37,7 @@ from toolee_robot.sim_backend.cell_errors import NOMINAL
 from toolee_robot.station import StationConfig, load_lab_station, load_station
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
-from toolee_robot.stations.rehearsal.emulated_lab import claimed_address, late_because
+from toolee_robot.stations.rehearsal.emulated_lab import claimed_address
 from toolee_robot.types import HandWeight
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -123,7 +123,7 @@ def test_what_comes_late_in_a_rehearsal_is_put_down_to_this_machine(config: Stat
         raise error
     told = str(caught.value)
     assert caught.value is error, "with its report"
-    assert told.startswith("data came late, because this machine is busy")
+    assert told.startswith("data came late, because this machine is busy, or too slow")
     assert "Close other programs, or give a --real-time-factor under 0.5" in told
     assert told.endswith(what)
 
@@ -141,14 +141,6 @@ def test_rehearsals_that_begin_together_have_an_address_each() -> None:
         assert first != second
     with claimed_address() as again:
         assert again == first, "free again"
-
-
-def test_how_busy_the_machine_is_is_told() -> None:
-    assert "other programs took 83% of its cores" in late_because(0.83, 1.0)
-    alone = late_because(0.01, 1.0)
-    assert "this machine alone is too slow" in alone
-    assert "other programs" not in alone
-    assert "took" not in late_because(None, 0.5), "where nothing is known"
 
 
 def test_the_rehearsed_cell_is_off_by_what_a_person_measures(config: StationConfig) -> None:

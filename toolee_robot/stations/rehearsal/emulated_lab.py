@@ -34,7 +34,7 @@ from toolee_robot.hal import Station
 from toolee_robot.robots import MOUNT
 from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.runtime.latency_monitor import CpuKeepalive, load_of_others
+from toolee_robot.runtime.latency_monitor import CpuKeepalive
 from toolee_robot.sim_backend.cell_errors import NOMINAL, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.devices.software_realsense import Pictures
 from toolee_robot.sim_backend.hands import emulated_hand, find_emulator
@@ -48,8 +48,6 @@ from toolee_robot.stations.rehearsal.camera import SeenScene, emulated_stream
 from toolee_robot.stations.rehearsal.person import FingerCoupling, RehearsedPerson
 from toolee_robot.tools import Tool
 
-NOTHING_ELSE = 0.05
-"""Share of the cores' time that other programs take on a machine that does nothing else."""
 _LATE = (
     "device.timeout", "motion_fault.task_stalled", "no_answer.hand_silent", "no_answer.hand_write",
     "no_answer.timeout", "not_ready.timing", "person_near.switch_not_taken",
@@ -169,7 +167,7 @@ class EmulatedLab:
 
     @contextmanager
     def blaming_the_machine(self) -> Iterator[None]:
-        """Context in which late data and commands are said to be late because this machine is busy, with its load.
+        """Context in which late data and commands are said to be late because this machine is busy or slow.
 
         Every device is emulated here, so that nothing else delays them.
 
@@ -194,7 +192,10 @@ class EmulatedLab:
         """
         unsure = isinstance(error, PersonNearError) and UNSURE in str(error)
         if unsure or isinstance(error, StaleDataError | OverrunError) or error.code in _LATE:
-            return late_because(load_of_others(), self._clock.real_time_factor)
+            return (
+                "data came late, because this machine is busy, or too slow for this rehearsal. Close other programs, "
+                f"or give a --real-time-factor under {self._clock.real_time_factor:g}"
+            )
         return ""
 
     def _set_up_robot(self, world: RemoteWorld) -> None:
@@ -214,23 +215,6 @@ class EmulatedLab:
         emulator = stack.enter_context(emulated_hand(hand, self._cell.seed, self._clock.real_time_factor))
         stack.enter_context(FingerCoupling(world, emulator, model.hand_open, model.hand.opposing.name))
         return replace(hand, port=emulator.port)
-
-
-def late_because(others: float | None, factor: float) -> str:
-    """Say why data come late where every device is emulated, and what to do.
-
-    Args:
-        others: Share of this machine's cores that other programs take, 0 to 1; None where unknown.
-        factor: Rate of the station's time relative to wall-clock time.
-
-    Returns:
-        The words, without a full stop.
-    """
-    less = f"give a --real-time-factor under {factor:g}"
-    if others is not None and others < NOTHING_ELSE:
-        return f"data came late, because this machine alone is too slow for this rehearsal: {less}"
-    took = "" if others is None else f": other programs took {others:.0%} of its cores in the last seconds"
-    return f"data came late, because this machine is busy{took}. Close other programs, or {less}"
 
 
 @contextmanager
