@@ -31,7 +31,8 @@ from toolee_robot.cli.app import run
 frame = RgbdFrame(np.zeros((424, 512, 3), np.uint8), np.full((424, 512), 0.7, np.float32),
                   CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424))
 print(len(ToolPerception.load().estimate(frame)), run(["estimate", "--bop", "/nonexistent"]))
-for command in ("sim hammer --out nowhere", "doctor", "replay nowhere", "dataset validate nowhere"):
+generate = "dataset generate --config hard --size 1 --out nowhere"
+for command in ("sim hammer --out nowhere", "doctor", "replay nowhere", generate):
     print(run(command.split()), file=sys.stderr)
 """
 

@@ -38,7 +38,7 @@ GROUPS: dict[str, tuple[str, str]] = {
     "replay": ("replay", "Show a recorded run"),
     "estimate": ("estimate", "Find tools and their poses in your own RGB-D files"),
     "annotate": ("estimate", "Click the tools in your own frames, to test on them"),
-    "dataset": ("dataset", "Make a synthetic data set, look at it, check it"),
+    "dataset": ("dataset", "Make a synthetic data set"),
     "train": ("train", "Train the perception's networks"),
     "evaluate": ("evaluate", "Measure the perception on a data set"),
     "devices": ("doctor", "List the drivers that a station file may name"),

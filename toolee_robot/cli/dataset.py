@@ -1,4 +1,4 @@
-"""Make a synthetic data set, look at it, check it.
+"""Make a synthetic data set.
 
 Example: toolee dataset generate --config hard --size 1000 --out data/hard
 """
@@ -9,7 +9,6 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -141,66 +140,4 @@ class Generate(JsonOption):
         return 0
 
 
-@dataclass(frozen=True)
-class Inspect(JsonOption):
-    """Draw a montage of a data set with its labels.
-
-    Example: toolee dataset inspect data/hard --out pictures
-    """
-
-    folder: _Folder
-    """A data set made by `toolee dataset generate`."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: DIR-inspection)")] = None
-    """Where montage_train.png and montage_test.png go."""
-    count: Annotated[int, tyro.conf.arg(metavar="N")] = 12
-    """Images of each split in the montage."""
-
-    def run(self) -> int:
-        if self.count < 1:
-            raise UserError("--count must be 1 or more")
-        from toolee_robot.perception.offline.dataset.figures import inspect
-
-        out = self.folder.with_name(f"{self.folder.resolve().name}-inspection") if self.out is None else self.out
-        console = self.console
-        with console.status("drawing"):
-            pictures = inspect(self.folder, out, self.count)
-        console.print(f"pictures in {escape(str(out))}", soft_wrap=True)
-        self.tell({"out": str(out), "pictures": [picture.name for picture in pictures]})
-        return 0
-
-
-@dataclass(frozen=True)
-class Validate(JsonOption):
-    """Compare every file of a data set with its checksum.
-
-    It finds files that are broken, missing, changed or not part of the data set.
-
-    Example: toolee dataset validate data/hard
-
-    Exit code 0: sound; 1: it is not, and each faulty file is named.
-    """
-
-    folder: _Folder
-    """A data set made by `toolee dataset generate`."""
-
-    def run(self) -> int:
-        from toolee_robot.perception.offline.dataset.validate import validate
-
-        console = self.console
-        with progress_bars(console) as report:
-            faults = validate(self.folder, partial(report, "checking"))
-        for fault in faults:
-            console.print(f"[red]{escape(fault.file)}[/red]: {escape(fault.problem)}", soft_wrap=True)
-        verdict = f"[bold red]{len(faults)} faults[/bold red]" if faults else "[green]sound[/green]"
-        console.print(f"{escape(str(self.folder))}: {verdict}", soft_wrap=True)
-        self.tell({"sound": not faults, "faults": [asdict(fault) for fault in faults]})
-        return 1 if faults else 0
-
-
-COMMANDS = {
-    "dataset": {
-        "generate": Generate,
-        "inspect": Inspect,
-        "validate": Validate,
-    }
-}
+COMMANDS = {"dataset": {"generate": Generate}}

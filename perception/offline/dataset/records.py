@@ -30,28 +30,6 @@ def write_sums(folder: Path, sums: dict[str, str]) -> None:
     write_atomic(folder / SUMS, text.encode())
 
 
-def read_sums(folder: Path) -> dict[str, str]:
-    """Read the SHA256SUMS of a folder.
-
-    Args:
-        folder: The folder.
-
-    Returns:
-        Path in the folder -> SHA-256, hexadecimal.
-
-    Raises:
-        AssetError: The file is missing, unreadable, or not a list of checksums.
-    """
-    try:
-        lines = (folder / SUMS).read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise AssetError(f"cannot read {folder / SUMS}: {words_of(error)}") from error
-    sums = {line[66:]: line[:64] for line in lines if len(line) > 66 and line[64:66] == "  "}
-    if len(sums) != len(lines) or not sums:
-        raise AssetError(f"{folder / SUMS} is not a list of checksums")
-    return sums
-
-
 def json_by_line(entries: dict[str, Any]) -> bytes:
     """A JSON object with one entry per line, for readable files and diffs."""
     lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]

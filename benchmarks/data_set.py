@@ -1,7 +1,12 @@
-"""Pictures of a data set: a montage with its labels."""
+"""Pictures of a data set: montages with its labels, montage_train.png and montage_test.png.
+
+python -m benchmarks.data_set DIR [--out PICTURES] [--count 12]
+"""
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +15,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from toolee_robot.end_effectors import CATEGORIES
-from toolee_robot.errors import UserError
-from toolee_robot.perception.offline.dataset.index_files import is_finished
 from toolee_robot.perception.offline.dataset.records import EeTable, FloatArray
 from toolee_robot.perception.offline.dataset.scenes import load_scenes, scene_folders
-from toolee_robot.perception.offline.dataset.spec import SPLITS, DatasetSpec
+from toolee_robot.perception.offline.dataset.spec import SPLITS
 from toolee_robot.types import CameraIntrinsics
 
 _AXIS = 0.04
@@ -126,28 +129,19 @@ def montage(split: Path, count: int, columns: int = 4) -> Image.Image:
     return picture.resize((picture.width * 3 // 5, picture.height * 3 // 5), Image.Resampling.LANCZOS)
 
 
-def inspect(root: Path, out: Path, count: int) -> list[Path]:
-    """Draw a data set into a folder: montage_train.png and montage_test.png.
-
-    Args:
-        root: Folder of the data set.
-        out: Folder of the pictures.
-        count: Images of each split in the montage.
-
-    Returns:
-        The pictures.
-
-    Raises:
-        UserError: There is no data set, or it is not finished.
-        AssetError: A file is missing or damaged.
-    """
-    DatasetSpec.read(root)
-    if not is_finished(root):
-        raise UserError(f"{root} is not finished: run its `toolee dataset generate` again")
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Draw the first images of each split of a data set into a folder."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.data_set", description="Draw a data set's labels.")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--out", type=Path, help="folder of the pictures (default: DIR-inspection)")
+    parser.add_argument("--count", type=int, default=12, help="images of each split")
+    asked = parser.parse_args(arguments)
+    out = asked.out or asked.folder.with_name(f"{asked.folder.resolve().name}-inspection")
     out.mkdir(parents=True, exist_ok=True)
-    pictures = []
     for split in SPLITS:
-        if scene_folders(root / split):
-            pictures.append(out / f"montage_{split}.png")
-            montage(root / split, count).save(pictures[-1])
-    return pictures
+        if scene_folders(asked.folder / split):
+            montage(asked.folder / split, max(asked.count, 1)).save(out / f"montage_{split}.png")
+
+
+if __name__ == "__main__":
+    main()
