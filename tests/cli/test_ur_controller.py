@@ -8,6 +8,11 @@ import sys
 
 import pytest
 
+from tests.errors import raises
+from toolee_robot.errors import UserError
+from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
+from toolee_robot.sim_backend.ur_controller.process import resting_joints
+
 pytestmark = pytest.mark.sim
 
 COMMAND = [sys.executable, "-c", "from toolee_robot.cli import main; main()", "emulate", "ur"]
@@ -34,7 +39,6 @@ def test_says_what_listens_where_and_ends_cleanly_with_ctrl_c() -> None:
     ("arguments", "message"),
     [
         (["--host", "10.0.0.1"], "not a loopback address"),
-        (["--speed-slider", "2"], "between 0 and 1"),
         (["--real-time-factor", "2"], "0.05 to 1"),
     ],
 )
@@ -43,3 +47,8 @@ def test_says_what_to_change(arguments: list[str], message: str, capsys: pytest.
 
     assert run(["emulate", "ur", *arguments]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_speed_slider_has_two_ends() -> None:
+    with raises(UserError, says="between 0 and 1"):
+        Controller(ControllerOptions(speed_slider=2.0), resting_joints)

@@ -20,7 +20,6 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.cli.output import Flag
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 
@@ -140,14 +139,6 @@ class EmulateUr:
     """A loopback address; every robot on this machine needs its own (127.0.0.2, 127.0.0.3, ...)."""
     fault_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 30020
     """Port for fault injection: one JSON object per line."""
-    speed_slider: Annotated[float, tyro.conf.arg(metavar="0..1")] = 1.0
-    """Position of the speed slider."""
-    local: Flag = False
-    """Local control instead of remote control (e-Series)."""
-    safeguard_resumes: Flag = False
-    """Closing the safeguard resumes the program that it paused, as on a CB3 without a safeguard reset input."""
-    off: Flag = False
-    """Start with the arm switched off: clients must power it on and release the brakes."""
     profile: Annotated[ProfileName, tyro.conf.arg(metavar="ideal|harsh")] = "ideal"
     """How the controller follows, measures and stops. ideal: without errors; harsh: with noise, lag and stops like a
     real one's.
@@ -171,10 +162,6 @@ class EmulateUr:
             model=self.model,
             host=self.host,
             fault_port=self.fault_port,
-            speed_slider=self.speed_slider,
-            remote=not self.local,
-            safeguard_resumes=self.safeguard_resumes or None,
-            powered=not self.off,
             profile=self.profile,
             seed=self.seed,
             real_time_factor=self.real_time_factor,
