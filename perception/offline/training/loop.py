@@ -118,7 +118,6 @@ class TrainingRun(ABC):
         name: Name of the weights.
         checkpoint: File name of the checkpoint in the output folder.
         log_name: File name of the log there, one JSON object per line.
-        tag: Prefix of the curves.
         log_seconds: Least time between entries of the log [s].
         averages_buffers: Whether running statistics are averaged as the weights are; otherwise the newest are taken.
         start: Weights that the training started from; empty: none that count.
@@ -128,7 +127,6 @@ class TrainingRun(ABC):
     name: str
     checkpoint: str = "checkpoint.pt"
     log_name: str = "log.jsonl"
-    tag: str = "train"
     log_seconds: float = 0.0
     averages_buffers: bool = True
     start_share: float = 0.0
@@ -147,7 +145,6 @@ class TrainingRun(ABC):
         self.optimizer = self.make_optimizer()
         self.step, self.elapsed = 0, 0.0
         self.log: list[dict[str, Any]] = []
-        self.scalars = Scalars(out)
         self.checkpoint_path = out / self.checkpoint
         self.resumed = self.checkpoint_path.is_file()
         out.mkdir(parents=True, exist_ok=True)
@@ -239,7 +236,7 @@ class TrainingRun(ABC):
         self._checkpoint()
 
     def record(self, values: dict[str, Any]) -> None:
-        """Write an entry to the terminal, the log and the curves.
+        """Write an entry to the terminal and the log.
 
         Args:
             values: The entry; one without an "event" is also kept in memory.
@@ -254,7 +251,6 @@ class TrainingRun(ABC):
                 print(f"  {label_of(key)}: {json.dumps(table.get('average', table))}", flush=True)
         with (self.out / self.log_name).open("a") as file:
             file.write(json.dumps(entry) + "\n")
-        self.scalars.add(self.step, values, self.tag)
         if "event" not in values:
             self.log.append(entry)
 
@@ -333,46 +329,3 @@ class TrainingRun(ABC):
 def _rounded(values: dict[str, Any]) -> dict[str, Any]:
     """Values rounded to five significant digits for the log."""
     return {k: float(f"{v:.5g}") if isinstance(v, float) else v for k, v in values.items()}
-
-
-FOLDER = "tensorboard"
-
-
-class Scalars:
-    """Writer of TensorBoard curves in out/tensorboard; without the extra nothing is written.
-
-    Args:
-        out: Folder of the training.
-    """
-
-    def __init__(self, out: Path) -> None:
-        self._out = out
-        self._writer: Any = None
-        self._tried = False
-
-    def add(self, step: int, values: Mapping[str, Any], under: str = "train") -> None:
-        """Write numbers at a step; those of nested mappings under their key.
-
-        Args:
-            step: Step of the training.
-            values: Names and values; values that are not numbers are skipped.
-            under: Prefix of the curves.
-        """
-        if not self._tried:
-            self._tried = True
-            try:
-                from torch.utils.tensorboard.writer import SummaryWriter
-            except ImportError:
-                return
-            self._writer = SummaryWriter(str(self._out / FOLDER))
-        if self._writer is None:
-            return
-        self._add(step, values, under)
-        self._writer.flush()
-
-    def _add(self, step: int, values: Mapping[str, Any], under: str) -> None:
-        for name, value in values.items():
-            if isinstance(value, Mapping):
-                self._add(step, value, f"{under}/{name}")
-            elif isinstance(value, int | float) and not isinstance(value, bool):
-                self._writer.add_scalar(f"{under}/{name}", value, step)

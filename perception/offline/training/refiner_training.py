@@ -393,7 +393,7 @@ def train(config: RefinementTraining) -> Path:
 
 class _Run(ImageTrainingRun):
     config: RefinementTraining
-    name = tag = WEIGHTS_NAME
+    name = WEIGHTS_NAME
     checkpoint, log_name = CHECKPOINT, "refinement_log.jsonl"
 
     def __init__(self, config: RefinementTraining, distributed: Distributed, stream: SceneStream) -> None:
