@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -86,11 +84,6 @@ class Board:
     def charuco(self) -> Any:
         """OpenCV's `CharucoBoard`."""
         return _charuco(self)
-
-    @property
-    def fingerprint(self) -> str:
-        """SHA-256 over the specification with the measured square, hexadecimal."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
     def measured(self, along: float, across: float) -> Board:
         """Apply the true scale of a print.

@@ -27,7 +27,7 @@ class _Training(JsonOption):
     """Options of every training."""
 
     out: OutDir
-    """Checkpoint, weights with their configuration, and log.jsonl."""
+    """Checkpoint, weights with their configuration, log."""
     config: File = None
     """YAML or JSON of further options, such as batch, lr and checkpoint_minutes; the command line's win."""
     minutes: Number = None
@@ -226,7 +226,7 @@ class Paper(JsonOption):
     clouds: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
     """Clouds under true masks: `toolee train clouds --true-masks`, for object-prior `--whole-tools`."""
     out: OutDir
-    """Checkpoint, weights with their configuration, and log.jsonl."""
+    """Checkpoint, weights with their configuration, log."""
     column: Annotated[str, tyro.conf.arg(metavar="NAME")] = "symmetry-aware"
     """object-prior, ee or symmetry-aware. ee-symmetry-prior is ee, judged with the symmetry."""
     config: File = None
