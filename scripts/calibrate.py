@@ -2,7 +2,7 @@
 
 Example: `python scripts/calibrate.py --seed 7`
 
-`toolee calibrate` calibrates a lab: camera, lens, tip and nail, with records and reports.
+`toolee calibrate` calibrates a lab: camera, tip and nail, with a record.
 """
 
 from pathlib import Path
