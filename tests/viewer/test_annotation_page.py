@@ -9,12 +9,14 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
+from urllib.request import Request
 
 import numpy as np
 import pytest
 import viser
 from websockets import Origin, Subprotocol
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
 from tests.perception.data_sets import held_out_tools
@@ -32,7 +34,7 @@ from toolee_robot.perception.offline.annotation.clicks import (
 from toolee_robot.perception.offline.annotation.frame_set import FrameSet, Session
 from toolee_robot.perception.offline.annotation.poses import AnnotatedEnd
 from toolee_robot.viewer.annotation_page import AnnotationPage
-from toolee_robot.viewer.annotation_scene import MARGIN
+from toolee_robot.viewer.annotation_scene import LARGEST_MESSAGE, MARGIN
 
 pytestmark = pytest.mark.sim(seconds=20)
 
@@ -81,20 +83,25 @@ def test_a_ray_means_the_pixel_that_it_meets(page: tuple[AnnotationPage, Session
     assert scene.pixel_of(np.zeros(3), point) == pytest.approx((columns[n], rows[n]), abs=1.0)
 
 
-def test_another_sites_page_gets_nothing(page: tuple[AnnotationPage, Session]) -> None:
+def test_another_site_or_somebody_without_the_token_gets_nothing(page: tuple[AnnotationPage, Session]) -> None:
     address = page[0].address
-    asked = urllib.request.Request(address, headers={"Host": "evil.example:8080"})
-    with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(asked)
-    protocol = Subprotocol(f"viser-v{viser.__version__}")
-    socket = address.replace("http", "ws", 1)
-    with (
-        pytest.raises(InvalidStatus, match="403"),
-        connect(socket, origin=Origin("http://evil.example"), subprotocols=[protocol]),
-    ):
-        pass
-    with connect(socket, origin=Origin(address), subprotocols=[protocol], max_size=None) as own:
+    site, token, _ = address.rsplit("/", 2)
+    for asked in (Request(address, headers={"Host": "evil.example:8080"}), site, f"{site}/{token[:-1]}/", f"{site}/é/"):
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(asked if isinstance(asked, Request) else quote(asked, safe=":/"))
+    viser_s = [Subprotocol(f"viser-v{viser.__version__}")]
+    socket = address.replace("http", "ws", 1).removesuffix("/")  # as the page asks for it
+    for where, origin in ((socket, "http://evil.example"), (site.replace("http", "ws", 1), site)):
+        with (
+            pytest.raises(InvalidStatus, match="403"),
+            connect(where, origin=Origin(origin), subprotocols=viser_s),
+        ):
+            pass
+    with connect(socket, origin=Origin(site), subprotocols=viser_s, max_size=None) as own:
         assert own.recv(timeout=30.0)
+        own.send(bytes(LARGEST_MESSAGE + 1))
+        with pytest.raises(ConnectionClosedError, match="too big"):
+            list(own)
 
 
 def test_it_tells_the_pose_its_checks_and_what_is_missing(

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import secrets
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from http import HTTPStatus
 from typing import Any, Literal
 
@@ -43,11 +45,16 @@ _MARK = 4.0
 """Half of a click's cross [px] at whole size."""
 _WITHIN = 0.02
 """How near a ray must pass to a point of the cloud [rad]."""
+LARGEST_MESSAGE = 2**16
+"""Of a browser [B]; it sends clicks, choices and its camera's pose, of some hundred bytes each."""
 
 
 @contextlib.contextmanager
-def _own_page_only() -> Iterator[None]:
-    """Let a server that begins meanwhile refuse other sites' pages: viser looks at neither Host nor Origin."""
+def _guarded(token: str) -> Iterator[None]:
+    """Let a server that begins meanwhile answer only this computer's pages that know the token, the path's first part.
+
+    viser looks at neither Host nor Origin, has no token, and takes messages of 50 MB.
+    """
     from websockets.asyncio import server
 
     serve = server.serve
@@ -55,12 +62,13 @@ def _own_page_only() -> Iterator[None]:
     def guarded(*args: Any, process_request: Callable[[Any, Any], Any], **options: Any) -> Any:
         def checked(connection: Any, request: Any) -> Any:
             host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-            ours = host.rpartition(":")[0] in ("127.0.0.1", "localhost")
-            if not ours or origin not in (None, f"http://{host}"):
-                return connection.respond(HTTPStatus.FORBIDDEN, "only this computer's own page\n")
-            return process_request(connection, request)
+            given, _, rest = request.path.removeprefix("/").partition("/")
+            ours = host.rpartition(":")[0] in ("127.0.0.1", "localhost") and origin in (None, f"http://{host}")
+            if not ours or not secrets.compare_digest(given.encode(errors="replace"), token.encode()):
+                return connection.respond(HTTPStatus.FORBIDDEN, "open the whole address that the command printed\n")
+            return process_request(connection, replace(request, path=f"/{rest}"))
 
-        return serve(*args, process_request=checked, **options)
+        return serve(*args, process_request=checked, **options | {"max_size": LARGEST_MESSAGE})
 
     server.serve = guarded  # type: ignore[assignment,misc]
     try:
@@ -92,7 +100,8 @@ class AnnotationScene:
                 f"the page needs viser ({error}): run `python -m pip install -e '.[viewer]'`, or give --clicks",
                 code="user.missing_package",
             ) from error
-        with contextlib.redirect_stdout(io.StringIO()), _own_page_only():  # it prints a banner
+        self._token = secrets.token_urlsafe(16)
+        with contextlib.redirect_stdout(io.StringIO()), _guarded(self._token):  # it prints a banner
             self.server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
         self.view: View = "photograph"
         self._clicked = clicked
@@ -106,8 +115,8 @@ class AnnotationScene:
 
     @property
     def address(self) -> str:
-        """Address of the page."""
-        return f"http://127.0.0.1:{self.server.get_port()}"
+        """Address of the page, with its token."""
+        return f"http://127.0.0.1:{self.server.get_port()}/{self._token}/"
 
     def close(self) -> None:
         """Stop serving."""
