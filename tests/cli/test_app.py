@@ -47,6 +47,7 @@ def files(tmp_path: Path) -> Path:
     (tmp_path / "no_pose.txt").write_text("1 2 3")
     (tmp_path / "scene").mkdir()
     (tmp_path / "lab.yaml").write_text("work: {nail_diametre: 0.002}")
+    (tmp_path / "plan.yaml").write_text("name: a plan\nfirst_seed: 1\ntrials: 2\n")
     return tmp_path
 
 
@@ -111,16 +112,28 @@ def test_bad_input_is_exit_2_with_a_remedy(
     monkeypatch.chdir(files)
     monkeypatch.setenv("COLUMNS", "200")
     before = sorted(files.rglob("*"))
-    try:
-        code = run(args)
-    except SystemExit as stop:  # the parser's own
-        code = int(str(stop.code))
-    captured = capsys.readouterr()
-    assert code == 2, captured
-    assert expected_text in captured.err.replace("\n", " ")
-    assert "Traceback" not in captured.err
-    assert not captured.out, "standard output is for results"
+    for words in (args, [*args, "--json"]):
+        try:
+            code = run(words)
+        except SystemExit as stop:  # the parser's own
+            code = int(str(stop.code))
+        captured = capsys.readouterr()
+        assert code == 2, captured
+        assert expected_text in captured.err.replace("\n", " ") or (words != args and "usage" in expected_text)
+        assert "Traceback" not in captured.err
+        errors = [json.loads(line)["error"] for line in captured.out.splitlines()]
+        assert len(errors) == len(words) - len(args), "standard output is for results and for one line with --json"
+        assert all(error["code"].startswith("user") or error["code"] == "config" for error in errors)
     assert sorted(files.rglob("*")) == before, "nothing half-written"
+
+
+def test_results_of_trials_do_not_go_into_a_file(
+    files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(files)
+    assert run(["trials", "plan.yaml", "--out", "text.png", "--json"]) == 2
+    assert "text.png" in json.loads(capsys.readouterr().out)["error"]["message"]
+    assert (files / "text.png").read_text() == "not an image"
 
 
 def test_a_screen_that_is_not_there_is_said_before_anything_runs(
@@ -133,15 +146,6 @@ def test_a_screen_that_is_not_there_is_said_before_anything_runs(
     assert "--gui" in capsys.readouterr().err
 
 
-def test_json_tells_the_users_fault_on_its_line_too(
-    files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(files)
-    assert run(["sim", "hammer", "--config", "lab.yaml", "--seed", "4", "--json"]) == 2
-    line = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert "nail_diametre" in line["error"]["message"]
-
-
 @pytest.mark.parametrize("command", ["sim hammer", "rehearse hammer", "run hammer", "estimate", "doctor"])
 def test_help_is_quick_and_shows_how(command: str, tmp_path: Path) -> None:
     done = _toolee(*command.split(), "--help", folder=tmp_path)
@@ -151,12 +155,15 @@ def test_help_is_quick_and_shows_how(command: str, tmp_path: Path) -> None:
     assert not done.stderr
 
 
-def test_options_that_are_refused_are_an_error_for_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("command", [*command_paths()], ids=" ".join)
+def test_options_that_are_refused_are_an_error_for_json_too(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit):
-        run(["arm", "move", "--jiont", "1", "--json"])
+        run([*command, "--no-such-option", "--json"])
     captured = capsys.readouterr()
     assert json.loads(captured.out)["error"]["code"] == "user"
-    assert "--joint" in captured.err
+    assert "toolee " + " ".join(command) in captured.err
 
 
 @pytest.mark.parametrize(
@@ -239,23 +246,34 @@ def test_missing_weights_are_a_failed_job_that_names_the_file(
     assert "scene/segmentation" in json.loads(captured.out)["error"]["message"]
 
 
-@pytest.mark.parametrize(("module", "is_bug"), [("pybullet.utils", False), ("toolee_robot.nowhere", True)])
-def test_a_package_that_is_not_installed_is_named_and_a_missing_module_of_our_own_is_a_bug(
-    module: str, is_bug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_package_that_is_not_installed_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(_: SimHammer) -> int:
-        raise ModuleNotFoundError(f"No module named {module!r}", name=module)
-
-    monkeypatch.setattr(SimHammer, "run", fail)
-    if is_bug:
-        with pytest.raises(ModuleNotFoundError):
-            run(["sim", "hammer"])
-        return
+    _fail(monkeypatch, ModuleNotFoundError("No module named 'pybullet.utils'", name="pybullet.utils"))
     assert run(["sim", "hammer", "--json"]) == 2
     captured = capsys.readouterr()
     assert json.loads(captured.out)["error"]["code"] == "user.missing_package"
-    assert module in captured.err
+    assert "pybullet.utils" in captured.err
     assert "python -m pip install -e ." in captured.err
+
+
+@pytest.mark.parametrize(
+    "bug", [ModuleNotFoundError("", name="toolee_robot.nowhere"), ConnectionResetError(104, "reset"), ValueError("no")]
+)
+def test_a_bug_is_raised_and_told_for_json(
+    bug: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _fail(monkeypatch, bug)
+    with pytest.raises(type(bug)):
+        run(["sim", "hammer", "--json"])
+    assert json.loads(capsys.readouterr().out)["error"]["code"] == "internal"
+
+
+def _fail(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def fail(_: SimHammer) -> int:
+        raise error
+
+    monkeypatch.setattr(SimHammer, "run", fail)
 
 
 @pytest.mark.parametrize("delay", [0.02, 0.2, 0.5])
@@ -296,6 +314,26 @@ main([])
 """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
     assert (ended.returncode, ended.stderr) == (130, "")
+
+
+def test_a_hangup_that_is_ignored_interrupts_nothing() -> None:
+    """As under nohup."""
+    program = """
+import os, signal
+import toolee_robot.cli.app as app
+from toolee_robot.cli import main
+
+def run(args, start):
+    start()
+    os.kill(os.getpid(), signal.SIGHUP)
+    return 0
+
+app.run = run
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+main([])
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 @pytest.mark.parametrize(("to", "code", "said"), [("> /dev/full", 1, "No space left on device"), (">&-", 0, "")])

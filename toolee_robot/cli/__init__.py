@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from functools import partial
 from types import FrameType
 from typing import Any
 
@@ -27,7 +28,7 @@ def main(args: Sequence[str] | None = None) -> None:
     """
     for number in SIGNALS:
         if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
-            signal.signal(number, _leave)
+            signal.signal(number, partial(_leave, "--json" in (sys.argv if args is None else args)))
     _let_threads_sleep()
     output = _patient_output()
     from toolee_robot.cli.app import EXIT_FAILED, run
@@ -72,9 +73,9 @@ def _patient_output() -> _Output | None:
     return output
 
 
-def _leave(_signum: int, _frame: FrameType | None) -> None:
+def _leave(as_json: bool, _signum: int, _frame: FrameType | None) -> None:
     os.write(2, b"Interrupted.\n")
-    if "--json" in sys.argv:
+    if as_json:
         os.write(1, INTERRUPTED_LINE.encode())
     os._exit(EXIT_INTERRUPTED)
 

@@ -23,6 +23,7 @@ from toolee_robot.cli import EXIT_INTERRUPTED, INTERRUPTED_LINE
 from toolee_robot.errors import TooleeError, UserError, words_of
 
 EXIT_FAILED, EXIT_USER = 1, 2
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 GROUPS: dict[str, tuple[str, str]] = {
     "sim": ("jobs", "Do a job in simulation; nothing real moves"),
@@ -72,31 +73,19 @@ def run(args: Sequence[str] | None = None, start: Callable[[], None] = lambda: N
         if as_json and stop.code == EXIT_USER:
             _print_error(UserError.code, "invalid options: standard error says which")
         raise
-    except UserError as error:
-        _complain(error, as_json)
-        return EXIT_USER
-    except TooleeError as error:
-        _complain(error, as_json)
-        return EXIT_FAILED
-    except ModuleNotFoundError as error:
-        if not _of_other_package(error):
-            raise
-        _complain(_missing_package(error), as_json)
-        return EXIT_USER
     except KeyboardInterrupt:
         print("Interrupted.", file=sys.stderr)
         if as_json:
             print(INTERRUPTED_LINE, end="", flush=True)
         return EXIT_INTERRUPTED
-    except OSError as error:
-        if error.filename is None and error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            raise
-        _complain(_unusable(error), as_json)
-        return EXIT_USER
     except Exception as error:
+        told = _told(error)
         if as_json:
-            _print_error("internal", f"{type(error).__name__}: {error}")
-        raise
+            _print_error(told.code if told else "internal", str(told or f"{type(error).__name__}: {error}"))
+        if told is None:
+            raise
+        _complain(told)
+        return EXIT_USER if isinstance(told, UserError) else EXIT_FAILED
 
 
 def parse(words: Sequence[str]) -> Command:
@@ -198,35 +187,38 @@ def _unknown(name: str, known: Mapping[str, object], path: tuple[str, ...]) -> U
     return UserError(f"unknown command `{call} {name}`: {hint}")
 
 
-def _of_other_package(error: ModuleNotFoundError) -> bool:
-    """Whether the missing module belongs to neither this project nor Python: its package is not installed."""
-    package = (error.name or "").partition(".")[0]
-    return package not in ("", "toolee_robot") and package not in sys.stdlib_module_names
+def _told(error: Exception) -> TooleeError | None:
+    """What a person is told of an error; None: it is a bug."""
+    if isinstance(error, TooleeError):
+        return error
+    if isinstance(error, ModuleNotFoundError):
+        return _missing_package(error.name or "")
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in FULL):
+        return UserError(
+            f"cannot use {error.filename or 'a file'}: {words_of(error)}; make room or choose another place"
+        )
+    return None
 
 
-def _missing_package(error: ModuleNotFoundError) -> UserError:
-    what = "'.[train]'" if error.name == "isal" else "."
+def _missing_package(module: str) -> UserError | None:
+    """A module of another package is not installed; None if it is one of this project or of Python."""
+    package = module.partition(".")[0]
+    if package in ("", "toolee_robot") or package in sys.stdlib_module_names:
+        return None
+    what = "'.[train]'" if module == "isal" else "."
     return UserError(
-        f"this command needs the Python module {error.name}, which is not installed. Run `python -m pip install -e "
+        f"this command needs the Python module {module}, which is not installed. Run `python -m pip install -e "
         f"{what}` in the repository. For `toolee estimate` alone, requirements-perception.txt is enough",
         code="user.missing_package",
     )
 
 
-def _unusable(error: OSError) -> UserError:
-    """A file or folder that cannot be read or written, wherever that was tried."""
-    name = "a file" if error.filename is None else error.filename
-    return UserError(f"cannot use {name}: {words_of(error)}; make room or choose another place")
-
-
-def _complain(error: TooleeError, as_json: bool) -> None:
+def _complain(error: TooleeError) -> None:
     from rich.console import Console
     from rich.markup import escape
 
     # Not wrapped, so that paths can be copied and searched for.
     Console(stderr=True, highlight=False).print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
-    if as_json:
-        _print_error(error.code, str(error))
 
 
 def _print_error(code: str, message: str) -> None:
