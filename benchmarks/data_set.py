@@ -67,7 +67,7 @@ def annotated(
             continue
         for axis, color in enumerate(("#ff3030", "#30ff30", "#4080ff")):
             draw.line([tuple(ends[0]), tuple(ends[axis + 1])], fill=color, width=4)
-        name = CATEGORIES[table.category[row] - 1].spec.label
+        name = CATEGORIES[table.category[row] - 1].label
         hidden = f"{100 * table.occlusion[row]:.0f} % hidden" if targets[row] else "no target"
         _text(draw, ends[0] + [8, 8], f"{name}, {hidden}", font, canvas.size)
     if title:

@@ -164,7 +164,7 @@ def slip(before: InHandEstimate, now: InHandEstimate) -> tuple[float, float]:
     """
     if before.category is not now.category:
         raise UserError(
-            f"cannot compare a {before.category} with a {now.category}: look at the same end of the tool",
+            f"cannot compare a {before.category.label} with a {now.category.label}: look at the same end of the tool",
             code="user.different_categories",
         )
     distance = float(np.linalg.norm(now.X_hand_ee[:3, 3] - before.X_hand_ee[:3, 3]))
@@ -194,7 +194,7 @@ def merge(before: InHandEstimate, now: InHandEstimate, drift_position: float, dr
     """
     if before.category is not now.category:
         raise UserError(
-            f"cannot merge a {before.category} with a {now.category}: look at the same end of the tool",
+            f"cannot merge a {before.category.label} with a {now.category.label}: look at the same end of the tool",
             code="user.different_categories",
         )
     R_before = before.X_hand_ee[:3, :3]

@@ -264,8 +264,8 @@ class ToolPerception:
             reasons = {e.reason for f in estimates_per_frame for e in f if e.category == category}
             detail = f" ({'; '.join(sorted(reasons))})" if reasons else ""
             raise PerceptionError(
-                f"none of {len(estimates_per_frame)} frames shows the {category}{detail}: move it into the camera's "
-                "view, closer and unoccluded",
+                f"none of {len(estimates_per_frame)} frames shows the {category.label}{detail}: move it into the "
+                "camera's view, closer and unoccluded",
                 code="perception.not_seen",
             )
         chosen = _same_end(candidates)

@@ -85,7 +85,7 @@ class Trust:
         x = features(result.confidence, score, tool_score, result.category)
         probability = float(self.model.probability(x))
         if result.usable and probability < self.model.threshold:
-            return probability, False, f"the detector is not sure of this {result.category} (score {score:.2f})"
+            return probability, False, f"the detector is not sure of this {result.category.label} (score {score:.2f})"
         return probability, result.usable, result.reason
 
     def save(self, folder: Path, report: dict[str, Any]) -> None:

@@ -34,6 +34,11 @@ class Category(StrEnum):
         return END_EFFECTORS[self]
 
     @property
+    def label(self) -> str:
+        """Name in messages, tables and figures."""
+        return END_EFFECTORS[self].label
+
+    @property
     def symmetry(self) -> SymmetryGroup:
         """Symmetry group, which decides the metric and the pooling of this category."""
         return END_EFFECTORS[self].symmetry
@@ -130,4 +135,4 @@ CATEGORIES: tuple[Category, ...] = tuple(END_EFFECTORS)
 
 def label_of(name: str) -> str:
     """Label of a table's heading: the category's label, or else the name with spaces for underscores."""
-    return Category(name).spec.label if name in END_EFFECTORS else name.replace("_", " ")
+    return Category(name).label if name in END_EFFECTORS else name.replace("_", " ")

@@ -124,7 +124,7 @@ class CloudEstimator(ABC):
         points = _finite(points)
         if len(points) < MIN_POINTS:
             raise PerceptionError(
-                f"only {len(points)} points of the {category} have depth, {MIN_POINTS} are needed: "
+                f"only {len(points)} points of the {category.label} have depth, {MIN_POINTS} are needed: "
                 "move the camera closer, or turn the tool into view",
                 code="perception.too_few_points",
             )
@@ -135,7 +135,7 @@ class CloudEstimator(ABC):
         cloud = canonicalize_one(points, self.radius(category), generator, self.points, self.ordered, more)
         if int(cloud.count[0]) < MIN_KEPT:
             raise PerceptionError(
-                f"the mask of the {category} covers no compact surface: {len(points)} scattered points"
+                f"the mask of the {category.label} covers no compact surface: {len(points)} scattered points"
             )
         kept = round(int(cloud.count[0]) / len(points) * visible)
         if rest is not None:

@@ -182,10 +182,10 @@ def reason(category: Category, x: Array, usable: bool) -> str:
         return "ok"
     value = dict(zip(FEATURES, x, strict=True))
     if value["valid_logit"] < 0:
-        return f"the cloud does not look like a {category}"
+        return f"the cloud does not look like a {category.label}"
     if 10 ** value["log_points"] < 2 * MIN_POINTS:
-        return f"only {round(10 ** value['log_points'])} points of the {category} are visible"
+        return f"only {round(10 ** value['log_points'])} points of the {category.label} are visible"
     if value["second_mode"] > 0.25:
-        return f"two poses explain the {category} about equally well"
+        return f"two poses explain the {category.label} about equally well"
     sigma_mm, sigma_deg = 1e3 * np.exp(value["log_sigma_position"]), np.rad2deg(np.exp(value["log_sigma_axis"]))
-    return f"the {category}'s pose is uncertain (about {sigma_mm:.0f} mm, {sigma_deg:.0f} deg)"
+    return f"the {category.label}'s pose is uncertain (about {sigma_mm:.0f} mm, {sigma_deg:.0f} deg)"

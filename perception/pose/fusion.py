@@ -101,7 +101,7 @@ def fuse_in_hand(
     pairs = [(e, X) for e, X in zip(estimates, Xs_camera_hand, strict=True) if np.isfinite(e.X_camera_ee).all()]
     if not pairs:
         raise PerceptionError(
-            f"no frame shows the {category} well enough: move it closer to the camera, unoccluded",
+            f"no frame shows the {category.label} well enough: move it closer to the camera, unoccluded",
             code="perception.not_seen",
         )
     trusted = [pair for pair in pairs if pair[0].usable] or pairs
@@ -135,9 +135,9 @@ def fuse_in_hand(
     usable_seen = sum(e.usable for e in estimates)
     belief = float((1 - (1 - frames.confidence.mean()) ** (1 + 0.5 * (n - 1))) * share)
     if usable_seen < min(min_frames, len(estimates)):
-        usable, reason = False, f"only {usable_seen} of {len(estimates)} frames show the {category} well enough"
+        usable, reason = False, f"only {usable_seen} of {len(estimates)} frames show the {category.label} well enough"
     elif n < min(min_frames, len(estimates)) or share <= 0.5:
-        usable, reason = False, f"the frames disagree: {n} of {len(trusted)} agree on a pose of the {category}"
+        usable, reason = False, f"the frames disagree: {n} of {len(trusted)} agree on a pose of the {category.label}"
     else:
         usable, reason = True, "ok"
     return InHandEstimate(category, solution.X, covariance, belief, n, len(estimates), usable, reason, solution.camera)

@@ -46,7 +46,7 @@ def test_where_nothing_was_fitted_the_odds_are_multiplied() -> None:
     probability, usable, reason = Trust().judge(0.1, 0.0, result(0.8))
     assert probability == pytest.approx(4 / 13)
     assert not usable
-    assert "not sure of this hammer_head (score 0.10)" in reason
+    assert "not sure of this hammer head (score 0.10)" in reason
 
 
 def test_a_pose_that_is_not_usable_stays_so_with_its_own_reason() -> None:

@@ -135,11 +135,11 @@ def _verdict(console: Console, estimates: list[ToolEstimate]) -> int:
     said = Console(stderr=True, highlight=False) if not console.stderr else console
     if not estimates:
         said.print(
-            f"[bold red]no tool found:[/bold red] no {', '.join(c.spec.label for c in CATEGORIES)} is in view. "
+            f"[bold red]no tool found:[/bold red] no {', '.join(c.label for c in CATEGORIES)} is in view. "
             "Bring the end effector to 0.4 to 1.1 m before the camera"
         )
     else:
-        reasons = "; ".join(f"{e.category}: {e.reason}" for e in estimates)
+        reasons = "; ".join(f"{e.category.label}: {e.reason}" for e in estimates)
         said.print(f"[bold red]no usable pose:[/bold red] {escape(reasons)}", soft_wrap=True)
     return 1
 
@@ -154,7 +154,7 @@ def _table(estimates: list[ToolEstimate], title: str) -> Table:
     table.add_column("usable")
     for e in estimates:
         table.add_row(
-            e.category.spec.label,
+            e.category.label,
             pose_text(e.X_camera_ee).replace("  ", "\n"),  # position over rotation: it fits 80 columns
             sigma_text(e.covariance, e.X_camera_ee).replace("  ", "\n"),
             f"{e.trust:.2f}",

@@ -125,7 +125,7 @@ class ConsoleObserver(JobObserver):
 
     def in_hand(self, stamp: float, estimate: InHandEstimate) -> None:
         colour = "cyan" if estimate.usable else "red"
-        name = estimate.category.spec.label
+        name = estimate.category.label
         sigma = sigma_text(estimate.covariance, estimate.X_hand_ee)
         self._console.print(
             f"  [bold {colour}]{name} in the hand[/bold {colour}]  {pose_text(estimate.X_hand_ee)}\n"

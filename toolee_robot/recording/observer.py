@@ -65,7 +65,7 @@ class RecordingObserver(TaskObserver):
                 self._recorder.record_hypotheses(frame.stamp, "camera", e.hypotheses.Xs_camera_ee)
         usable = [e for e in estimates if e.usable]
         best = max(usable or estimates, key=lambda e: e.trust, default=None)
-        reason = "nothing detected" if best is None else f"{best.category}, trust {best.trust:.2f}: {best.reason}"
+        reason = "nothing detected" if best is None else f"{best.category.label}, trust {best.trust:.2f}: {best.reason}"
         data = {"detections": len(estimates), "usable": len(usable)}
         self._recorder.record_decision(frame.stamp, "frame", reason, data)
 

@@ -191,7 +191,7 @@ class ToolShape:
         for ee in self.ees:
             if ee.category == category:
                 return ee
-        raise UserError(f"{self.name} has no {category}; it has {', '.join(self.categories)}")
+        raise UserError(f"{self.name} has no {category.label}; it has {', '.join(c.label for c in self.categories)}")
 
     def sample_surface(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, NDArray[np.int64]]:
         """Sample the outer surface uniformly.

@@ -346,7 +346,7 @@ def end_record(name: str, end: AnnotatedEnd | UserError) -> dict[str, Any]:
     checks = ", ".join(
         f"{c.measured_mm:.1f}: {c.fitted_mm:.1f} mm{'' if c.agrees else ' DISAGREES'}" for c in end.checks
     )
-    label, scale = end.category.spec.label, f"{end.fit.scale:.1f}x"
+    label, scale = end.category.label, f"{end.fit.scale:.1f}x"
     cells = [name, label, f"{end.sigma_mm:.1f}", f"{end.sigma_deg:.1f}", scale, checks or "-"]
     return {
         "frame": name,

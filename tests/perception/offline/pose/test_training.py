@@ -270,8 +270,8 @@ def test_too_few_points_are_refused_and_nan_does_not_count(trained: Path) -> Non
     estimator = PoseEstimator.load(trained)
     points = np.full((200, 3), np.nan)
     points[:20] = np.random.default_rng(0).uniform(-0.02, 0.02, (20, 3)) + np.array([0, 0, 0.5])
-    with raises(PerceptionError, code="perception.too_few_points"):
-        estimator.estimate(points, Category.WRENCH_HEAD)
+    with raises(PerceptionError, code="perception.too_few_points", says="20 points of the claw"):
+        estimator.estimate(points, Category.HAMMER_GRIP)
 
 
 def test_a_training_starts_from_weights_of_its_architecture(
