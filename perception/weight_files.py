@@ -125,12 +125,16 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
 def _sums(directory: Path) -> dict[str, str]:
     """Checksums by file; none in a folder that has no list of them."""
     path = directory / SUMS
-    return {line[66:]: line[:64] for line in read_text(path).splitlines()} if path.is_file() else {}
+    try:
+        return {line[66:]: line[:64] for line in read_text(path).splitlines()} if path.exists() else {}
+    except (OSError, ValueError) as error:
+        message = f"{path} is unreadable ({words_of(error)}): fetch it again"
+        raise AssetError(message, code="asset.unreadable") from error
 
 
 def _check(path: Path, sums: dict[str, str]) -> None:
-    if path.name in sums and sha256(path) != sums[path.name]:
-        message = f"weight file {path} is damaged: its checksum is not the one in {SUMS}. Fetch the file again"
+    if sums and sha256(path) != sums.get(path.name):
+        message = f"weight file {path} is damaged: its checksum is not the one in {SUMS}. Fetch both again"
         raise AssetError(message, code="asset.unreadable")
 
 
