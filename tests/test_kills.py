@@ -19,6 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import count
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -344,7 +345,7 @@ def test_a_terminals_interrupt_while_the_jobs_of_trials_are_imported(kill: signa
 
 def _kill(command: Long, seed: str, kills: int, seconds: float, parent: Path, whole: object = None) -> None:
     """Kill a command at random moments of the seconds it takes; one that resumes goes on after each."""
-    random_, folders = random.Random(seed), (parent / str(i) for i in range(kills + 1))
+    random_, folders = random.Random(seed), (parent / str(i) for i in count())
 
     def fresh() -> Path:
         folder = next(folders)
@@ -352,11 +353,12 @@ def _kill(command: Long, seed: str, kills: int, seconds: float, parent: Path, wh
         command.prepare(folder)
         return folder
 
-    folder = fresh()
-    for i in range(kills):
+    folder, left = fresh(), kills
+    while left:
         kill = random_.choice((*SOFT, signal.SIGKILL))
         code = command.run(folder, kill, random_.uniform(0.0, 1.05 * seconds), random_.random() < 0.5).code
-        print(f"{seed}, kill {i}: {kill.name}, exit code {code}")
+        left -= code not in command.codes  # another one for each that came too late
+        print(f"{seed}: {kill.name}, exit code {code}, {left} left")
         if code in command.codes:
             assert whole is None or command.result(folder) == whole
         if code in command.codes or not command.resumes:
