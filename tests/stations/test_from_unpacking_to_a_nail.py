@@ -100,7 +100,7 @@ def test_from_an_empty_folder_to_a_driven_nail(tmp_path: Path, monkeypatch: pyte
     written = yaml.safe_load(Path("lab.yaml").read_text())
     lens = {name: written["camera"].pop(name) for name in INTRINSICS}
     assert lens == pytest.approx({name: said["camera"].pop(name) for name in INTRINSICS}, abs=1e-3)
-    assert written.pop("strike") == {"speed": 0.4}, "as it is offered"
+    assert written.pop("strike") == {"speed": 0.4, "deepest": 0.01}, "as it is offered"
     left_out = {"servo", "calibration", "strike"}
     del said["scene"]["obstacles"]
     assert written == {name: value for name, value in said.items() if name not in left_out}
