@@ -51,7 +51,7 @@ class Stages:
 WHOLE_IMAGE = Stages(coarse=True, zoomed=True, mirrored=True, refined=True)
 """Stages for an image of which nothing is known."""
 IN_CROP = Stages(coarse=False, zoomed=False, mirrored=False, refined=False)
-"""Stages for a crop about the hand that holds the tool: none gains there (`evaluate held` of the tag before-half)."""
+"""Stages for a crop about the hand that holds the tool: none gains there (`evaluate held` of commit 1855b4dc)."""
 
 
 class Segmenter:

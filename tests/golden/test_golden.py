@@ -1,4 +1,4 @@
-"""Data set and recording as they were before the code was halved (tag `before-half`), jobs as of 2026-11-30.
+"""Data set and recording as they were before the code was halved (commit 1855b4dc), jobs as of 2026-11-30.
 
 The jobs have the strike that turns back within 20 mm. The row of seed 7605 is the earlier strike's: today the job ends
 before its first touch, since the arm feels 20 N at rest, which is a fault.

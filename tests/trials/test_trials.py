@@ -216,25 +216,26 @@ def test_a_plans_hash_is_of_what_it_says(tmp_path: Path) -> None:
 def test_results_of_before_are_read_and_their_plans_keep_their_hash(tmp_path: Path) -> None:
     """What is kept beside the results on this site: other trials go on with such files."""
     kept = EXAMPLES.parent / "docs" / "benchmark"
-    shutil.copy(kept / "distinct_hammers.jsonl", tmp_path / RESULTS)
-    plan = load_plan(kept / "distinct_hammers.yaml")
-    assert plan.hash.startswith("0fa6c73215d8")
+    shutil.copy(kept / "one_strike.jsonl", tmp_path / RESULTS)
+    plan = load_plan(kept / "one_strike.yaml")
+    assert plan.hash.startswith("b4ec43a64f15")
     records = finished(plan, tmp_path)
-    assert len(records) == len(list(plan.jobs())) == 600
+    assert [record.trial for record in records] == list(plan.jobs())[: len(records)]
+    assert len(records) >= 210
 
 
 def test_the_site_s_own_results_have_their_report_by_one_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = EXAMPLES.parent / "docs" / "benchmark"
-    command = ["trials", str(kept / "distinct_hammers.yaml"), "--out", str(tmp_path / "out"), "--results"]
-    assert run([*command, str(kept / "distinct_hammers.jsonl")]) == 0
-    assert capsys.readouterr().out.count("199 of 200 flush (0.97 to 1.00)") == 2
+    command = ["trials", str(kept / "one_strike_ur10e.yaml"), "--out", str(tmp_path / "out"), "--results"]
+    assert run([*command, str(kept / "one_strike_ur10e.jsonl")]) == 0
+    assert re.search(r"104 of 108 flush \(0\.91 to 0\.99\)", capsys.readouterr().out)
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "<b>200</b><span>distinct tools</span>" in page
-    assert page.count(">toolee hammer --seed 13019 --perfect-perception (of the tag before-half)<") == 1
-    assert "the hand has lost the tool" in page
-    links = re.findall(r'href="([^"]*13019/[a-z.]*)"', page)
+    assert re.search(r"<b>1\d\d</b><span>distinct tools</span>", page)
+    assert page.count(">toolee sim hammer --robot UR10e --seed 14023<") == 1
+    assert "collision detection ratio" in page
+    links = re.findall(r'href="([^"]*14023/[a-z.]*)"', page)
     assert {Path(link).name for link in links} == {"picture.png", "recording.mcap"}
     assert all((tmp_path / "out" / link).is_file() for link in links), "beside the results"
     assert not (tmp_path / "out" / RESULTS).exists(), "they are no trials of this folder"
@@ -250,13 +251,13 @@ def test_the_report_of_a_file_of_results_takes_a_folder_that_is_named(
     run_trials(PLAN, own, 1, quietly, job)
     write_report(PLAN, own)
     before = {file.name: file.read_bytes() for file in own.iterdir() if file.is_file()}
-    command = ["trials", str(kept / "distinct_hammers.yaml"), "--results", str(kept / "distinct_hammers.jsonl")]
+    command = ["trials", str(kept / "one_strike.yaml"), "--results", str(kept / "one_strike.jsonl")]
     assert run(command) == 2
     assert "--results needs --out, the folder" in " ".join(capsys.readouterr().err.split())
     assert {file.name: file.read_bytes() for file in own.iterdir() if file.is_file()} == before
     assert run([*command, "--out", "trials"]) == 0
     assert (own / RESULTS).read_bytes() == before[RESULTS]
-    assert "<b>200</b><span>distinct tools</span>" in (own / "report.html").read_text()
+    assert "<span>distinct tools</span>" in (own / "report.html").read_text()
 
 
 @pytest.mark.parametrize("run_folder", ["runs/..", "..", ".", "/", "runs/full/../..", ""])
@@ -294,7 +295,7 @@ def test_a_command_in_the_report_is_one_of_a_shell(tmp_path: Path) -> None:
 def test_a_file_without_a_plan_s_results_is_refused(tmp_path: Path, name: str) -> None:
     kept = EXAMPLES.parent / "docs" / "benchmark"
     with raises(UserError, says=name):
-        write_report(load_plan(kept / "distinct_hammers.yaml"), tmp_path, kept / name)
+        write_report(load_plan(kept / "one_strike.yaml"), tmp_path, kept / name)
     assert not list(tmp_path.iterdir())
 
 

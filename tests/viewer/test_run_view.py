@@ -87,9 +87,9 @@ def test_it_shows_the_run_by_time(tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.sim(seconds=15)
-def test_an_older_recording_is_shown_with_the_face_on_the_nail() -> None:
+def test_a_recorded_strike_is_shown_with_the_face_on_the_nail() -> None:
     """The handle turns in the fingers in a strike, which no sensor sees: the believed face is 100 mm in the wood."""
-    path = RUNS / "full" / "20261129-032845-seed13019" / "recording.mcap"
+    path = RUNS / "full" / "20261130-213931-seed14023" / "recording.mcap"
     history = read_history(path)
     config = history.station()
     states = RunStates(history, config)

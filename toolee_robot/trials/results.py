@@ -53,8 +53,6 @@ class Record:
     @property
     def repeated_by(self) -> str:
         """How it is repeated, in words."""
-        if self.command and self.command[0].startswith("--"):  # published results, by versions before that tag
-            return f"toolee hammer {shlex.join(self.command)} (of the tag before-half)"
         return f"toolee {shlex.join(self.command)}"
 
 

@@ -177,7 +177,7 @@ class DatasetSpec:
                 )
             if "renderer" in data:
                 raise UserError(
-                    f"{path} is of the path tracer, which this version no longer has: use the tag before-half"
+                    f"{path} is of the path tracer, which this version no longer has: use commit 1855b4dc"
                 )
             spec = DatasetSpec(
                 config,
