@@ -176,9 +176,7 @@ class DatasetSpec:
                     code="user.newer_data_set",
                 )
             if "renderer" in data:
-                raise UserError(
-                    f"{path} is of the path tracer, which this version no longer has: use commit 1855b4dc"
-                )
+                raise UserError(f"{path} is of the path tracer, which this version no longer has: use commit 1855b4dc")
             spec = DatasetSpec(
                 config,
                 data["size"],
