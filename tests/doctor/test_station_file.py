@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -158,6 +159,17 @@ def test_what_is_out_of_reach(section: str, changes: dict[str, Any], name: str, 
     assert found[name].remedy
     told = "the camera stands at (3.5, -3, 2.5) m and looks along (-0.65, 0.64, -0.4), both in base_link"
     assert (told in found[name].remedy) is (section == "camera"), "as axes that are swapped show"
+
+
+def test_the_doctor_says_where_a_block_that_is_too_far_away_may_stand() -> None:
+    config = _changed("work", nail_xy=(1.35, 0.1))
+    found = {f.name: f for f in check_reach(config)}
+    assert found["strike"].level is not Level.OK
+    told = re.search(r"the nail at \((-?\d\.\d\d), (-?\d\.\d\d)\) in base", found["strike"].remedy)
+    assert told is not None, found["strike"].remedy
+    x, y = float(told[1]), float(told[2])
+    there = {f.name: f for f in check_reach(_changed("work", nail_xy=(x, y)))}
+    assert there["strike"].level is Level.OK
 
 
 @pytest.mark.parametrize(

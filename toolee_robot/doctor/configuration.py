@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import date
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -187,6 +189,8 @@ def check_calibration(
     return ok("calibration", message)
 
 
+MOVES = (-0.3, -0.15, 0.0, 0.15, 0.3)
+"""Ways along x and y of `base` by which the block is tried elsewhere [m]."""
 SLOW = 0.5
 """Speed below which a strike is reported as slow [m/s]: such a strike has less than half of the default's energy."""
 
@@ -235,24 +239,53 @@ def _views(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array,
 def _strikes(
     name: str, robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[tuple[Array, Payload]]
 ) -> Finding:
-    X_base_nail = config.work.X_base_nail()
+    speeds, errors = _speeds(robot, config, home, q_hand, grips)
+    enough = min(SLOW, 0.9 * config.strike.speed)
+    if not errors and min(speeds) >= enough:
+        return ok(
+            name, f"{len(grips)} of {len(grips)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
+        )
+    remedy = _better_place(robot, config, home, q_hand, grips, enough)
+    if not speeds:
+        return Finding.of_error(name, errors[0], remedy)
+    message = f"{len(speeds)} of {len(grips)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
+    if errors:
+        return warn(name, f"{message}; with another, {errors[0]}", remedy)
+    return warn(name, f"{message}: a nail will take many strikes", f"{remedy}; or raise arm.acceleration")
+
+
+def _speeds(
+    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[tuple[Array, Payload]]
+) -> tuple[list[float], list[PlanningError]]:
+    """Speeds at the contact [m/s] of the hammers that can strike the nail, and why the others cannot."""
     speeds: list[float] = []
-    failures: list[Finding] = []
+    errors: list[PlanningError] = []
     for X_hand_ee, tool in grips:
         world = CollisionWorld(robot, config, q_hand, X_hand_ee)
         try:
-            plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail, tool=tool)
+            nail = config.work.X_base_nail()
+            speeds.append(plan_strike(robot, config, world, home, q_hand, X_hand_ee, nail, tool=tool).speed)
         except PlanningError as error:
-            failures.append(
-                Finding.of_error(name, error, "move the nail (work.nail_xy or work.nails), or raise the stand")
-            )
+            errors.append(error)
+    return speeds, errors
+
+
+def _better_place(
+    robot: RobotModel,
+    config: StationConfig,
+    home: Array,
+    q_hand: Array,
+    grips: list[tuple[Array, Payload]],
+    least: float,
+) -> str:
+    """Where the block may stand instead: the nearest place at which every hammer is fast enough."""
+    for dx, dy in sorted(product(MOVES, MOVES), key=lambda way: math.hypot(*way))[1:]:
+        moved = replace(config, work=config.work.moved(dx, dy, 0.0))
+        for grip in grips:
+            speeds, errors = _speeds(robot, moved, home, q_hand, [grip])
+            if errors or min(speeds) < least:
+                break
         else:
-            speeds.append(plan.speed)
-    if not speeds:
-        return failures[0]
-    message = f"{len(speeds)} of {len(grips)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
-    if failures:
-        return warn(name, f"{message}; with another, {failures[0].message}", failures[0].remedy)
-    if min(speeds) < min(SLOW, 0.9 * config.strike.speed):
-        return warn(name, f"{message}: a nail will take many strikes", "move the nail, or raise arm.acceleration")
-    return ok(name, message)
+            x, y = moved.work.nail_xy
+            return f"move the block: with the nail at ({x:.2f}, {y:.2f}) in base every kind of hammer is fast enough"
+    return f"move the nail by more than {max(MOVES):.1f} m (work.nail_xy or work.nails), or raise the stand"

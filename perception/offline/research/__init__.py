@@ -1,1 +1,1 @@
-"""Research: the paper's estimator, and classical ones to compare with."""
+"""Research: the training of the paper's estimator."""
