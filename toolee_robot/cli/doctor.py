@@ -42,7 +42,7 @@ class Doctor(JsonOption):
     robot_host: Annotated[
         str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: arm.host of the station file)")
     ] = None
-    """Address of the UR controller: a robot's, or that of `toolee emulate ur`. Without any no device is asked."""
+    """Address of the UR controller: a robot's, or that of `toolee emulate ur`. If there is none, no device is asked."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """A station: any subset of the fields in docs/reference/station_file.md."""
     jogged_point: Annotated[

@@ -1,6 +1,6 @@
 """Do a job: in simulation, with your station file on emulated devices, or with the real robot.
 
-In a job only `toolee run` moves a real arm. The job is its sub-command.
+Of these only `toolee run` moves a real arm. Each task, such as `hammer`, is a sub-command.
 
 Example: toolee sim hammer --seed 100
 

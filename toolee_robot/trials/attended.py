@@ -306,7 +306,7 @@ class _Led:
         tool = "the station file names none" if sheet is None else f"{sheet.name}, {sheet.weight_in_words}"
         lines = [
             "",
-            f"Trial {number}: arm {trial.arm.replace('_', ' ')}, repetition {trial.seed}",
+            f"Trial {number}: variant {trial.arm.replace('_', ' ')}, repetition {trial.seed}",
             f"  tool  {tool}; the robot asks for it",
         ]
         for name, work in config.work.each():
