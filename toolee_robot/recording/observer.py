@@ -115,7 +115,7 @@ class RecordingObserver(TaskObserver):
         data: dict[str, Any] = {"nail": self._nail, "number": strike.number, "protrusion": strike.protrusion}
         data |= {"speed": strike.speed, "peak_force": strike.peak_force, "meeting": str(strike.meeting)}
         data |= asdict(strike.load)
-        left = "not measured after it" if strike.protrusion is None else f"{strike.protrusion * 1e3:.1f} mm left"
+        left = "nail not measured" if strike.protrusion is None else f"{strike.protrusion * 1e3:.1f} mm left"
         reason = f"strike {strike.number}: {strike.meeting}, {left}, {strike.peak_force:.0f} N"
         self._recorder.record_decision(self._clock.now(), "strike", reason, data)
 
