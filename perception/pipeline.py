@@ -89,8 +89,8 @@ class ToolPerception:
         Args:
             weights_dir: Folder of weights; None: the shipped ones.
             device: torch device, e.g. "cpu" or "cuda".
-            estimator: "tooleenet": the paper's pose estimator, to compare with. It learnt the published views, an
-                upright tool in the middle of the image, and fails on others. No trust model was fitted for it.
+            estimator: "tooleenet": the paper's pose estimator, to compare with. It learnt 42 tools in the published
+                views, an upright tool in the middle of the image, and fails on others. It has no trust model.
 
         Returns:
             Detector, pose estimator and trust model, loaded.

@@ -3,15 +3,12 @@
     clouds = rendered_clouds(Path("data/hard/train"), workers=2)  # or: toolee train clouds data/hard/train --out FILE
 
 Use images on which the detector was not trained, because on its training images its masks are better than on new ones.
-The paper trains its estimator under true masks alone, of end effectors or, for one column of its Table I, of whole
-tools.
+The paper trains its estimator under true masks alone: `published` makes clouds by its own protocol.
 """
 
 from __future__ import annotations
 
-import math
 import os
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -23,7 +20,6 @@ import torch
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.perception.cloud import EeCloud
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.spec import refuse_test_set
 from toolee_robot.perception.offline.evaluation.examples import Case, Instance, Part, parts, read_part, spin_points
@@ -35,7 +31,6 @@ from toolee_robot.perception.offline.synthetic_clouds.rendered import (
     RenderedClouds,
 )
 from toolee_robot.perception.pipeline import EeDetector
-from toolee_robot.perception.pose.canonical import MIN_POINTS
 
 NOTHING_THERE = 0.1
 """A mask that overlaps every EE of its category by less (IoU) is a negative; between this and a match it is dropped."""
@@ -49,8 +44,6 @@ def rendered_clouds(
     limit: int | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     true_masks: bool = False,
-    whole_tools: bool = False,
-    minutes: float | None = None,
 ) -> RenderedClouds:
     """Make the clouds of a data set, or of one split.
 
@@ -62,11 +55,9 @@ def rendered_clouds(
         limit: Largest number of images per split.
         progress: Called with the number of finished scenes and their total.
         true_masks: Whether to take true masks only, without a detector.
-        whole_tools: Whether to take true masks of whole tools instead.
-        minutes: Wall-clock after which no further clouds are awaited; None: no limit.
 
     Returns:
-        The clouds with their truth, of the scene folders that were done in that time, at least one.
+        The clouds with their truth.
 
     Raises:
         AssetError: Data or weights are missing.
@@ -75,15 +66,11 @@ def rendered_clouds(
     refuse_test_set(data)
     todo = parts(data, limit)
     found = []
-    end = math.inf if minutes is None else time.monotonic() + 60 * minutes
-    begin = _no_detector if true_masks or whole_tools else partial(_detector, weights, device)
-    read = tool_clouds_of_part if whole_tools else clouds_of_part
+    begin = _no_detector if true_masks else partial(_detector, weights, device)
     with ProcessMap(begin, workers) as processes:
-        for done, part in enumerate(processes.map(read, todo)):
+        for done, part in enumerate(processes.map(clouds_of_part, todo)):
             found.append(part)
             progress(done + 1, len(todo))
-            if time.monotonic() >= end:
-                break
     clouds = RenderedClouds.cat(found)
     if not clouds.positive.any():
         raise UserError(
@@ -116,29 +103,6 @@ def clouds_of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
     return RenderedClouds.cat(rows)
 
 
-def tool_clouds_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
-    """Extract the clouds of whole tools of a part, under true masks, once per category of their ends.
-
-    Args:
-        _detector: Not used; as in `clouds_of_part`.
-        part: The part.
-
-    Returns:
-        The clouds, camera frame [m].
-    """
-    examples = read_part(part, None)
-    rng = _rng(part)
-    nothing = np.empty((0, 3))
-    rows = []
-    for number, case in examples.of("truth").items():
-        instance = examples.instances[number]
-        # Only the first of alike ends: the tool's pose does not show which of them is meant.
-        if instance.first_end and len(case.tool_points) >= MIN_POINTS:
-            row = _cloud(replace(case, cloud=EeCloud(case.tool_points, nothing, nothing)), instance, rng)
-            rows.append(replace(row, of_tool=np.array([True])))
-    return RenderedClouds.cat(rows)
-
-
 def _detector(weights: Path | None, device: str) -> Segmenter:
     """Worker state: the detector, on one of the GPUs where "cuda" leaves the choice."""
     count = torch.cuda.device_count()
@@ -153,15 +117,39 @@ def _rng(part: Part) -> np.random.Generator:
     return np.random.default_rng([*part.scene.name.encode()])
 
 
-def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator, tells_spin: int = 0) -> RenderedClouds:
-    cloud = case.cloud
-    kinds = (cloud.points, MAX_POINTS), (cloud.completed, MAX_COMPLETED), (cloud.rest, MAX_REST)
-    points, completed, rest = (_thinned(x, most, rng).astype(np.float32) for x, most in kinds)
-    hand = None if instance is None else instance.X_camera_hand
-    X_camera_ee = X_camera_tool = np.eye(4)
-    if instance is not None:
-        X_camera_ee = instance.X_camera_ee
-        X_camera_tool = X_camera_ee @ inverse(instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee)
+def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator, tells_spin: int) -> RenderedClouds:
+    points, category = (case.cloud.points, case.cloud.completed, case.cloud.rest), CATEGORIES.index(case.category)
+    if instance is None:
+        return replace(stored(points, category, np.eye(4), np.eye(4), 0.0, rng), positive=np.array([False]))
+    X_camera_tool = instance.X_camera_ee @ inverse(instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee)
+    row = stored(points, category, instance.X_camera_ee, X_camera_tool, instance.occlusion, rng)
+    hand = row.p_camera_hand if instance.X_camera_hand is None else instance.X_camera_hand[None, :3, 3]
+    return replace(row, p_camera_hand=hand.astype(np.float32), tells_spin=np.array([tells_spin]))
+
+
+def stored(
+    clouds: tuple[Array, Array, Array],
+    category: int,
+    X_camera_ee: Array,
+    X_camera_tool: Array,
+    occlusion: float,
+    rng: np.random.Generator,
+) -> RenderedClouds:
+    """A cloud as it is stored, thinned.
+
+    Args:
+        clouds: Measured points, completed points, and points of the rest of the tool, (N, 3) [m].
+        category: Index of the category.
+        X_camera_ee: Pose of the EE, 4x4.
+        X_camera_tool: Pose of its tool, 4x4.
+        occlusion: In [0, 1].
+        rng: Random generator.
+
+    Returns:
+        The cloud, a positive.
+    """
+    sizes = MAX_POINTS, MAX_COMPLETED, MAX_REST
+    points, completed, rest = (_thinned(x, n, rng).astype(np.float32) for x, n in zip(clouds, sizes, strict=True))
     return RenderedClouds(
         points,
         completed,
@@ -170,12 +158,12 @@ def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator, tell
         X_camera_ee=np.array([X_camera_ee], np.float32),
         X_camera_tool=np.array([X_camera_tool], np.float32),
         of_tool=np.array([False]),
-        p_camera_hand=np.array([np.full(3, np.nan) if hand is None else hand[:3, 3]], np.float32),
-        category=np.array([CATEGORIES.index(case.category)]),
-        positive=np.array([instance is not None]),
-        visible=np.array([len(cloud.points)]),
-        tells_spin=np.array([tells_spin]),
-        occlusion=np.array([0.0 if instance is None else instance.occlusion], np.float32),
+        p_camera_hand=np.full((1, 3), np.nan, np.float32),
+        category=np.array([category]),
+        positive=np.array([True]),
+        visible=np.array([len(clouds[0])]),
+        tells_spin=np.array([0]),
+        occlusion=np.array([occlusion], np.float32),
     )
 
 

@@ -38,10 +38,8 @@ class Generate(JsonOption):
     Train with DIR/train; DIR/test shows held-out tools.
     """
 
-    config: Literal["paper", "hard", "paper-views"]
-    """paper: upright tool, no roll, one grasp, no noise. hard: any orientation, hands, occlusion, noise.
-    paper-views: as paper, with a camera that looks at the middle of the tool, as in the published code.
-    """
+    config: Literal["paper", "hard"]
+    """paper: upright tool, no roll, one grasp, no noise. hard: any orientation, hands, occlusion, noise."""
     size: Annotated[int, tyro.conf.arg(metavar="N")]
     """Examples in all."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]

@@ -135,14 +135,10 @@ class Clouds(JsonOption):
     """Where the clouds go, for `toolee train pose --rendered FILE` or `toolee train paper FILE`."""
     true_masks: Flag = False
     """Under true masks alone, without a detector."""
-    whole_tools: Flag = False
-    """Of whole tools, under true masks: for the column object-prior of `toolee train paper`."""
     weights: Folder = None
     """The detector's weights (default: those that ship)."""
     limit: Count = None
     """Images of each split (default: all)."""
-    minutes: Number = None
-    """Keep the clouds that are made within this time (default: until all are made)."""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
     """Processes at a time."""
     device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "cpu"
@@ -153,8 +149,7 @@ class Clouds(JsonOption):
         from toolee_robot.perception.offline.rendered_clouds import rendered_clouds
         from toolee_robot.perception.offline.training.options import make_folder
 
-        of_detector = not (self.true_masks or self.whole_tools)
-        if self.weights is not None and not of_detector:
+        if self.weights is not None and self.true_masks:
             raise UserError("leave --weights out: true masks need no detector")
         make_folder(self.out.parent)
         with progress_bars(console) as report:
@@ -166,14 +161,11 @@ class Clouds(JsonOption):
                 self.limit,
                 partial(report, "scene folders"),
                 self.true_masks,
-                self.whole_tools,
-                self.minutes,
             )
         clouds.save(self.out)
         shown = int(clouds.positive.sum())
-        kind = "whole tools" if clouds.of_tool.any() else "end effectors"
-        negatives = f" and {len(clouds) - shown} of other objects" if of_detector else ""
-        console.print(f"{shown} clouds of {kind}{negatives} in {self.out}")
+        negatives = "" if self.true_masks else f" and {len(clouds) - shown} of other objects"
+        console.print(f"{shown} clouds of end effectors{negatives} in {self.out}")
         self.tell({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown})
         return 0
 
@@ -224,7 +216,7 @@ class Paper(JsonOption):
     """
 
     clouds: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
-    """Clouds under true masks: `toolee train clouds --true-masks`, for object-prior `--whole-tools`."""
+    """Clouds under true masks: `python -m benchmarks.published_clouds`, or `toolee train clouds --true-masks`."""
     out: OutDir
     """Checkpoint, weights with their configuration, log."""
     column: Annotated[str, tyro.conf.arg(metavar="NAME")] = "symmetry-aware"

@@ -22,7 +22,7 @@ from toolee_robot.perception.offline.dataset.records import read_json
 from toolee_robot.runtime.files import from_json, read_text
 from toolee_robot.tools import TOOL_SPECS
 
-CONFIGS = ("paper", "hard", "paper-views")
+CONFIGS = ("paper", "hard")
 """Scene configurations."""
 SPLITS = ("train", "test")
 """Splits; "test" shows held-out instances, textures and backgrounds."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -99,11 +99,12 @@ def load_estimator(folder: Path | None, device: str = "cpu") -> CloudEstimator:
 
     Raises:
         AssetError: The weights are missing or unreadable.
+        UserError: They take whole tools (`user.paper_column`).
     """
     if folder is None or (folder / "pose.json").is_file():
         return PoseEstimator.load(folder, device)
     if (folder / f"{PAPER}.json").is_file():
-        return PaperEstimator.load(folder, device)
+        return PaperEstimator.load_for_job(folder, device)
     raise AssetError(
         f"{folder} holds neither pose.json nor {PAPER}.json: give the folder of a `toolee train pose` run (its --out)",
         code="asset.missing",
@@ -121,8 +122,8 @@ def estimate_case(estimator: CloudEstimator, case: Case, seed: int) -> tuple[Pos
     Returns:
         The estimate, None where it is refused, and its wall-clock time [ms].
     """
-    points = case.tool_points if estimator.of_tool else case.cloud.points
-    if not estimator.of_tool and not case.cloud.usable:
+    points = case.cloud.points
+    if not case.cloud.usable:
         return None, 0.0
     begun = time.perf_counter()
     try:
@@ -164,13 +165,12 @@ class Answer:
     row: tuple[object, ...] | None
 
 
-def questions(examples: Examples, masks: str, of_tool: bool) -> list[Question]:
+def questions(examples: Examples, masks: str) -> list[Question]:
     """The questions about all masks of one kind.
 
     Args:
         examples: The data set.
         masks: Kind of mask, "truth" or "predicted".
-        of_tool: Whether the estimator takes the whole tool's cloud.
 
     Returns:
         One question per mask.
@@ -179,8 +179,7 @@ def questions(examples: Examples, masks: str, of_tool: bool) -> list[Question]:
     return [
         Question(
             number,
-            # Dropped where unused: the whole tool's points are many, and may be sent to another process.
-            case if of_tool else replace(case, tool_points=_NO_POINTS),
+            case,
             None if case.instance is None else examples.instances[case.instance],
             case.instance is not None and best[case.instance] is case,
         )
@@ -207,19 +206,16 @@ def answer(estimator: CloudEstimator, trust: Trust, question: Question) -> Answe
         probability, usable, _ = trust.judge(case.score, case.tool_score, result)
         if instance is None or instance.target:
             ranked = Ranked(case.image, case.category, probability, result.X_camera_ee, usable)
-    if question.best and instance is not None and asked_for(instance, estimator.of_tool):
+    if question.best and instance is not None and instance.target:
         row = _row(instance, result, usable, ms)
     return Answer(ranked, case.instance, row)
 
 
-def summary(examples: Examples, of_tool: bool, answers: Iterable[Answer]) -> tuple[Estimates, list[Ranked]]:
+def summary(examples: Examples, answers: Iterable[Answer]) -> tuple[Estimates, list[Ranked]]:
     """Join the answers: every instance that is asked for by its best mask, and every pose for the rankings.
-
-    An estimator of whole tools is only asked for the first of alike ends.
 
     Args:
         examples: The data set.
-        of_tool: Whether the estimator takes the whole tool's cloud.
         answers: The answers, in any order.
 
     Returns:
@@ -234,22 +230,11 @@ def summary(examples: Examples, of_tool: bool, answers: Iterable[Answer]) -> tup
     rows = [
         by_instance.get(number) or _row(instance, None, False, 0.0)
         for number, instance in enumerate(examples.instances)
-        if asked_for(instance, of_tool)
+        if instance.target
     ]
     return Estimates(*(np.array([row[k] for row in rows], kind) for k, kind in enumerate(_TYPES))), ranked
 
 
-def asked_for(instance: Instance, of_tool: bool) -> bool:
-    """Whether an estimator is asked for the pose of an instance.
-
-    Args:
-        instance: The instance.
-        of_tool: Whether the estimator is one of whole tools, which is asked for the first of alike ends only.
-    """
-    return instance.target and (instance.first_end or not of_tool)
-
-
-_NO_POINTS = np.empty((0, 3))
 _TYPES = (int, bool, *[float] * 7, bool, float)
 _INF = float("inf")
 

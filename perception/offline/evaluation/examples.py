@@ -15,7 +15,7 @@ from scipy.spatial.distance import pdist
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, inverse, transform_points
-from toolee_robot.perception.cloud import EeCloud, back_project, ee_cloud, without_flying_pixels
+from toolee_robot.perception.cloud import EeCloud, ee_cloud
 from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.offline.dataset.catalogue import Catalogue
 from toolee_robot.perception.offline.dataset.instances import ee_mesh, object_of
@@ -42,7 +42,6 @@ class Instance:
         visible: Visible pixels [px].
         occlusion: In [0, 1].
         target: Whether its pose is asked for; one with under 50 points is neither found nor missed.
-        first_end: Whether no earlier end of its tool has its category.
         scene: Kind of scene, one of `dataset.records.SCENES`.
         too_few_points: Whether it would be a target but for these 50 points.
     """
@@ -58,7 +57,6 @@ class Instance:
     visible: int
     occlusion: float
     target: bool
-    first_end: bool
     scene: str
     too_few_points: bool = False
 
@@ -83,7 +81,6 @@ class Case:
         category: Claimed category.
         score: Detector's score; 1 for true masks.
         cloud: The EE's cloud.
-        tool_points: Points of the whole tool, (N, 3) [m], camera frame.
         tool_score: Detector's score of the tool.
         overlap: Largest IoU of the mask with an EE of its category, matched or not.
     """
@@ -93,7 +90,6 @@ class Case:
     category: Category
     score: float
     cloud: EeCloud
-    tool_points: Array
     tool_score: float = 1.0
     overlap: float = 1.0
 
@@ -123,7 +119,7 @@ class Examples:
         return best
 
 
-_NOTHING = Case(None, -1, Category.HAMMER_HEAD, -1.0, EeCloud.refused(""), np.empty((0, 3)))
+_NOTHING = Case(None, -1, Category.HAMMER_HEAD, -1.0, EeCloud.refused(""))
 
 
 _VERTICES = 400
@@ -330,7 +326,6 @@ def instances_of(
         The id in the id maps, and the instance.
     """
     for row in np.flatnonzero(table.category):
-        same_tool = np.flatnonzero(table.tool == table.tool[row])
         X_hand = table.X_camera_hand[row].astype(np.float64)
         held = bool(np.isfinite(X_hand).all()) and not table.mirrored[row]
         tool, ee = object_of(int(table.obj_id[row]))
@@ -348,7 +343,6 @@ def instances_of(
                 visible=int(table.visible[row]),
                 occlusion=float(table.occlusion[row]),
                 target=bool(table.targets[row]),
-                first_end=bool(row == same_tool[table.category[same_tool] == table.category[row]][0]),
                 scene=scene,
             ),
         )
@@ -396,11 +390,8 @@ def _add(
 
 
 def _case(instance: int | None, image: int, frame: RgbdFrame, detection: Detection, overlap: float = 1.0) -> Case:
-    tool_mask = detection.mask if detection.tool_mask is None else detection.tool_mask
-    tool_points = back_project(frame.depth, without_flying_pixels(frame.depth, tool_mask), frame.intrinsics)
     score, tool_score = detection.score, detection.tool_score
-    cloud = ee_cloud(frame, detection)
-    return Case(instance, image, detection.category, score, cloud, tool_points, tool_score, overlap)
+    return Case(instance, image, detection.category, score, ee_cloud(frame, detection), tool_score, overlap)
 
 
 def _splits(folder: Path) -> list[list[Path]]:

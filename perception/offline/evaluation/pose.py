@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from toolee_robot.end_effectors import CATEGORIES, Category, label_of
 from toolee_robot.frames import Array
 from toolee_robot.perception.offline.evaluation import metrics
-from toolee_robot.perception.offline.evaluation.estimates import Estimates, Ranked, asked_for
+from toolee_robot.perception.offline.evaluation.estimates import Estimates, Ranked
 from toolee_robot.perception.offline.evaluation.examples import Instance, ee_shape
 from toolee_robot.perception.pose.confidence import RIGHT
 
@@ -217,20 +217,19 @@ AXES: dict[str, Callable[[Instance], str]] = {
 widths (a Kinect v2's is 0.714), not what its noise model drew."""
 
 
-def held_out_breakdown(instances: list[Instance], estimates: Estimates, of_tool: bool) -> dict[str, Any]:
+def held_out_breakdown(instances: list[Instance], estimates: Estimates) -> dict[str, Any]:
     """Accuracy of the held-out instances (of all where none is held out) by each of `AXES`.
 
     Args:
         instances: All instances of the data set.
         estimates: The estimates of those that are asked for.
-        of_tool: Whether the estimator is one of whole tools.
 
     Returns:
         Axis to group to "instances", "left_out" for want of depth, the share with an estimate, and the shares under
         `metrics.THRESHOLDS`. Shares are over all instances of the group, without weights for the categories.
     """
     any_held_out = any(i.held_out and i.target for i in instances)
-    asked = [i for i in instances if asked_for(i, of_tool)]
+    asked = [i for i in instances if i.target]
     chosen = np.array([i.held_out or not any_held_out for i in asked], dtype=bool)
     asked, estimates = [i for i, c in zip(asked, chosen, strict=True) if c], estimates.rows(chosen)
     left_out = [i for i in instances if i.too_few_points and (i.held_out or not any_held_out)]

@@ -110,15 +110,14 @@ _PUBLISHED_ROWS = (Category.HAMMER_GRIP, Category.HAMMER_HEAD, Category.SCREWDRI
 _PUBLISHED_THRESHOLDS = ("5deg2cm", "5deg5cm", "10deg5cm")
 
 
-def table1(report: dict[str, Any], column: str) -> list[Table]:
+def table1(groups: dict[str, Any], column: str) -> list[Table]:
     """A column of the paper's Table I, by its own rule, beside the published figures: a table for each threshold.
 
     Args:
-        report: What `run.evaluate_pose` gives for the column's estimator alone, under true masks.
+        groups: What `pose.tables` gives for the column's estimator.
         column: Name of the column.
     """
-    (estimator,) = report["estimators"].values()
-    groups = {group: found["table"] for group, found in estimator["truth"]["groups"].items()}
+    groups = {group: found["table"] for group, found in groups.items()}
     published: dict[str, Sequence[float]] = {
         c.value: row for c, row in zip(_PUBLISHED_ROWS, PUBLISHED[column], strict=True)
     }

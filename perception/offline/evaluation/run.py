@@ -133,16 +133,16 @@ def evaluate_pose(plan: Plan, progress: Progress) -> dict[str, Any]:
         for label, estimator in networks.estimators.items():
             record: dict[str, Any] = {"method": describe(estimator)}
             for masks in examples.cases:
-                asked = questions(examples, masks, estimator.of_tool)
+                asked = questions(examples, masks)
                 answers = _counted(
                     processes.map(partial(_answer, label), asked),
                     partial(progress, f"{label}, {masks} masks"),
                     len(asked),
                 )
-                rows, ranked = summary(examples, estimator.of_tool, answers)
+                rows, ranked = summary(examples, answers)
                 record[masks] = {
                     "groups": pose.tables(rows),
-                    "breakdown": held_out_breakdown(examples.instances, rows, estimator.of_tool),
+                    "breakdown": held_out_breakdown(examples.instances, rows),
                     "usable": pose.usable_poses(examples.instances, ranked, examples.images),
                     "latency": {
                         **pose.latency(rows),

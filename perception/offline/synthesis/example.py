@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from toolee_robot.depth_noise import SensorKind
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.offline.dataset.catalogue import GENERATED, Catalogue, generated_tools, number_of
 from toolee_robot.perception.offline.dataset.instances import object_id
-from toolee_robot.perception.offline.dataset.records import HEIGHT, MAX_EES, WIDTH, EeTable, Example, pixels_of
+from toolee_robot.perception.offline.dataset.records import MAX_EES, EeTable, Example, pixels_of
 from toolee_robot.perception.offline.dataset.spec import CONFIGS, SPLITS, DatasetSpec
 from toolee_robot.perception.offline.synthesis.hard import hard_scene
 from toolee_robot.perception.offline.synthesis.placement import Pool, SceneSample
@@ -97,19 +97,19 @@ class _Reach:
         inside = np.flatnonzero(relative.min(axis=0) <= 1.0)
         return rows[inside], columns[inside], relative[:, inside].argmin(axis=0)
 
-    def region(self, intrinsics: CameraIntrinsics) -> tuple[int, int, int, int] | None:
+    def region(self, K: CameraIntrinsics) -> tuple[int, int, int, int] | None:
         """Bounding box x0, y0, x1, y1 [px] of the EEs, clipped to the image; None if it is empty."""
         boxes = []
         for X, radius in zip(self.Xs_camera_ee, self.radii, strict=True):
             z = X[2, 3]
             if z < radius + 0.05:
-                return 0, 0, WIDTH, HEIGHT
+                return 0, 0, K.width, K.height
             # Margin on the outline of the sphere, which perspective stretches off the optical axis.
-            half = 1.3 * radius * intrinsics.fx / (z - radius) if self.circle is None else self.circle + 1.0
-            u, v = intrinsics.project(X[:3, 3])
+            half = 1.3 * radius * K.fx / (z - radius) if self.circle is None else self.circle + 1.0
+            u, v = K.project(X[:3, 3])
             boxes.append([u - half, v - half, u + half, v + half])
-        x0, y0 = np.floor(np.clip(np.min(boxes, axis=0)[:2], 0, [WIDTH, HEIGHT])).astype(int)
-        x1, y1 = np.ceil(np.clip(np.max(boxes, axis=0)[2:], 0, [WIDTH, HEIGHT])).astype(int)
+        x0, y0 = np.floor(np.clip(np.min(boxes, axis=0)[:2], 0, [K.width, K.height])).astype(int)
+        x1, y1 = np.ceil(np.clip(np.max(boxes, axis=0)[2:], 0, [K.width, K.height])).astype(int)
         return (int(x0), int(y0), int(x1), int(y1)) if x1 > x0 and y1 > y0 else None
 
 
@@ -301,5 +301,4 @@ def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
 _SCENES: dict[str, Callable[[np.random.Generator, Pool], SceneSample]] = {
     "paper": paper_scene,
     "hard": _hard_scene,
-    "paper-views": partial(paper_scene, published_views=True),
 }

@@ -65,32 +65,27 @@ _HAND, _ROOM = 101, 100
 _SKIN = Material(linear((0.78, 0.60, 0.50)), roughness=0.55)
 
 
-def paper_scene(rng: np.random.Generator, pool: Pool, published_views: bool = False) -> SceneSample:
+def paper_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
     """Generate a scene of the protocol.
 
     A right hand holds a tool with vertical handle in the nominal grasp, shifted by up to 5 cm along the handle. The
-    camera has no roll.
+    camera has no roll. An EE is anywhere in the image, see `_any_view`.
 
     Args:
         rng: Random generator.
         pool: Tools, grasps and surfaces.
-        published_views: See `_published_view`; else an EE is anywhere in the image, see `_any_view`.
 
     Returns:
         The scene, with the camera.
     """
     tool = pool.tool(rng)
-    X_world_camera, X_world_tool = (_published_view if published_views else _any_view)(rng, tool)
-    radius = tool.handle.grip_radius
-    X_hand_tool = SHOWN_HAND.grasp.X_hand_tool(radius)
-    grasp = Grasp(X_hand_tool, wrap_fingers(SHOWN_HAND, X_hand_tool, radius), radius)
+    X_world_camera, X_world_tool = _any_view(rng, tool)
+    grasp = shown_grasp(tool.handle.grip_radius)
     along = float(np.clip(rng.uniform(-_SHIFT, _SHIFT), tool.handle.z_min + 0.03, max(tool.handle.z_max, 0.0)))
-    if published_views:  # the hand stays in view, and the tool moves
-        X_world_tool = X_world_tool @ transform(p=(0.0, 0.0, -along))
-    X_world_hand = X_world_hand_of(X_world_tool @ transform(p=(0.0, 0.0, along)), X_hand_tool)
+    X_world_hand = X_world_hand_of(X_world_tool @ transform(p=(0.0, 0.0, along)), grasp.X_hand_tool)
 
     # The window contains the centre of the tool with an offset and lies within the full image.
-    offset = np.zeros(2) if published_views else rng.uniform([-80.0, -60.0], [80.0, 60.0])
+    offset = rng.uniform([-80.0, -60.0], [80.0, 60.0])
     vertices = transform_points(np.linalg.inv(X_world_camera) @ X_world_tool, np.asarray(tool.mesh.vertices))
     pixels = vertices[:, :2] / np.maximum(vertices[:, 2:], 0.1) * FOCAL + [_FULL.cx, _FULL.cy]
     middle = 0.5 * (pixels.min(axis=0) + pixels.max(axis=0)) + offset
@@ -102,6 +97,13 @@ def paper_scene(rng: np.random.Generator, pool: Pool, published_views: bool = Fa
     placed = PlacedTool(tool, X_world_tool, X_world_hand, False, 1, Stance.HELD)
     scene = Scene(bodies, lamps(rng), environment(rng))
     return SceneSample(scene, window, X_world_camera, (placed,), SCENES.index("paper"), CIRCLE)
+
+
+@lru_cache(maxsize=64)
+def shown_grasp(radius: float) -> Grasp:
+    """The nominal grasp of a handle of a radius [m]."""
+    X_hand_tool = SHOWN_HAND.grasp.X_hand_tool(radius)
+    return Grasp(X_hand_tool, wrap_fingers(SHOWN_HAND, X_hand_tool, radius), radius)
 
 
 def _any_view(rng: np.random.Generator, tool: ToolShape) -> tuple[Array, Array]:
@@ -117,22 +119,6 @@ def _any_view(rng: np.random.Generator, tool: ToolShape) -> tuple[Array, Array]:
     p = X_world_camera[:3, :3] @ _FULL.rays(pixel) * rng.uniform(*DEPTHS)
     R = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi)).as_matrix()
     return X_world_camera, transform(R, p - R @ ee.X_tool_ee[:3, 3])
-
-
-def _published_view(rng: np.random.Generator, tool: ToolShape) -> tuple[Array, Array]:
-    """A view of the published generator: the camera looks at one point, 0.42 to 0.98 m away: the middle of the tool.
-
-    The camera is 0.3 to 0.6 m beside that point on both horizontal axes, on either side (azimuth: four sectors of 37
-    degrees), and 0.1 m below to 0.5 m above it. The tool does not turn. `paper_scene` shifts it along its handle.
-
-    Returns:
-        As `_any_view`.
-    """
-    beside = rng.choice([-1.0, 1.0], 2) * rng.uniform(0.3, 0.6, 2)
-    target = -np.array([*beside, rng.uniform(-0.1, 0.5)])
-    vertices = np.asarray(tool.mesh.vertices)
-    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    return look(np.zeros(3), target, 0.0), transform(p=target - middle)
 
 
 _CAMERA = np.array([0.95, -0.62, 0.85])

@@ -92,7 +92,7 @@ class RenderedClouds:
             wanted, given = ("whole tools", "end effectors") if of_tool else ("end effectors", "whole tools")
             raise UserError(
                 f"--rendered: this training takes clouds of {wanted}, some of these are of {given}: make them with "
-                "`toolee train clouds`, with --whole-tools or without"
+                "`benchmarks.published_clouds`, with --whole-tools or without"
             )
 
     def save(self, path: Path) -> None:

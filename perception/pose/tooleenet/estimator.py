@@ -8,7 +8,7 @@ to one solver).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -244,7 +244,6 @@ class PaperEstimator(CloudEstimator):
         column: The column of Table I.
         device: torch device.
         sampler: Solver of the generative process; None: the paper's RK45.
-        start: Time at which sampling starts, see `VarianceExploding`; None: the paper's.
 
     Attributes:
         column: As given.
@@ -259,12 +258,11 @@ class PaperEstimator(CloudEstimator):
         column: Column,
         device: str = "cpu",
         sampler: Sampler | None = None,
-        start: float | None = None,
     ) -> None:
         self._device = torch_device(device)
         self._net = net.to(self._device).eval()
         self.column, self.of_tool = column, column.of_tool
-        self.process = PROCESS if start is None else replace(PROCESS, start=start)
+        self.process = PROCESS
         self.sampler = sampler or Rk45()
 
     @classmethod
@@ -281,8 +279,7 @@ class PaperEstimator(CloudEstimator):
         Raises:
             AssetError: The weights are missing or unreadable.
         """
-        net, column, start = load(weights_dir)
-        return cls(net, column, device, start=start)
+        return cls(*load(weights_dir), device)
 
     @classmethod
     def load_for_job(cls, weights_dir: Path | None = None, device: str = "cpu") -> PaperEstimator:
@@ -391,14 +388,14 @@ def save(folder: Path, net: PaperNet, column: Column, report: dict[str, Any]) ->
     weight_files.save_weights(folder, NAME, net.state_dict(), {"column": column.name, "report": report})
 
 
-def load(folder: Path | None) -> tuple[PaperNet, Column, float]:
+def load(folder: Path | None) -> tuple[PaperNet, Column]:
     """Load the network that `save` wrote.
 
     Args:
         folder: The folder; None: the shipped weights.
 
     Returns:
-        The network (float32, eval mode, CPU), its column of the paper's table, and the time at which sampling starts.
+        The network (float32, eval mode, CPU), and its column of the paper's table.
 
     Raises:
         AssetError: The weights are missing or unreadable.
@@ -411,9 +408,7 @@ def load(folder: Path | None) -> tuple[PaperNet, Column, float]:
         )
     tensors, card = weight_files.load_weights(folder, NAME)
     try:
-        column, start = COLUMNS[card["column"]], float(card.get("sampling_start", PROCESS.start))
-        if not PROCESS.end < start <= 1:
-            raise ValueError(f"sampling_start {start:g} is not within ({PROCESS.end:g}, 1]")
+        column = COLUMNS[card["column"]]
         net = PaperNet(column.dim)
         net.load_state_dict(tensors)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
@@ -422,4 +417,4 @@ def load(folder: Path | None) -> tuple[PaperNet, Column, float]:
             f"again ({error})",
             code="asset.unreadable",
         ) from error
-    return net.requires_grad_(False).eval(), column, start
+    return net.requires_grad_(False).eval(), column

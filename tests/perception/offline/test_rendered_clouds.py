@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from scipy.spatial import cKDTree
 
+from benchmarks import published_clouds
 from tests.errors import raises
 from tests.perception.data_sets import frames
 from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError
-from toolee_robot.frames import Array, transform_points
+from toolee_robot.frames import Array
 from toolee_robot.perception.detection.passes import Crop
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.offline.evaluation.examples import parts, read_part
-from toolee_robot.perception.offline.rendered_clouds import clouds_of_part, tool_clouds_of_part
+from toolee_robot.perception.offline.evaluation.examples import parts
+from toolee_robot.perception.offline.rendered_clouds import clouds_of_part
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.offline.synthetic_clouds.surface_samples import sample_hands, sample_tools
@@ -177,21 +177,6 @@ def test_the_command_keeps_them_for_a_training(
     assert said["negative"] == (~kept.positive).sum()
 
 
-def test_what_is_there_after_a_time_is_kept(folder: Path, tmp_path: Path) -> None:
-    twice = tmp_path / "train"
-    twice.mkdir()
-    for name in ("000000", "000001"):
-        (twice / name).symlink_to(folder / "000000")
-
-    def made(*options: str) -> int:
-        out = tmp_path / "clouds.npz"
-        arguments = ["train", "clouds", str(twice), "--out", str(out), "--true-masks", *options]
-        assert run(arguments) == 0
-        return len(RenderedClouds.load(out))
-
-    assert 2 * made("--minutes", "0.000001") == made("--minutes", "60") == made()
-
-
 @pytest.mark.nightly
 def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> None:
     samples, held_out = (sample_tools(held_out=held, seeds_per_kind=1, workers=1) for held in (False, True))
@@ -213,28 +198,13 @@ def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> 
     assert (shown[0] - shown[1]).abs().max() > 1e-5
 
 
-def test_whole_tools_come_with_the_pose_of_their_tool(folder: Path) -> None:
-    (part, *_) = parts(folder)
-    whole = tool_clouds_of_part(None, part)
-    examples = read_part(part, None)
-    shown = [i for i in examples.instances if i.target and i.first_end]
-    assert len(whole) == len(shown) > 0
-    ends = np.cumsum(whole.counts[:, 0])
-    for i, instance in enumerate(shown):
-        X = whole.X_camera_tool[i].astype(np.float64)
-        points = whole.points[ends[i] - whole.counts[i, 0] : ends[i]]
-        surface = part.catalogue.tool(instance.tool).mesh.sample(20_000, seed=0)
-        apart = cKDTree(transform_points(X, surface)).query(points)[0]
-        assert np.median(apart) < 0.006, "the points are the tool's, up to the sensor's noise"
-
-
 @pytest.fixture(scope="module")
 def paper_files(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Of a column each what the command keeps for it."""
     out = tmp_path_factory.mktemp("paper")
     files = {column: out / f"{column}.npz" for column in ("ee", "object-prior")}
-    for file, kind in zip(files.values(), ("--true-masks", "--whole-tools"), strict=True):
-        assert run(["train", "clouds", str(folder), "--out", str(file), kind]) == 0
+    assert run(["train", "clouds", str(folder), "--out", str(files["ee"]), "--true-masks"]) == 0
+    assert published_clouds.main([str(files["object-prior"]), "--images", "1", "--whole-tools"]) == 0
     return files
 
 

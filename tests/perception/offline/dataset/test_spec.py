@@ -279,7 +279,7 @@ generated = st.one_of(
     ),
     st.builds(
         DatasetSpec,
-        config=st.sampled_from(("paper", "paper-views")),
+        config=st.just("paper"),
         size=st.integers(1, 10**6),
         test_share=st.sampled_from((0.0, 0.1, 1 / 3, 1.0)),
         kinds=st.integers(13, len(TOOL_SPECS)),

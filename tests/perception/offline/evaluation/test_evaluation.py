@@ -113,8 +113,8 @@ def test_tables_and_the_report(examples: Examples) -> None:
     }
     record: dict[str, object] = {"method": {"name": "ours", "candidates": 32, "sampler": "Euler(steps=5)"}}
     for masks in ("truth", "predicted"):
-        answers = (answer(estimator, Trust(), question) for question in questions(examples, masks, of_tool=False))
-        rows, ranked = summary(examples, False, answers)
+        answers = (answer(estimator, Trust(), question) for question in questions(examples, masks))
+        rows, ranked = summary(examples, answers)
         assert len(rows) == sum(i.target for i in examples.instances)
         assert np.all(rows.position[~rows.made] == np.inf)
         groups = pose.tables(rows)
@@ -124,7 +124,7 @@ def test_tables_and_the_report(examples: Examples) -> None:
         latency = {**pose.latency(rows), "device": "cpu", "torch_threads": 1}
         record[masks] = {
             "groups": groups,
-            "breakdown": held_out_breakdown(examples.instances, rows, of_tool=False),
+            "breakdown": held_out_breakdown(examples.instances, rows),
             "usable": pose.usable_poses(examples.instances, ranked, examples.images),
             "latency": latency,
         }
@@ -172,9 +172,9 @@ def test_the_figures_are_the_same_for_any_number_of_workers(folder: Path, capsys
 
 def test_the_breakdown_puts_every_instance_into_one_group_of_each_axis(examples: Examples) -> None:
     estimator = PoseEstimator.load()
-    asked = questions(examples, "truth", estimator.of_tool)
-    found, _ = summary(examples, estimator.of_tool, (answer(estimator, Trust(), q) for q in asked))
-    tables = held_out_breakdown(examples.instances, found, estimator.of_tool)
+    asked = questions(examples, "truth")
+    found, _ = summary(examples, (answer(estimator, Trust(), q) for q in asked))
+    tables = held_out_breakdown(examples.instances, found)
     right = metrics.within(found.angle, found.position, *metrics.THRESHOLDS["5deg2cm"]).sum()
     for groups in tables.values():
         assert sum(g["instances"] for g in groups.values()) == len(found)

@@ -155,7 +155,7 @@ def test_a_column_stands_beside_the_published_one() -> None:
     row = {"instances": 3, "paper_5deg2cm": 0.25, "paper_5deg5cm": 0.5, "paper_10deg5cm": 0.75}
     held_out = {"hammer_head": row, "average": {**row, "instances": 3}}
     groups = {"held-out": {"table": held_out}, "seen": {"table": {"average": {**row, "instances": 4}}}}
-    tables = table1({"estimators": {"aware": {"truth": {"groups": groups}}}}, "symmetry-aware")
+    tables = table1(groups, "symmetry-aware")
     narrow, _, wide = ({row[0]: row[1:] for row in table.rows} for table in tables)
     assert (narrow["hammer head"], wide["hammer head"]) == (["3", "0.250", "", "0.976"], ["3", "0.750", "", "0.997"])
     assert (narrow["average"], wide["average"]) == (["7", "0.250", "0.250", "0.985"], ["7", "0.750", "0.750", "0.998"])

@@ -18,7 +18,7 @@ from tests.paper_weights import untrained_paper_weights
 from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, TooleeError, UserError
-from toolee_robot.frames import Array, inverse, transform, transform_points
+from toolee_robot.frames import transform
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.offline.research.tooleenet_training import (
     ColumnTraining,
@@ -52,7 +52,6 @@ from toolee_robot.perception.pose.tooleenet.network import (
     ball_query,
 )
 from toolee_robot.perception.weight_files import load_weights, save_weights
-from toolee_robot.tools import Tool
 from toolee_robot.types import HoldingHand, PoseHypotheses
 
 CPU = Distributed(0, 1, torch.device("cpu"))
@@ -282,13 +281,13 @@ def test_the_pipeline_takes_it_by_its_name(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.nightly
 def test_the_shipped_weights_repeat_the_papers_column(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["evaluate", "table1", "--images", "24", "--json"]) == 0
-    groups = json.loads(capsys.readouterr().out)["estimators"]["symmetry-aware"]["truth"]["groups"]
-    tables = [group["table"]["average"] for group in groups.values()]
-    count = sum(table["instances"] for table in tables)
-    right = sum(table["instances"] * table["paper_10deg5cm"] for table in tables)
-    assert count > 25
-    assert right / count > 0.9, "0.995 of 5,479 clouds when the weights were made"
+    assert run(["evaluate", "table1", "--images", "1", "--json"]) == 0
+    groups = json.loads(capsys.readouterr().out)["groups"]
+    seen, held_out = (groups[group]["table"]["average"] for group in ("seen", "held-out"))
+    assert seen["instances"] > 55
+    assert held_out["instances"] > 45
+    assert seen["paper_10deg5cm"] > 0.95, "0.998 of 5,479 clouds when the weights were made"
+    assert held_out["paper_10deg5cm"] > 0.9, "0.985 of 4,019"
 
 
 def stored_clouds(count: int, of_tool: bool = False) -> RenderedClouds:
@@ -385,18 +384,6 @@ def test_a_training_stops_on_a_loss_that_is_not_finite(tmp_path: Path) -> None:
 
 
 @pytest.mark.sim
-def test_a_trainings_configuration_says_when_sampling_starts(tmp_path: Path) -> None:
-    card = untrained_paper_weights(tmp_path) / "pose_paper.json"
-    assert PaperEstimator.load(tmp_path).process.start == 0.55, "the paper's"
-    card.write_text(json.dumps(json.loads(card.read_text()) | {"sampling_start": 1.0}))
-    assert PaperEstimator.load(tmp_path).process.start == 1.0
-    card.write_text(json.dumps(json.loads(card.read_text()) | {"sampling_start": 1.5}))
-    with raises(AssetError, code="asset.unreadable") as unreadable:
-        PaperEstimator.load(tmp_path)
-    assert "sampling_start 1.5" in str(unreadable.value)
-
-
-@pytest.mark.sim
 def test_weights_that_learnt_another_translation_are_refused(tmp_path: Path) -> None:
     """Those of before 30 November 2026 know no order of points, and their translation is the camera's."""
     untrained_paper_weights(tmp_path)
@@ -406,17 +393,3 @@ def test_weights_that_learnt_another_translation_are_refused(tmp_path: Path) -> 
     with raises(AssetError, code="asset.unreadable") as earlier:
         PaperEstimator.load(tmp_path)
     assert "train them again" in str(earlier.value)
-
-
-X_TRUE = transform(Rotation.from_rotvec([2.3, 0.4, 0.3]), [0.02, -0.03, 0.5])
-"""The face in the camera, turned towards it."""
-
-
-def seen(tool: Tool, X_camera_ee: Array) -> tuple[Array, Array]:
-    """Points of the tool's surface that face the camera: of the striking end, and of the rest, camera frame."""
-    points, faces = tool.mesh.sample(6000, return_index=True, seed=1)
-    X = X_camera_ee @ inverse(tool.ee(Category.HAMMER_HEAD).X_tool_ee)
-    at, normals = transform_points(X, points), tool.mesh.face_normals[faces] @ X[:3, :3].T
-    visible = at[np.einsum("ij,ij->i", at, normals) < 0.0]
-    head = np.linalg.norm(visible - X_camera_ee[:3, 3], axis=1) < 0.03
-    return visible[head], visible[~head]

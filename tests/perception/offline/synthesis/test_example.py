@@ -27,8 +27,7 @@ from toolee_robot.perception.offline.dataset.records import (
 from toolee_robot.perception.offline.dataset.scenes import load, write_scene
 from toolee_robot.perception.offline.synthesis.clutter import Surfaces
 from toolee_robot.perception.offline.synthesis.example import Series, label, make_example, render_example
-from toolee_robot.perception.offline.synthesis.placement import Pool
-from toolee_robot.perception.offline.synthesis.station import DEPTHS, paper_scene
+from toolee_robot.perception.offline.synthesis.station import DEPTHS
 from toolee_robot.render.renderer import pixel_rays
 from toolee_robot.tools import split
 from toolee_robot.types import CameraIntrinsics
@@ -151,34 +150,6 @@ def test_the_papers_protocol() -> None:
         assert not placed.mirrored
     for X in grips:
         np.testing.assert_allclose(X[:3, :3], grips[0][:3, :3], atol=1e-9)
-
-
-def test_the_published_views() -> None:
-    """The camera looks at the middle of the tool's box but for a shift along the handle; the tool does not turn."""
-    pool = Pool.random(np.random.default_rng(3), "train")
-    seen, shifts = [], []
-    for index in range(40):
-        sample = paper_scene(np.random.default_rng(index), pool, published_views=True)
-        (placed,) = sample.tools
-        np.testing.assert_array_equal(placed.X_world_tool[:3, :3], np.eye(3))
-        vertices = np.asarray(placed.tool.mesh.vertices) + placed.X_world_tool[:3, 3] - sample.X_world_camera[:3, 3]
-        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-        axis = sample.X_world_camera[:3, 2]
-        target = axis * np.linalg.norm(middle[:2]) / np.linalg.norm(axis[:2])
-        np.testing.assert_allclose(target[:2], middle[:2], atol=1e-9)
-        shifts.append(middle[2] - target[2])
-        assert placed.X_world_hand is not None
-        seen.append(-target)
-    assert np.abs(shifts).max() <= 0.05
-    assert np.ptp(shifts) > 0.06
-    x, y, z = np.transpose(seen)
-    assert {(a > 0, b > 0) for a, b in zip(x, y, strict=True)} == {(a, b) for a in (True, False) for b in (True, False)}
-    for beside in (np.abs(x), np.abs(y)):
-        assert 0.3 <= beside.min() < 0.35
-        assert 0.55 < beside.max() <= 0.6
-    assert -0.1 <= z.min() < 0.0
-    assert 0.4 < z.max() <= 0.5
-    assert render_example(Series(6, "train", "paper-views"), 0).labels[3].targets.any()
 
 
 def test_stored_and_loaded(tmp_path: Path, examples: list[Example]) -> None:
