@@ -19,7 +19,8 @@ from toolee_robot.runtime.files import sha256
 
 HERE = Path(__file__).parent
 JOBS: list[dict[str, Any]] = json.loads((HERE / "jobs.json").read_text())
-DATASET: dict[str, str] = json.loads((HERE / "dataset.json").read_text())
+DATASETS: list[dict[str, str]] = json.loads((HERE / "dataset.json").read_text())
+"""Of two processors: the second, an AMD Milan without AVX-512, gave these at commit 298027cb, too."""
 COMMAND = ("sim", "hammer")
 SAME = ("success", "outcome", "nail", "tool", "robot", "hand", "stops", "off_face_strikes")
 """Figures that have to be the same."""
@@ -61,7 +62,7 @@ def test_a_job_ends_as_it_did(before: dict[str, Any], tmp_path: Path, capsys: py
 
 @pytest.mark.sim(seconds=20)
 def test_a_data_set_has_the_bytes_that_it_had(tmp_path: Path) -> None:
-    """Another processor may round a pixel otherwise; on the same one a changed byte is a changed data set."""
+    """Another processor rounds some pixels otherwise; on the same one a changed byte is a changed data set."""
     options = ["--config", "hard", "--size", "4", "--seed", "5", "--workers", "1", "--out", str(tmp_path / "hard")]
     assert run(["dataset", "generate", *options]) == 0
-    assert {name: sha256(tmp_path / "hard" / name) for name in DATASET} == DATASET
+    assert {name: sha256(tmp_path / "hard" / name) for name in DATASETS[0]} in DATASETS

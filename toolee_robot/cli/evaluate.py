@@ -171,7 +171,7 @@ class EvaluatePhotographs(_Evaluation):
 
 @dataclass(frozen=True)
 class EvaluateTable1(_Evaluation):
-    """Repeat a column of the paper's Table I on new images of the paper's protocol.
+    """Repeat a column of the paper's Table I on new images.
 
     It shows 36 held-out tools and the 42 seen ones. Poses under true masks are judged by the paper's rule.
 

@@ -31,7 +31,7 @@ from tests.perception.toy_scenes import toy_scenes, write_toys
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.detection.detector import TOOL, Detector, load_detector
 from toolee_robot.perception.detection.instances import Box, Instance, mask_iou
-from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, load_refiner
+from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, Squares, load_refiner
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.offline.dataset.scenes import SegmentationSet
@@ -119,10 +119,13 @@ def test_detections_are_matched_with_end_effectors_of_their_category(refinement_
     assert refinement_data.detections is not None
     pictures, found = toys(8), refinement_data.detections.of(refinement_data.detections.image < 8)
     matched = 0
+    squares = Squares.about(found.boxes).boxes()  # what lies outside of them does not count
     for i, mask in enumerate(masks_of(found)):
         image = int(found.image[i])
         right = int(found.category[i]) + 1 == pictures.categories[image, 0]
-        iou = mask_iou(mask, pictures.ee[image] > 0) if right else 0.0
+        x0, y0, x1, y1 = (max(round(float(side)), 0) for side in squares[i])
+        seen = np.s_[y0:y1, x0:x1]
+        iou = mask_iou(mask[seen], pictures.ee[image][seen] > 0) if right else 0.0
         if abs(iou - MIN_LEARNT_IOU) > 0.03:  # cells are coarser than pixels
             assert int(found.truth[i]) == int(iou > MIN_LEARNT_IOU)
             matched += int(found.truth[i])
