@@ -1,5 +1,5 @@
 """When a stall of the machine excuses a test's failure."""
 
-STALL_LIMIT = 0.01
-"""Duration above which a stall excuses a failure, which is then tried again and reported [s]: five cycles of an arm at
-500 Hz. With 20 ms, two tests failed in a run of 1,363 s on two slow cores, and passed each time alone."""
+STALL_LIMIT = 0.02
+"""Duration above which a stall excuses a failure, which is then tried again and reported [s]. It is below the driver's
+tightest bound, 24 ms for the age of a UR10's data (three readings at 125 Hz)."""
