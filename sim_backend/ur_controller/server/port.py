@@ -31,7 +31,7 @@ class Service(Protocol):
 
 
 PENDING_LIMIT = 4 << 20  # [bytes] unread by the client above which it is dropped
-READ_SIZE = 4096  # [bytes] per read: a flood of tiny packets must not delay the tick
+READ_SIZE = 512  # [bytes] per read: 372 one-line programs in 4 kB delayed a tick by 0.1 s here, by 0.65 s in CI
 
 
 @dataclass
