@@ -13,7 +13,7 @@ from tests.errors import raises
 from tests.recording import small_run
 from toolee_robot.errors import UserError
 from toolee_robot.recording.history import RunHistory
-from toolee_robot.recording.reading import MAGIC, read_history
+from toolee_robot.recording.reading import read_history
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_a_chunk_that_unpacks_to_a_gigabyte_is_refused(tmp_path: Path) -> None:
     for said in (2**30, 1000):
         content = struct.pack("<QQQI", 0, 0, said, 0) + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed))
         record = b"\x06" + struct.pack("<Q", len(content) + len(packed)) + content + packed
-        assert _read(tmp_path / "run.mcap", MAGIC + record) is None
+        assert _read(tmp_path / "run.mcap", b"\x89MCAP0\r\n" + record) is None
 
 
 def test_no_recording_is_refused(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from foxglove import Schema
 from foxglove import messages as sdk
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.records import Schema as McapSchema
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array
@@ -60,7 +61,7 @@ class Packed:
     data: bytes
 
 
-def decoder(schema: Schema) -> Callable[[bytes], Any]:
+def decoder(schema: Schema | McapSchema) -> Callable[[bytes], Any]:
     """What makes messages of their bytes, with fields as attributes, by a schema as a recording has it."""
     return _message_class(schema.name, schema.data).FromString
 

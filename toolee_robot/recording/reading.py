@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import zlib
 from collections.abc import Iterator
-from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
 import zstandard
-from foxglove import Schema as FoxgloveSchema
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata, Schema
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 
 from toolee_robot.errors import UserError, words_of
 from toolee_robot.recording import RECORDING
@@ -41,13 +34,9 @@ def recording_of(run: Path) -> Path:
     return path
 
 
-MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 64 * 1024**2
-"""Largest content of a chunk that is unpacked [bytes]: a depth image of 8 megapixels takes 32 MiB."""
-_KINDS: dict[int, Any] = {
-    Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata,
-    Opcode.DATA_END: DataEnd, Opcode.CHUNK: Chunk,
-}  # fmt: skip
+"""Largest record, and largest content of a chunk that is unpacked [bytes]: a depth image of 8 megapixels takes 32
+MiB."""
 
 
 def read_history(path: Path) -> RunHistory:
@@ -62,18 +51,36 @@ def read_history(path: Path) -> RunHistory:
     Raises:
         UserError: The file cannot be read, or holds nothing; code `user.recording_unreadable`.
     """
-    records = _Records(path)
     history = RunHistory(complete=False)
+    try:
+        with path.open("rb") as file:
+            try:
+                _take(_records(file), history)
+                history.complete = True
+            except Exception as error:  # noqa: BLE001 - what damaged bytes make of the libraries cannot be listed
+                at, why = file.tell(), str(error) or type(error).__name__
+                if isinstance(error, CRCValidationError):
+                    why = "a checksum is wrong"
+                    if isinstance(error.record, DataEnd):  # chunks have checksums of their own, which were right
+                        history.attachments.clear()
+                if file.read(1):  # else it was cut there, as that of a program that was killed
+                    history.damage = f"it is damaged before byte {at}, and read up to there ({why})"
+    except OSError as error:
+        raise _unreadable(path, words_of(error)) from error
+    if not history.metadata and not len(history.decisions):
+        raise _unreadable(path, history.damage or "it holds no recording of a run")
+    return history
+
+
+def _take(records: Iterator[Any], history: RunHistory) -> None:
     schemas: dict[int, Schema] = {}
     channels: dict[int, tuple[str, Any]] = {}
-
-    def take(record: Any) -> None:
+    for record in records:
         match record:
             case Schema():
                 schemas[record.id] = record
             case Channel():
-                schema = schemas[record.schema_id]
-                channels[record.id] = record.topic, decoder(_schema(schema))
+                channels[record.id] = record.topic, decoder(schemas[record.schema_id])
             case Metadata(name="run"):
                 history.metadata = dict(record.metadata)
             case Attachment():
@@ -82,103 +89,18 @@ def read_history(path: Path) -> RunHistory:
                 topic, decode = channels[record.channel_id]
                 history.add(topic, record.log_time * 1e-9, decode(record.data))
 
-    records.read(take)
-    history.complete, history.damage = records.complete, records.damage
-    if not history.metadata and not len(history.decisions):
-        raise _unreadable(path, records.damage or "it holds no recording of a run")
-    return history
 
-
-class _Records:
-    """The records of a file, whose checksums are verified.
-
-    Args:
-        path: The file.
-
-    Attributes:
-        complete: Whether the file was finished, and is whole.
-        damage: What is wrong with it, and from where on it is not read; empty for an unfinished file that is whole.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.complete, self.damage = False, ""
-        self._path = path
-
-    def read(self, take: Any) -> None:
-        """Hand over every record, as far as the file can be read.
-
-        Args:
-            take: Takes a record.
-
-        Raises:
-            UserError: There is no such file, or it is no MCAP.
-        """
-        try:
-            with self._path.open("rb") as file:
-                if file.read(len(MAGIC)) != MAGIC:
-                    raise _unreadable(self._path, "it is no MCAP file")
-                at = file.tell()
-                try:
-                    for record in self._records(file):
-                        take(record)
-                        at = file.tell()
-                except Exception as error:  # noqa: BLE001 - what damaged bytes make of the libraries cannot be listed
-                    self.complete = False
-                    self.damage = f"it is damaged after {at} bytes, and read up to there ({_words(error)})"
-        except OSError as error:
-            raise _unreadable(self._path, words_of(error)) from error
-
-    def _records(self, file: IO[bytes]) -> Iterator[Any]:
-        size = os.fstat(file.fileno()).st_size
-        checksum = zlib.crc32(MAGIC)
-        while True:
-            head = file.read(9)
-            opcode, length = head[:1], int.from_bytes(head[1:], "little")
-            if len(head) < 9 or opcode == b"\0" or length > size - file.tell():
-                return  # the end of a file that was not finished, or zeros after a power cut
-            content = file.read(length)
-            kind = _KINDS.get(opcode[0])
-            record = None if kind is None else kind.read(ReadDataStream(BytesIO(content)))
-            if isinstance(record, DataEnd):
-                if record.data_section_crc not in (0, checksum):
-                    raise ValueError("a checksum is wrong")
-                break
-            checksum = zlib.crc32(content, zlib.crc32(head, checksum))
-            if isinstance(record, Attachment):
-                _check(content[:-4], int.from_bytes(content[-4:], "little"))
-            if isinstance(record, Chunk):
-                yield from _unpacked(record)
-            elif record is not None:
-                yield record
-        self.complete = file.read()[-len(MAGIC) :] == MAGIC  # an index follows, which nothing here needs
-
-
-def _unpacked(chunk: Chunk) -> list[Any]:
-    if chunk.uncompressed_size > LARGEST_CHUNK:
-        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
-    data = chunk.data
-    if chunk.compression == "zstd":
-        stream = zstandard.ZstdDecompressor().stream_reader(data)
-        data = stream.read(chunk.uncompressed_size + 1)
-    elif chunk.compression:
-        raise ValueError(f"a chunk packed by {chunk.compression}")
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError("a chunk of another size than it says")
-    _check(data, chunk.uncompressed_crc)
-    return breakup_chunk(replace(chunk, data=data, compression=""))
-
-
-def _check(data: bytes, checksum: int) -> None:
-    if checksum not in (0, zlib.crc32(data)):
-        raise ValueError("a checksum is wrong")
-
-
-def _schema(schema: Schema) -> FoxgloveSchema:
-    return FoxgloveSchema(name=schema.name, encoding=schema.encoding, data=schema.data)
-
-
-def _words(error: Exception) -> str:
-    return str(error) or type(error).__name__
+def _records(file: IO[bytes]) -> Iterator[Any]:
+    """The records of a file, whose checksums are verified."""
+    reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=LARGEST_CHUNK)
+    for record in reader.records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        told = zstandard.frame_content_size(record.data) if record.compression == "zstd" else 0
+        if max(told, record.uncompressed_size) > LARGEST_CHUNK:
+            raise ValueError(f"a chunk of {max(told, record.uncompressed_size)} bytes")
+        yield from breakup_chunk(record, validate_crc=True)
 
 
 def _unreadable(path: Path, why: str) -> UserError:
