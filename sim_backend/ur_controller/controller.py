@@ -19,7 +19,8 @@ from typing import get_args
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock, check_real_time_factor, is_loopback, readable
-from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults, FaultSession
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import FaultSession
+from toolee_robot.sim_backend.ur_controller.faults.hooks import Faults
 from toolee_robot.sim_backend.ur_controller.profile import (
     Profile,
     ProfileName,
