@@ -202,7 +202,7 @@ class Job(Long):
             return
         assert not list(runs.glob(".*.partial"))
         if "error" in ended.record:
-            assert ended.code == 130
+            assert ended.code in (1, 130), "1: a device failed before, as a camera that is late on a busy machine"
             assert "Handover" not in ended.said, "a job that has begun has a result"
             assert not whole
             return

@@ -47,11 +47,11 @@ class StrikeConfig:
     """Force that counts as the contact of a strike."""
     max_load: Annotated[float, Number(0.05, 1.0, "at 1 the robot stops itself")] = 0.6
     """Largest deviation and collision ratio that the controller may report in a strike; at 1 the robot stops
-    itself. After a strike with more, the job ends.
+    itself. After a strike with more, the next ones are a quarter slower. After the third such strike the job ends.
     """
     max_torque_share: Annotated[float, Number(0.05, 1.0, "at 1 a joint has no more")] = 1.0
-    """Largest computed joint torque in a strike, as a share of the joint's limit. After a strike with more, the job
-    ends. Strikes and stops are planned within 0.9.
+    """Largest computed joint torque in a strike, as a share of the joint's limit. After a strike with more, the next
+    ones are slower, as with `max_load`. Strikes and stops are planned within 0.9.
     """
     clearance: Annotated[float, Metres(0.001, 0.1)] = 0.008
     """Least distance between any two bodies during a strike, except face and nail."""

@@ -26,6 +26,8 @@ FACE, DRIVEN = 0.025, 0.002
 nail that leans would meet the wood within that depth, the face is square to the wood instead."""
 LEANS = 1e-4
 """Angle of a nail's axis to the wood's normal from which it leans [rad]."""
+SOFTER, SOFTENINGS = 0.75, 2
+"""Share of the speed of a strike that was too hard for the arm, at which the next one is, and how often in a job."""
 
 
 class Striking:
@@ -37,11 +39,14 @@ class Striking:
 
     Attributes:
         done: The strikes that were recorded.
+        too_hard: What the last strike asked too much of, if no softer one may follow; else empty.
     """
 
     def __init__(self, motions: Motions, config: StationConfig) -> None:
         self.done: list[Strike] = []
+        self.too_hard = ""
         self._motions, self._config, self._robot = motions, config, motions.robot
+        self._speed, self._softened = config.strike.speed, 0
 
     def plan(self, height: float, held: HeldTool) -> StrikePlan:
         """Plan a strike: along the nail's axis; square to the wood where the face's rim would else meet it.
@@ -91,7 +96,7 @@ class Striking:
         motions = self._motions
         motions.rise_from_among_nails(held)
         state = motions.world(held), motions.q, motions.q_hand, held.X_hand_ee
-        plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=held.payload)
+        plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=held.payload, speed=self._speed)
         motions.observer.planned(motions.station.clock.now(), plan)
         return plan
 
@@ -132,10 +137,11 @@ class Striking:
         up = CLEAR + max(below, 0.0)
         self._motions.straight("up", out, up, held, speed=RETRACT_SPEED, share=RETRACT_SHARE)
 
-    def load(self, report: MotionReport) -> StrikeLoad:
-        """Compute what a strike asked of the arm.
+    def load(self, plan: StrikePlan, report: MotionReport) -> StrikeLoad:
+        """Compute what a strike asked of the arm; after one that was too hard the next ones are softer.
 
         Args:
+            plan: The strike.
             report: What was done.
 
         Returns:
@@ -143,7 +149,13 @@ class Striking:
         """
         payload = self._motions.payload
         assert payload is not None, "the payload is set when the hand has closed"
-        return strike_load(report, self._robot, self._motions.q_hand, payload, self._config.arm.model)
+        load = strike_load(report, self._robot, self._motions.q_hand, payload, self._config.arm.model)
+        if (excess := load.excess(self._config.strike)) and self._softened == SOFTENINGS:
+            self.too_hard = excess
+        elif excess:
+            self._softened, self._speed = self._softened + 1, SOFTER * plan.speed
+            self._motions.observer.message(f"{excess}. The next strikes have at most {self._speed:.2f} m/s")
+        return load
 
     def record(
         self, plan: StrikePlan, report: MotionReport, verdict: ContactVerdict, load: StrikeLoad, height: float | None
