@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from toolee_robot.end_effectors import CATEGORIES
+from toolee_robot.end_effectors import CATEGORIES, label_of
 from toolee_robot.frames import Array
 from toolee_robot.perception.offline.dataset.instances import MODELS, model_path, read_ply, tool_path
 from toolee_robot.perception.offline.dataset.records import read_json
@@ -99,7 +99,7 @@ _TITLES = {"chamfer": "Chamfer", "hausdorff": "Hausdorff", "earth_mover": "Earth
 
 
 def shape_figure(shapes: Shapes) -> Figure:
-    """Fig. 3: distances within each category, object-centric against EE-centric: boxes, means as diamonds."""
+    """Fig. 3: distances within each category, of whole tools and of working ends: boxes, means as diamonds."""
     figure = Figure(figsize=(13, 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, len(MEASURES))
@@ -118,11 +118,11 @@ def shape_figure(shapes: Shapes) -> Figure:
             )
             for box in boxes["boxes"]:
                 box.set_facecolor(color)
-        ax.set_xticks(np.arange(len(names)), [n.replace("_", "\n") for n in names])
+        ax.set_xticks(np.arange(len(names)), [label_of(n).replace(" ", "\n") for n in names])
         ax.set_title(f"{_TITLES[measure]} distance [mm]", fontsize=10)
         ax.set_ylim(bottom=0)
     patches = [Patch(facecolor=color, edgecolor="black") for color in ("0.65", "tab:green")]
-    axes[0].legend(patches, ["object-centric", "EE-centric"], frameon=False)
+    axes[0].legend(patches, ["whole tool", "working end (EE)"], frameon=False)
     return figure
 
 
@@ -138,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"|{'---|' * (1 + len(MEASURES))}")
     for category, views in found.items():
         cells = [", ".join(f"{views[view][measure].mean():.1f}" for view in VIEWS) for measure in MEASURES]
-        print(f"| {category} | {' | '.join(cells)} |")
+        print(f"| {label_of(category)} | {' | '.join(cells)} |")
     if found:
         shape_figure(found).savefig(asked.out, dpi=110)
 

@@ -94,10 +94,12 @@ def command_line() -> str:
             shown.append(f"## toolee {path[0]}\n\n```text\n{command_help(path[:1])}\n```")
         group = path[0]
         head, _, options = command_help(path).partition("\n\n options\n")
-        usage, *prose = head.split("\n\n")
+        text, _, arguments = head.partition("\n\n positional arguments\n")
+        usage, *prose = text.split("\n\n")
         shown.append(f"{'#' * (1 + len(path))} toolee {' '.join(path)}")
         shown.extend(map(_paragraph, prose))
-        shown.append(f"```text\n{usage}\n\n" + "\n".join(options.splitlines()[1:]) + "\n```")
+        lines = [line for part in (arguments, options) for line in part.splitlines()[1:]]
+        shown.append(f"```text\n{usage}\n\n" + "\n".join(lines) + "\n```")
     return "\n\n".join(shown)
 
 

@@ -132,12 +132,13 @@ def _path(robot: RobotModel, config: StationConfig, way: _Way, start: Array, goa
         closest = way.world.closest(line, max(way.need, 1e-6))
         if closest.distance >= way.need:
             raise CollisionError(
-                "no way found for the transfer: on the straight one hand or tool leave the workspace; enlarge it, or "
-                "move the target",
+                "no path found for the transfer. On the straight path, hand or tool leave the workspace. Enlarge the "
+                "workspace, or move the target",
                 code="collision.no_path",
             )
         raise CollisionError(
-            f"no way found for the transfer: on the straight one {closest} collide; clear the way or move the target",
+            f"no path found for the transfer. On the straight path, {closest} collide. Clear the way, or move the "
+            "target",
             code="collision.no_path",
         )
     return path

@@ -132,6 +132,8 @@ class ControllerOptions:
         remote: Whether an e-Series controller is in remote control.
         safeguard_resumes: Whether closing the safeguard resumes the program that it paused; the profile's if None.
         powered: Whether the arm is powered on and its brakes are released.
+        payload_kg: Mass on the flange that the controller assumes [kg].
+        payload_cog: Its centre of gravity in the flange frame, (3,) [m].
         profile: How the controller follows, measures and stops: `ideal`, or `harsh` for the values of the model's
             generation.
         seed: Seed of the noise of the sensors.
@@ -148,6 +150,8 @@ class ControllerOptions:
     remote: bool = True
     safeguard_resumes: bool | None = None
     powered: bool = True
+    payload_kg: float = 0.0
+    payload_cog: tuple[float, float, float] = (0.0, 0.0, 0.0)
     profile: ProfileName = "ideal"
     seed: int = 0
     limits: SafetyLimits | None = None
@@ -225,6 +229,7 @@ class Controller:
         chosen = _profile(options, model)
         self.robot = Robot(model, plant(model), options.limits, log, chosen, options.seed)
         self.robot.machine.speed_fraction = options.speed_slider
+        self.robot.machine.set_payload(options.payload_kg, options.payload_cog)
         self.robot.safety.remote = options.remote
         if options.safeguard_resumes is not None:
             self.robot.safety.safeguard_resumes = options.safeguard_resumes
@@ -382,6 +387,9 @@ def _check(options: ControllerOptions) -> None:
         raise UserError(message)
     if not 0.0 <= options.speed_slider <= 1.0:
         message = f"the speed slider must be between 0 and 1, not {options.speed_slider}"
+        raise UserError(message)
+    if not 0.0 <= options.payload_kg <= 50.0:
+        message = f"the payload must be between 0 and 50 kg, not {options.payload_kg:g} kg"
         raise UserError(message)
     if not 1024 <= options.fault_port <= 65535:
         message = f"the fault port must be between 1024 and 65535, not {options.fault_port}"

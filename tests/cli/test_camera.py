@@ -87,7 +87,7 @@ def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
     assert "camera.distortion" in lens["remedy"]
     assert run(show) == 0
     shown = capsys.readouterr().out
-    assert "taken for a pinhole" in shown
+    assert "treated as a pinhole" in shown
     assert "  distortion:  " in shown, "to be filled in"
     said = yaml.safe_load(config.read_text())
     said["camera"]["distortion"] = [-0.2, 0.0, 0.0, 0.0]

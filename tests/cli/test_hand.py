@@ -166,7 +166,7 @@ def test_two_programs_do_not_command_a_hand_on_a_serial_port(capsys: pytest.Capt
     ):
         code, told = _hand(capsys, INSPIRE, emulator, "open", "--yes")
     assert code == EXIT_FAILED
-    assert "no other program uses it" in " ".join(told["said"].split())
+    assert "Close other programs that use it" in " ".join(told["said"].split())
 
 
 @pytest.mark.realtime(light=True)

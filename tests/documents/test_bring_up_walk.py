@@ -85,17 +85,17 @@ class Robot:
 @pytest.fixture(scope="module", params=list(HOSTS), ids=[model.value for model in HOSTS])
 def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
     model, host = request.param, HOSTS[request.param]
+    path = tmp_path_factory.mktemp("station") / "lab.yaml"
+    path.write_text(lab_file(model))
+    payload = expected_robot(load_lab_station(path)).payload
+    assert payload is not None
     command = [*TOOLEE, "emulate", "ur", "--model", model.value, "--host", host, "--profile", "harsh"]
+    command += ["--payload-kg", f"{payload.mass}", "--payload-cog", *map(str, payload.center_of_mass)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         while not (line := process.stdout.readline()).startswith("Ctrl-C ends it"):
             assert line, "the stand-in ended by itself"
-        path = tmp_path_factory.mktemp("station") / "lab.yaml"
-        path.write_text(lab_file(model))
-        payload = expected_robot(load_lab_station(path)).payload
-        assert payload is not None
         with FaultClient(host) as faults:
-            faults.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
             yield Robot(model, host, faults)
         process.terminate()
 

@@ -127,7 +127,7 @@ def test_a_tool_that_is_pressed_from_the_side_is_lifted_and_looked_at_again(
     result = bench.seeing_task(log).run()
     (told,) = [message for message in log.messages if "on the tool's side" in message]
     assert told.startswith("something pressed on the tool's side with 11 N on the way to the nail")
-    assert "look where the face stands" in told
+    assert "see where the face is" in told
     assert told.endswith("looking again")
     assert result.outcome is Outcome.OUT_OF_STRIKES, result.reason
     assert log.motions.count("to the touch") == begun

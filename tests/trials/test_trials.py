@@ -455,7 +455,7 @@ def test_each_failure_leads_to_its_picture_and_its_recording(tmp_path: Path) -> 
 
 def test_a_nail_that_is_flush_for_the_robot_alone_is_a_failure_with_a_name(tmp_path: Path) -> None:
     def deceived(spec: JobSpec, out: Path) -> dict[str, Any]:
-        return {**job(spec, out), "success": False, "outcome": "flush", "reason": "the robot takes the nail for flush"}
+        return {**job(spec, out), "success": False, "outcome": "flush", "reason": "the robot reports the nail as flush"}
 
     run_trials(replace(PLAN, trials=2), tmp_path, 1, quietly, deceived)
     page = write_report(replace(PLAN, trials=2), tmp_path).read_text()

@@ -168,8 +168,8 @@ def tune_servo(
 
 
 OUT_OF_REACH = (
-    "Each joint will turn about fast, with nothing in the hand or mount. Open the door once, and look that the hand is "
-    "open and empty. From outside make the robot ready again."
+    "Each joint will turn fast, with nothing in the hand or mount. Open the door once, and check that the hand is open "
+    "and empty. Leave, close the door, and make the robot ready again from outside."
 )
 OUT_OF_REACH_TIME = 180.0
 """Time for that [s]."""
@@ -220,7 +220,7 @@ def try_accelerations(
         q = arm.state().q_commanded
         show(unattended, [turn_about(q, joint, most, config.arm.jerk) for joint in joints])
         if not person.release(OUT_OF_REACH, OUT_OF_REACH_TIME):
-            raise PersonNearError("nobody confirmed to be out of reach: nothing was moved")
+            raise PersonNearError("nobody confirmed that everybody is out of reach: nothing was moved")
         arm.reset(confirmed=True)  # the open door has stopped it
         if not wait_until_clear(person.zone_occupied, clock, OUT_OF_REACH_TIME):
             raise PersonNearError("somebody is within reach: nothing was moved")

@@ -136,7 +136,7 @@ def _judged(ran: Ran, truth: NailTruth | None) -> tuple[bool, str, str]:
         success = False
         which = f"the nail {truth.name}" if len(result.nails) > 1 else "the nail"
         how = {NOT_BY_FACE: "only strikes beside the face drove it"}.get(truth.outcome, f"it is {truth.outcome}")
-        reason = f"the robot takes {which} for flush ({reason}), but {how}"
+        reason = f"the robot reports {which} as flush ({reason}), but {how}"
         if truth.outcome == "bent":
             outcome = str(Outcome.BENT)
     if ran.machine_stalled:

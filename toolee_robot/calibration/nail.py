@@ -124,7 +124,7 @@ def _check_size(X_camera_board: Array, board: Board, camera: KnownCamera, depth:
     ratio = float(np.median(measured[known] / points[inside, 2][known]))
     if abs(ratio - 1.0) > LARGEST_SCALING:
         raise UserError(
-            f"by its size the board is {points[:, 2].mean():.3f} m away, by the depth image {ratio:.3f} times as "
-            f"far. Its squares seem to be {ratio * board.square * 1e3:.1f} mm, not {board.square * 1e3:.1f}. Check "
+            f"the board's size puts it {points[:, 2].mean():.3f} m away, the depth image {ratio:.3f} times as far. "
+            f"Its squares seem to be {ratio * board.square * 1e3:.1f} mm, not {board.square * 1e3:.1f}. Check "
             "--sheet, and measure both scale bars again"
         )

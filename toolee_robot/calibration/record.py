@@ -284,8 +284,8 @@ def half_a_turn_apart(place: Array, expected: Array) -> bool:
 
 
 HALF_A_TURN = (
-    "they differ by half a turn about the base's z. Either poses of the flange are in the other base, or positions of "
-    "the station file: correct `frame` in that file (joint angles have no frame)"
+    "they differ by half a turn about the base's z. Either the flange's poses or the station file's positions are in "
+    "the other base frame. Correct `frame` in that file. Joint angles have no frame"
 )
 """What a person reads then."""
 

@@ -186,13 +186,13 @@ def _flange(pose: SessionPose, session: Session, fk: Callable[[Array], Array]) -
         other = next(f for f in BaseFrame if f is not session.frame)
         if _agree(other.X_base_this @ given, by_joints):
             raise UserError(
-                f"{pose.image}: by the joint positions X_base_flange is in {other}, not in {session.frame}: half a "
-                f"turn about the base's z; write `frame: {other}`",
+                f"{pose.image}: the joint positions show that X_base_flange is in {other}, not in {session.frame} "
+                f"(half a turn about the base's z). Write `frame: {other}`",
                 code="user.calibration_half_turn",
             )
         raise UserError(
-            f"{pose.image}: X_base_flange is {np.linalg.norm(X[:3, 3] - by_joints[:3, 3]) * 1e3:.0f} mm from the "
-            "flange by the joint positions. Is a TCP set, or is it another arm's model?"
+            f"{pose.image}: X_base_flange is {np.linalg.norm(X[:3, 3] - by_joints[:3, 3]) * 1e3:.0f} mm from where "
+            "the joint positions put the flange. Is a TCP set, or is it another arm's model?"
         )
     return X
 

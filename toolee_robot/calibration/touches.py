@@ -302,7 +302,7 @@ def cause(check: TouchCheck) -> str:
             "base. Check --frame"
         )
     if np.linalg.norm(touched) > 10.0:
-        return "The touched place is no metres."
+        return "Give the touched place in metres."
     return (
         "Has the camera or its mount moved? Is the TCP the tip that touched? Is the square of this board measured? "
         "Otherwise calibrate again."

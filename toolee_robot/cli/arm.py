@@ -198,8 +198,8 @@ class Touch(MotionOptions):
 
     Example: toolee arm touch --robot-host 192.168.1.10 --config lab.yaml --along 0 0 -0.1 --frame pendant_base
 
-    Touch something soft, such as a block of foam. It must not be in the station file, because the hand may not touch
-    what is. Any key stops the arm on its path, and so does Ctrl-C. Exit code 1: no contact.
+    Touch something soft, such as a block of foam. It must not be in the station file, or the motion is
+    refused. Any key stops the arm on its path, and so does Ctrl-C. Exit code 1: no contact.
     """
 
     along: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
@@ -329,11 +329,13 @@ class Acceleration(ArmOptions):
 
     Example: toolee arm acceleration --config lab.yaml --most 8
 
-    It is for arm.acceleration of the station file. The motions are fast: nobody is in reach.
+    Enter the result as arm.acceleration in the station file. The motions are fast: keep everybody out of reach.
 
-    One joint after the other turns about its present place, first gently, then faster. A joint ends at the first sign:
-    half of the way to a protective stop or to supervisor.tracking_error, vibration, a stop, or a limit of the station.
-    Mount the hand or the mount, and leave it empty. A person proves door and switch, confirms once, and stays outside.
+    One joint after the other turns about its present place, first gently, then faster. A joint's test ends at
+    the first of these: half of the way to a protective stop or to supervisor.tracking_error, vibration, a stop, a limit
+    of the station.
+    Mount the hand or the mount, and leave it empty. A person shows that door and switch work, confirms once, and stays
+    outside.
     An opened door stops the arm. Nothing is written. Exit code 1: a joint bears less than 2 rad/s², or was not tried.
     """
 

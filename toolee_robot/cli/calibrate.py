@@ -1,4 +1,4 @@
-"""Calibrate a station: where the camera stands, and where tip and nail are, seen from the robot.
+"""Calibrate a station: measure where camera, tool tip and nail are in the robot's frame.
 
 Example: toolee calibrate board --sheet a3 --out board.pdf
 
@@ -78,7 +78,7 @@ class BoardOptions(JsonOption):
     sheet: Literal["a4", "a3"] = "a3"
     """The board, as `toolee calibrate board` drew it. An A4 is too small for a camera of 512 pixels at 0.95 m."""
     bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
-    """Lengths of the board's two scale bars, measured on the print. A rehearsed person measures its own."""
+    """Lengths of the board's two scale bars, measured on the print. Leave it out with --rehearse."""
     seed: int = 0
     """Seed of the planned views. In a rehearsal also of the station's errors, the print and the noise."""
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
@@ -407,7 +407,7 @@ class Nail(BoardOptions):
             ),
             (
                 self.rehearse and of_print != (None, None),
-                "leave --bars-mm and --thickness-mm out: they are of a real print that the camera sees",
+                "leave --bars-mm and --thickness-mm out: with --rehearse the emulated person measures the print",
             ),
             (not 0.0 <= (self.thickness_mm or 0.0) <= 50.0, f"--thickness-mm {self.thickness_mm}: give 0 to 50"),
             (self.write and self.rehearse, "leave --write out: a rehearsed nail would replace your real one"),

@@ -45,7 +45,7 @@ class CameraOptions(JsonOption):
     fps: int = 30
     """With --driver: frames per second."""
     exposure: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None
-    """With --driver: exposure of the colour image [s]; without, the camera chooses it."""
+    """With --driver: exposure of the colour image [s]. If left out, the camera chooses it."""
 
     def camera(self) -> CameraConfig:
         """What the station file, or the options, say of the camera."""
@@ -82,7 +82,8 @@ class ListCameras(JsonOption):
 
     Example: toolee camera list
 
-    These are RealSense and Orbbec cameras, and what a station file may name. Exit code 0, even without a camera.
+    The cameras are RealSense and Orbbec ones. A station file may name any of the drivers. Exit code 0, even without a
+    camera.
     """
 
     def run(self) -> int:
@@ -119,7 +120,7 @@ class Show(CameraOptions):
 
     If a job would refuse the station file's lens, the command uses the camera's own lens and says so.
 
-    Exit code 0: it gives frames; 1: it does not; 2: invalid input.
+    Exit code 0: the camera gives frames; 1: it does not; 2: invalid input.
     """
 
     picture: Annotated[Path | None, tyro.conf.arg(metavar="OUT.png", help_behavior_hint="")] = None

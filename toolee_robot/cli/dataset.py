@@ -30,7 +30,7 @@ _Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 class Generate(JsonOption):
     """Generate RGB-D examples with masks, poses and clouds.
 
-    They are BOP scenes and COCO files.
+    The data set has BOP scenes and COCO files.
 
     Example: toolee dataset generate --config hard --size 1000 --out data/hard
 
@@ -47,8 +47,8 @@ class Generate(JsonOption):
     workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="(default: one per core)")] = None
     """Processes at a time."""
     seed: int = 0
-    """Which data set of that kind."""
-    test_share: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: 0.1; --tools: 1)")] = None
+    """Seed of the data set."""
+    test_share: Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="(default: 0.1; own: 1)")] = None
     """Share of the examples with held-out tools, textures and backgrounds, from 0 to 1."""
     tools: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Your own tools instead of generated ones, all kept for tests: a folder for each, with tool.yaml

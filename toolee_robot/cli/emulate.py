@@ -35,10 +35,10 @@ class EmulateHand:
     A driver opens it like the hand's own port. Ctrl-C ends it.
 
     The first line of standard output is the port: the path of a pseudo-terminal, or an address. Each line of standard
-    input is an event: handle ANGLE, drop, slip ANGLE, heat MOTOR DEGREES, jam MOTOR, free MOTOR, mute, unmute, echo,
-    unplug, show, of an Inspire hand error MOTOR BITS, deaf, unacknowledged and acknowledge (writes), or a fault of the
-    next replies and their number: garbage, corrupt, short, late, doubled, foreign, lost. An unknown line prints the
-    list. docs/how-to/inspire_hand.md, ability_hand.md and shadow_hand.md say what is emulated.
+    input is an event. Every hand has these: handle ANGLE, drop, slip ANGLE, heat MOTOR DEGREES, jam MOTOR, free MOTOR,
+    mute, unmute, echo, unplug, show. An Inspire hand also has: error MOTOR BITS, deaf, unacknowledged, acknowledge.
+    Faults of the next replies, with their number, are: garbage, corrupt, short, late, doubled, foreign, lost. An
+    unknown line prints the list. docs/how-to/inspire_hand.md, ability_hand.md and shadow_hand.md say what is emulated.
     """
 
     hand: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="HAND")]
@@ -128,9 +128,9 @@ class EmulateUr:
 
     Example: toolee emulate ur --model UR10e --host 127.0.0.3
 
-    ur_rtde and other clients connect to it as to a robot. Ctrl-C ends it. It serves RTDE (30004), the dashboard
-    (29999), the script ports (30001 to 30003) and a fault port, and runs the control script that clients upload. Its
-    joints are ideal. It accepts loopback addresses only; docs/reference/ur_controller.md.
+    ur_rtde and other clients connect to it as to a robot. It serves RTDE (30004), the dashboard (29999), the script
+    ports (30001 to 30003) and a fault port, and runs uploaded scripts. Ctrl-C ends it. It accepts loopback addresses
+    only. docs/reference/ur_controller.md says what is modelled.
     """
 
     model: Literal["UR10", "UR10e"] = "UR10"
@@ -143,6 +143,10 @@ class EmulateUr:
     """How the controller follows, measures and stops. ideal: without errors; harsh: with noise, lag and stops like a
     real one's.
     """
+    payload_kg: Annotated[float, tyro.conf.arg(metavar="KG")] = 0.0
+    """Mass on the flange that the controller assumes at the start, as set at the pendant."""
+    payload_cog: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """Centre of gravity of this mass in the flange's axes [m]."""
     seed: int = 0
     """Seed of the sensors' noise in the harsh profile."""
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 1.0
@@ -158,15 +162,7 @@ class EmulateUr:
         def log(line: str) -> None:
             console.print(f"[dim]{time.monotonic() - begin:9.3f}[/dim]  {escape(line)}", soft_wrap=True)
 
-        options = ControllerOptions(
-            model=self.model,
-            host=self.host,
-            fault_port=self.fault_port,
-            profile=self.profile,
-            seed=self.seed,
-            real_time_factor=self.real_time_factor,
-        )
-        controller = Controller(options, resting_joints, log)
+        controller = Controller(ControllerOptions(**vars(self)), resting_joints, log)
         try:
             controller.listen()
             model = controller.robot.model

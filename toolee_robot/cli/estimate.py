@@ -50,8 +50,8 @@ class Estimate(JsonOption):
     """X_camera_hand, 16 numbers row by row [m] (text, .json, .npy). It selects the rotation about the axis of a
     symmetric tool.
     """
-    hand: str = sim_station().hand.model
-    """Which hand --hand-pose is of."""
+    hand: Annotated[str, tyro.conf.arg(metavar="NAME")] = sim_station().hand.model
+    """Model of the hand of --hand-pose."""
     bop: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Instead of one frame: a BOP scene folder with rgb/, depth/ and scene_camera.json."""
     picture: Annotated[Path | None, tyro.conf.arg(metavar="OUT.png", help_behavior_hint="")] = None
@@ -171,9 +171,10 @@ class Annotate(JsonOption):
 
     Example: toolee annotate my_frames --clicks my_frames/clicks.yaml
 
-    Opens a page on this computer; Ctrl-C ends it and writes frames.json, which `toolee evaluate photographs my_frames`
-    scores. Clicks are saved in clicks.yaml at once, and a later call continues with them. docs/how-to/own_test.md says
-    how to take the frames and what to click. Exit code 0: every clicked end effector has a pose; 1: some have none.
+    The command opens a page on this computer. Ctrl-C ends it and writes frames.json, which
+    `toolee evaluate photographs my_frames` scores. Clicks are saved in clicks.yaml at once, and a later call continues
+    with them. docs/how-to/own_test.md says how to take the frames and what to click. Exit code 0: every clicked end
+    effector has a pose; 1: some have none.
     """
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]

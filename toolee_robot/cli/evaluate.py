@@ -59,7 +59,7 @@ class _Evaluation(JsonOption):
 class EvaluatePose(_Evaluation):
     """Measure the poses of a data set.
 
-    The report has the paper's Table I and stricter ones, confidence, usable poses, and frames without a tool.
+    The report has the paper's Table I, stricter limits, confidence, usable poses, and frames without a tool.
 
     Example: toolee evaluate pose data/hard --out report
 
@@ -140,7 +140,7 @@ class EvaluateSegmentation(_Evaluation):
 class EvaluatePhotographs(_Evaluation):
     """Measure detector and estimator on real RGB-D frames.
 
-    The report has the ends found, the poses that are right, and the false alarms.
+    The report has the share of end effectors found, of right poses, and the false alarms.
 
     Example: toolee evaluate photographs data/photographs
 
@@ -181,9 +181,9 @@ class EvaluateTable1(_Evaluation):
     weights: _Folder = None
     """Folder of a `toolee train paper` training (the shipped weights if left out)."""
     images: Annotated[int, tyro.conf.arg(metavar="N")] = 4
-    """Of each tool."""
+    """Images of each tool."""
     seed: int = 880793
-    """Of the images; not one of a training."""
+    """Seed of the images. Take none that a training used."""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
     """Processes that render."""
 

@@ -1,6 +1,6 @@
 """Do a job: in simulation, with your station file on emulated devices, or with the real robot.
 
-Of these only `toolee run` moves a real arm. Each task, such as `hammer`, is a sub-command.
+Only `toolee run` moves a real arm. Each task, such as `hammer`, is a sub-command.
 
 Example: toolee sim hammer --seed 100
 
@@ -61,7 +61,7 @@ class JobOptions(JsonOption):
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Parent of the run's folder, which holds summary.json, recording.mcap and picture.png."""
     view: Flag = False
-    """Also show the job live on a local page, that of `toolee replay` (extra viewer)."""
+    """Also show the job live in the browser, as `toolee replay` shows a past one (extra `viewer`)."""
     device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
     """Where the networks run: cpu or cuda."""
     variant: Annotated[InSimulation, VARIANT] = "full"
@@ -193,7 +193,7 @@ class SimHammer(JobOptions):
 class RehearseHammer(JobOptions):
     """Drive a nail with your drivers on emulated devices.
 
-    The devices are emulated in front of a simulated cell.
+    Emulated devices in a simulated cell take the place of yours.
 
     Example: toolee rehearse hammer rehearsal.yaml --seed 3
 
@@ -232,7 +232,7 @@ class RunHammer(JobOptions):
 
     Example: toolee run hammer lab.yaml
 
-    Rehearse it first (`toolee rehearse hammer`). Where the station lists several nails they are driven in its order.
+    Rehearse it first (`toolee rehearse hammer`). Several nails of the station are driven in their order.
 
     After a stop with the hammer in the hand a person at the terminal may resume the job, or have the hand opened.
 
@@ -243,7 +243,7 @@ class RunHammer(JobOptions):
     station: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="STATION")]
     """Your station file, complete: docs/how-to/first_nail.md."""
     variant: Annotated[OnRobot, VARIANT] = "full"
-    """What the job does otherwise than the whole system, as the baselines of docs/how-to/run_trials.md."""
+    """A baseline instead of the whole system (docs/how-to/run_trials.md)."""
 
     def source(self) -> Source:
         from toolee_robot.app.sources import Lab, lab_station

@@ -26,7 +26,7 @@ class Replay:
 
     Example: toolee replay runs/20261124-101500-seed100 --gif run.gif
 
-    Needs the extra viewer.
+    It needs the extra `viewer`.
     """
 
     recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from toolee_robot.station.schema import StationField
 
 BACK = "<"
-"""The answer that takes the one before back."""
+"""The answer that goes back to the previous question."""
 
 
 @dataclass(frozen=True)
 class New:
     """Write a commented template of a lab's station file.
 
-    It has only the fields that apply, to fill in.
+    It has only the fields that apply. Fill them in.
 
     Example: toolee station new lab.yaml --arm UR10e --hand inspire --camera realsense
 
@@ -42,13 +42,13 @@ class New:
 
     file: tyro.conf.Positional[Path]
     """The station file."""
-    arm: Annotated[str | None, tyro.conf.arg(metavar="MODEL")] = None
+    arm: Annotated[str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="")] = None
     """Model of the arm: UR10 or UR10e."""
-    hand: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    hand: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """The hand, as `toolee devices list` prints it, or the beginning of its name, such as inspire; mount for a tool
     mount.
     """
-    camera: Annotated[str | None, tyro.conf.arg(metavar="DRIVER")] = None
+    camera: Annotated[str | None, tyro.conf.arg(metavar="DRIVER", help_behavior_hint="")] = None
     """The camera's driver, as `toolee devices list` prints it."""
     ask: Flag = False
     """Ask for every field."""
@@ -291,7 +291,7 @@ class Show:
 class Upgrade:
     """Upgrade a station file from version 2 to version 3.
 
-    What programs measured moves to `measured.yaml`.
+    Measured values move to `measured.yaml`.
 
     Example: toolee station upgrade lab.yaml
 

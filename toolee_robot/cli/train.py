@@ -1,4 +1,4 @@
-"""Train the detector, its masks' refiner or the pose network, or fit how far they are to be trusted.
+"""Train the detector, its masks' refiner or the pose network, or fit the trust in their poses.
 
 Example: toolee train segmentation --data data/hard/train --out runs/segmentation
 """
@@ -29,13 +29,13 @@ class _Training(JsonOption):
     out: OutDir
     """Checkpoint, weights with their configuration, log."""
     config: File = None
-    """YAML or JSON of further options, such as batch, lr and checkpoint_minutes; the command line's win."""
+    """YAML or JSON of further options, such as batch, lr and checkpoint_minutes. Options on the command line win."""
     minutes: Number = None
     """Wall-clock of the optimisation."""
     max_steps: Count = None
     """Budget in steps; with --minutes too, whichever ends first."""
     seed: Count = None
-    """Of weights, order and augmentation (default: 0)."""
+    """Seed of weights, order and augmentation (default: 0)."""
     device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
     init: Folder = None
@@ -93,7 +93,7 @@ class Segmentation(_Training, _Data):
 class Refinement(_Training, _Data):
     """Train the refiner of the detector's masks.
 
-    It segments the end effectors that the detector found again, in enlarged crops.
+    The refiner segments each detected end effector again, in an enlarged crop.
 
     Example: toolee train refinement --data data/refine/train --detector runs/segmentation --out runs/segmentation
 
@@ -122,7 +122,7 @@ class Refinement(_Training, _Data):
 class Clouds(JsonOption):
     """Keep a data set's clouds for the pose network.
 
-    They are the clouds under true masks and under the detector's.
+    Each end effector gives a cloud by its true mask and one by the detector's mask.
 
     Example: toolee train clouds data/hard/train --out runs/clouds.npz --workers 2
 
@@ -174,7 +174,7 @@ class Clouds(JsonOption):
 class Pose(_Training):
     """Train the pose network.
 
-    Its clouds are made as they are needed.
+    Clouds of generated tools are made during the training.
 
     Example: toolee train pose --out runs/pose --minutes 20
 
@@ -187,7 +187,7 @@ class Pose(_Training):
     rendered: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = ()
     """Clouds of rendered images to mix in, made by `toolee train clouds`."""
     init_share: Number = None
-    """Of the weights of --init in those that are exported (default: 0)."""
+    """Share of the weights of --init in the exported ones (default: 0)."""
     train_seeds: Count = None
     """Tools of each kind to learn from (default: 480)."""
 
@@ -211,12 +211,12 @@ class Paper(JsonOption):
 
     Example: toolee train paper runs/ends.npz --out runs/aware --minutes 9
 
-    The same command again continues from the last checkpoint in DIR; an interrupted training gives the same weights as
+    The same command again continues from the last checkpoint in DIR. An interrupted training gives the same weights as
     one without a break.
     """
 
-    clouds: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
-    """Clouds under true masks: `python -m benchmarks.published_clouds`, or `toolee train clouds --true-masks`."""
+    clouds: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+    """Clouds by true masks: `python -m benchmarks.published_clouds`, or `toolee train clouds --true-masks`."""
     out: OutDir
     """Checkpoint, weights with their configuration, log."""
     column: Annotated[str, tyro.conf.arg(metavar="NAME")] = "symmetry-aware"
@@ -224,7 +224,7 @@ class Paper(JsonOption):
     config: File = None
     """YAML or JSON of further options: epochs, batch, lr, freeze_epochs, judged, seed."""
     minutes: Number = None
-    """Stop after this time; the same command goes on."""
+    """Stop after this time. The same command continues."""
     device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
 
@@ -244,9 +244,9 @@ class Paper(JsonOption):
 
 @dataclass(frozen=True)
 class Trust(JsonOption):
-    """Fit how far a pose is to be trusted.
+    """Fit the trust: the probability that detection and pose are both right.
 
-    It applies to poses under the detector's mask, so train both networks first.
+    It holds for poses from the detector's masks, so train both networks first.
 
     Example: toolee train trust --data data/hard-trust/train --weights runs/both --workers 2
 
@@ -258,9 +258,9 @@ class Trust(JsonOption):
     weights: File = None
     """Folder with the weights of both networks, where trust.json goes, too (default: those that ship)."""
     frames: Annotated[int, tyro.conf.arg(metavar="N")] = 1000
-    """Without a tool, to render beside."""
+    """Number of frames without a tool, which the command renders."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """Of these frames."""
+    """Seed of the frames without a tool."""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
     """Processes at a time."""
 
@@ -278,10 +278,10 @@ class Trust(JsonOption):
                 partial(report_progress, "scene folders, then frames without a tool"),
             )
         console.print(
-            f"fitted on {report['poses']} poses in {report['images']} images and {report['frames_without_a_tool']} "
-            f"frames without a tool\n{report['usable_right']:.3f} of the usable poses are right, "
-            f"{report['right_usable']:.3f} of the right poses are usable; {report['quiet']:.3f} of the frames "
-            "without a tool give no pose"
+            f"Fitted on {report['poses']} poses in {report['images']} images and on "
+            f"{report['frames_without_a_tool']} frames without a tool.\nShare of usable poses that are right: "
+            f"{report['usable_right']:.3f}. Share of right poses that are usable: {report['right_usable']:.3f}. "
+            f"Share of frames without a tool that give no pose: {report['quiet']:.3f}."
         )
         self.tell(report)
         return 0

@@ -121,8 +121,8 @@ def check_contacts(config: StationConfig) -> Iterator[Finding]:
     single = [device for device in devices if device[-1] is None]
     for name, device, reading, field, _ in single:
         message = (
-            f"the {device} has one contact: stuck high or bridged it reads as {reading}, and only a missing change "
-            "reveals that"
+            f"the {device} has one contact. If it is stuck high or bridged, it reads as {reading}, and only a missing "
+            "change shows that"
         )
         remedy = f"wire its second, complementary contact and give person.{field}; until then, before a session: "
         yield warn(name, message, f"{remedy}`toolee doctor --inputs`")
@@ -147,7 +147,7 @@ def check_measured(path: Path | None, stand_in: bool) -> Finding:
     if not missing:
         return ok("measured", "the file gives everything about the lab")
     message = f"the simulated station's values stand in for {', '.join(missing)}"
-    remedy = "measure and enter them" + (": `toolee arm` moves no real robot without" if stand_in else "")
+    remedy = "measure and enter them" + (": `toolee arm` moves no real robot without them" if stand_in else "")
     return (warn if stand_in else fail)("measured", message, remedy)
 
 

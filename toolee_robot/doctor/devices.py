@@ -165,7 +165,7 @@ def check_range(config: StationConfig) -> Finding:
     if device is None:
         return warn("range", "the station file names no camera", "give camera.device.least_range, of its data sheet")
     least, nearest = device.least_range, near - HEAD
-    message = f"from {least:.2f} m on; views are {near:.2f} to {far:.2f} m away, a head there comes to {nearest:.2f} m"
+    message = f"measures from {least:.2f} m; views are {near:.2f} to {far:.2f} m away, the tool down to {nearest:.2f} m"
     if least > near:
         lost = "no view" if least > far else f"no view nearer than {least:.2f} m"
         remedy = f"take a smaller depth image or another camera: {lost} would have a depth of the tool's face"

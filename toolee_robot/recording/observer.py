@@ -73,7 +73,7 @@ class RecordingObserver(TaskObserver):
         self._recorder.record_in_hand(stamp, estimate)
         if np.all(np.isfinite(estimate.X_hand_ee)):
             self._recorder.record_pose(stamp, "hand", str(estimate.category), estimate.X_hand_ee)
-        verdict = "believed" if estimate.usable else f"not believed, {estimate.reason}"
+        verdict = "used" if estimate.usable else f"not used, {estimate.reason}"
         reason = f"{estimate.frames_used} of {estimate.frames_seen} frames agree: {verdict}"
         data: dict[str, Any] = {"usable": estimate.usable}
         data |= {"camera_error": None if estimate.camera is None else estimate.camera.mean.tolist()}

@@ -53,7 +53,7 @@ def draw(
     note: str = "",
     focus: Category | None = None,
 ) -> bytes:
-    """Draw the picture: image with masks and axes, point cloud with the hypotheses, and the nail.
+    """Draw the picture: image with masks and axes, point cloud with the candidate poses, and the nail.
 
     The cloud's panel shows the best usable estimate, or else the best; the image's panel shows every detection.
 
@@ -135,7 +135,7 @@ def _draw_rgb(
     figure: Figure, panel: SubplotSpec, frame: RgbdFrame, estimates: Sequence[ToolEstimate], best: ToolEstimate | None
 ) -> None:
     seen = {e.category: e.detection.score for e in sorted(estimates, key=lambda e: e.detection.score)}
-    text = "   ".join(f"{c.replace('_', ' ')} {s:.2f}" for c, s in seen.items()) or "no end effector found"
+    text = "   ".join(f"{c.label} {s:.2f}" for c, s in seen.items()) or "no end effector found"
     _heading(figure, panel, "What the camera sees", f"detection scores: {text}" if seen else text)
     image = _overlay(frame.rgb, estimates)
     h, w = image.shape[:2]
@@ -172,8 +172,8 @@ def _draw_cloud(figure: Figure, panel: SubplotSpec, frame: RgbdFrame, best: Tool
     _heading(
         figure,
         panel,
-        f"{len(hypotheses.points)} points, {len(hypotheses.Xs_camera_ee)} hypotheses, one pose",
-        f"{best.category.replace('_', ' ')}: {sigma}   confidence {best.confidence:.2f}",
+        f"{len(hypotheses.points)} points, {len(hypotheses.Xs_camera_ee)} candidates, one pose",
+        f"{best.category.label}: {sigma}   confidence {best.confidence:.2f}",
     )
     ax: Any = figure.add_subplot(panel, projection="3d")
     # Shown as the camera sees it (right, away, up), turned a little so that depth can be read; [mm] about the EE.

@@ -167,7 +167,7 @@ def _said(kind: type[Any], loc: Sequence[int | str], error: Any) -> str:
             near = difflib.get_close_matches(str(loc[-1]), _names_at(kind, loc[:-1]), 1)
             text = "there is no such field" + (f": did you mean {near[0]}?" if near else "")
         case "string_type":
-            text = f"a text is needed, {shown(error['input'])} is none: put it in quotes"
+            text = f"a text is needed, {shown(error['input'])} is not one: put it in quotes"
         case "dataclass_type":
             text = "fields with their values are needed, such as `name: value`"
         case "value_error":

@@ -86,8 +86,9 @@ class StationConfig:
             least = self.tool_envelope.head_radius + max(a.head_diameter, b.head_diameter) / 2
             if distance < least:
                 raise ValueError(
-                    f"the nails {a.name} and {b.name} are {distance * 1e3:.1f} mm apart, and the hammer would meet "
-                    f"both: give at least {least * 1e3:.1f} mm (tool_envelope.head_radius plus half a nail's head)"
+                    f"the nails {a.name} and {b.name} are {distance * 1e3:.1f} mm apart, so the hammer would meet "
+                    f"both. Place them {least * 1e3:.1f} mm apart or more (tool_envelope.head_radius plus half a "
+                    "nail's head)"
                 )
 
 

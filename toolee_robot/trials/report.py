@@ -113,18 +113,18 @@ def _page(plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], runs
     page = Page(plan.name, f"plan {plan.hash[:12]} · {made['finished']} of {made['of']} trials finished")
     page.section("Result")
     pair = "repetition" if plan.led else "seed"
-    pairs = "repetitions of each tool, nail and wood" if plan.led else "seeds, the same in every arm"
+    pairs = "repetitions of each tool, nail and wood" if plan.led else "seeds, the same for every variant"
     cards = [(f"{made['distinct_tools']}", "distinct tools"), (f"{plan.trials}", pairs)]
     for arm, of in made["arms"].items():
         flush = of["flush"]
         cards.append((f"{flush['hits']} of {flush['of']}", f"flush, {arm.replace('_', ' ')}"))
     page.cards(cards)
     page.table(
-        ["arm", "flush", "95 % (Wilson)", f"against {plan.arms[0].replace('_', ' ')}", "p (McNemar)"], _arms(made)
+        ["variant", "flush", "95 % (Wilson)", f"against {plan.arms[0].replace('_', ' ')}", "p (McNemar)"], _arms(made)
     )
     page.heading("Medians")
     page.table(
-        ["arm", *MEDIANS.values()],
+        ["variant", *MEDIANS.values()],
         [
             [arm.replace("_", " "), *(_figure(of["medians"][name]) for name in MEDIANS)]
             for arm, of in made["arms"].items()
@@ -132,7 +132,7 @@ def _page(plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], runs
     )
     if rows := _conditions(made):
         page.heading("Tools, nails, woods and sensors")
-        page.table(["arm", "tool, nail, wood, sensor", "flush", "95 % (Wilson)"], rows, left=2)
+        page.table(["variant", "tool, nail, wood, sensor", "flush", "95 % (Wilson)"], rows, left=2)
     page.section("Failures")
     failed = [record for record in records if not record.success]
     if failed:
@@ -155,7 +155,7 @@ def _page(plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], runs
     if plan.led:
         attended_section(page, made["attended"])
     page.section("Every trial")
-    head = ["arm", pair, CONDITIONS, "tool", "outcome", "strikes", "robot's time, s", "tries"]
+    head = ["variant", pair, CONDITIONS, "tool", "outcome", "strikes", "robot's time, s", "tries"]
     _listed(page, head, [_row(record, runs) for record in records], 5)
     page.section("The plan")
     said = {name: _words(value) for name, value in asdict(plan).items() if name != "errors" or not plan.on_robot}
@@ -340,7 +340,7 @@ def attended_section(page: Page, made: dict[str, Any]) -> None:
         "The order of tools, nails, woods, repetitions and variants is random, fixed by the plan's hash."
     )
     page.table(
-        ["arm", "both say flush", "only the person", "only the robot", "neither"],
+        ["variant", "both say flush", "only the person", "only the robot", "neither"],
         [[arm.replace("_", " "), *map(str, of.values())] for arm, of in made["flush"].items()],
     )
     touch = made["touch_against_calipers_mm"]
@@ -351,11 +351,11 @@ def attended_section(page: Page, made: dict[str, Any]) -> None:
         )
     page.paragraph(f"The tool slipped in the hand, as the person says, in {made['slipped']} trials.")
     page.heading("Disagreements")
-    _rows(page, ["arm", "repetition", "conditions", "the person says", "the robot says"], made["disagreements"])
+    _rows(page, ["variant", "repetition", "conditions", "the person says", "the robot says"], made["disagreements"])
     page.heading("Interruptions and repeats")
     changed = "the station file was the same in all" if made["station_files"] < 2 else "the station file was changed"
     page.paragraph(f"{made['sessions']} sessions; {changed}. {made['skipped']} trials are skipped and not done.")
-    _rows(page, ["when", "what", "arm", "repetition", "conditions", "reason"], made["interruptions"])
+    _rows(page, ["when", "what", "variant", "repetition", "conditions", "reason"], made["interruptions"])
 
 
 def _rows(page: Page, heads: list[str], rows: list[dict[str, Any]]) -> None:

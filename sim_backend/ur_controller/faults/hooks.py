@@ -478,9 +478,7 @@ class Faults:
             mass: Mass [kg].
             cog: Centre of gravity, flange frame, (3,) [m].
         """
-        machine = self._robot.machine
-        machine.payload, machine.payload_cog = mass, np.array(cog)
-        machine.plant.set_payload(mass, np.array(cog))
+        self._robot.machine.set_payload(mass, cog)
 
     @hook
     def tcp(self, pose: Six) -> None:

@@ -193,7 +193,9 @@ def test_a_closed_port_is_no_obstacle_and_the_message_says_so(
     time.sleep(2.0 * RETRY)
     controller.fault("protective_stop")
     time.sleep(REST)
-    with pytest.raises(LatchedError, match=r"look why, release it.*not known: no messages come from its port 30001"):
+    with pytest.raises(
+        LatchedError, match=r"find out why, release it.*not known: no messages come from its port 30001"
+    ):
         arm.execute(swing(held(arm)), None, PATIENT)
 
 

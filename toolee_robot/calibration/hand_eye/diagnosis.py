@@ -134,9 +134,9 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
             code="user.calibration_half_turn",
         )
     off = float(np.linalg.norm(place - expected))
-    remedy = "measure that again, look for another station's poses, or for the board on another robot"
+    remedy = "measure the camera's position again, and check that poses and board are this robot's"
     if axes_swapped(place, expected):
-        remedy += "; or x and y are swapped there: then correct both the camera's position and its target"
+        remedy += ". If x and y are swapped in the file, correct both the camera's position and its target"
     raise UserError(
         f"the camera comes out at {_text(place)} m in base_link, {off:.2f} m from the station file's {_text(expected)} "
         f"m: {remedy}",
@@ -176,7 +176,7 @@ def _other_reading(flange: Sequence[Array], board: Sequence[Array]) -> str:
         "They fit as X_flange_base: invert the arm's poses": inverse,
         "They fit with every rotation transposed: the rotation's convention is wrong": _transposed,
         "They fit with quaternions read as w, x, y, z: their order is wrong": _quaternion,
-        "They fit with x and y swapped: name the axes as the robot does": _swapped,
+        "They fit with x and y swapped: give x and y in the robot's order": _swapped,
     }
     as_given = _misfit(flange, board)
     for text, read in readings.items():
@@ -185,7 +185,7 @@ def _other_reading(flange: Sequence[Array], board: Sequence[Array]) -> str:
     for shift in (1, -1):
         moved = list(flange[shift:]) + list(flange[:shift])
         if _misfit(moved, board) < _BETTER * as_given:
-            return "They fit shifted by one: images and poses are not of the same moments"
+            return "They fit if shifted by one: each image is paired with the pose of another image"
     return (
         "Does the board move on the flange? Did the arm stand still when the images were taken? Are images and poses "
         "in the same order, and is it this robot's kinematics?"

@@ -71,7 +71,7 @@ class ChosenLens:
     def words(self) -> str:
         """The lens in words, such as "the camera's own, brown conrady: displaces pixels by up to 5.2 px"."""
         if not self.lens.known:
-            return "distortion not known: taken for a pinhole camera's"
+            return "distortion not known: treated as a pinhole camera"
         if self.source is LensSource.RECORDING:
             return str(self.source)
         if not self.lens.distorts:
@@ -153,7 +153,8 @@ def _check_near(told: Lens, stated: StatedLens) -> None:
     if off > OTHER_LENS * told.intrinsics.width:
         raise NotReadyError(
             f"camera.fx and the others shift pixels by up to {off:.0f} px from the camera's own intrinsics "
-            f"({_text(told.intrinsics)}). They belong to another camera or mode",
+            f"({_text(told.intrinsics)}). They belong to another camera or mode: `toolee camera show` "
+            "prints this one's",
             code="not_ready.camera_distortion",
         )
 

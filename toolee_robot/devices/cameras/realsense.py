@@ -264,8 +264,8 @@ class RealSenseStream:
         allowed, value = sensor.get_option_range(exposure), round(self._mode.exposure / unit)
         if not allowed.min <= value <= allowed.max:
             raise NotReadyError(
-                f"an exposure of {self._mode.exposure:g} s is not this camera's: give camera.device.exposure from "
-                f"{allowed.min * unit:g} to {allowed.max * unit:g}"
+                f"an exposure of {self._mode.exposure:g} s is outside this camera's range: give "
+                f"camera.device.exposure from {allowed.min * unit:g} to {allowed.max * unit:g}"
             )
         _set(sensor, auto, 0.0)
         _set(sensor, exposure, float(value))

@@ -282,9 +282,8 @@ class FrameGate:
                 found = [words for factor, words in likely.items() if NEAREST <= factor * median <= FARTHEST]
                 raise DeviceError(
                     f"the camera's depths are about {median:.3g} m, with {scale:g} m to a step"
-                    f"{''.join(f', which looks like {words}' for words in found)}: correct the step's length, "
-                    "`depth_scale` of the driver's profile in metres, or of a recording's scene_camera.json in "
-                    "millimetres",
+                    f"{''.join(f', which looks like {words}' for words in found)}. Correct `depth_scale`, the step's "
+                    "length: in metres in the driver's profile, in millimetres in a recording's scene_camera.json",
                     code="device.camera_depth_unit",
                 )
 
@@ -307,7 +306,7 @@ def stale(refused: Counter[Refusal], max_age: float) -> StaleDataError:
     """
     if not refused:
         return StaleDataError(
-            f"the camera gave no new frame within {max_age:.2f} s, nor anything else; check its cable",
+            f"the camera sent nothing for {max_age:.2f} s: check its cable",
             code="stale_data.camera",
         )
     reason, count = refused.most_common(1)[0]
@@ -318,8 +317,8 @@ def stale(refused: Counter[Refusal], max_age: float) -> StaleDataError:
         Refusal.LATE: "stale_data.camera_late",
     }.get(reason, "stale_data.camera")
     return StaleDataError(
-        f"the camera gave no new frame within {max_age:.2f} s: {reason} ({count} times); restart it, and look for load "
-        "on this machine and on its port",
+        f"the camera gave no new frame within {max_age:.2f} s: {reason} ({count} times). Restart it, and check the "
+        "load on this computer and on the camera's port",
         code=code,
     )
 

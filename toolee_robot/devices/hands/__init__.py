@@ -204,7 +204,7 @@ def _port(config: HandConfig, kind: WiredHandKind) -> str:
 def _check_address(config: HandConfig, kind: WiredHandKind) -> None:
     """Refuse a port or a number that a kind of hand cannot have."""
     if config.hand_id is not None and not kind.numbered:
-        message = f"hand.hand_id: {config.model} has no number, its port is an address; remove the field"
+        message = f"hand.hand_id: {config.model} has none, because its port is an address. Remove the field"
         raise ConfigError(message)
     port = config.port
     if port is None:

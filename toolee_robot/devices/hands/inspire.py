@@ -61,8 +61,8 @@ FAULTS = {
     8: ("device.hand_motor", "motor failure", "have the hand repaired, then clear its faults"),
     16: ("device.hand_communication", "internal communication failure", "restart the hand, then clear its faults"),
     2: ("device.hand_over_temperature", "too hot", "let it cool down"),
-    4: ("device.hand_over_current", "over current", "look what blocks it, then clear its faults"),
-    1: ("device.hand_stall", "stalled", "look what blocks it, then clear its faults"),
+    4: ("device.hand_over_current", "over current", "see what blocks it, then clear its faults"),
+    1: ("device.hand_stall", "stalled", "see what blocks it, then clear its faults"),
 }
 """Bit of ERROR -> code of the error, description, remedy; the gravest first."""
 NEWTONS = {

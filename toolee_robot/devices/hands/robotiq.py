@@ -42,8 +42,8 @@ FAULTS = {
     10: ("device.hand_motor", "under voltage", "look at its supply"),
     11: ("device.hand_inactive", "automatic release", "activate it at the pendant"),
     12: ("device.hand_motor", "internal fault", "have it repaired"),
-    13: ("device.hand_inactive", "activation failed", "look what blocks it, then activate it at the pendant"),
-    14: ("device.hand_over_current", "over current", "look what blocks it, then activate it at the pendant"),
+    13: ("device.hand_inactive", "activation failed", "see what blocks it, then activate it at the pendant"),
+    14: ("device.hand_over_current", "over current", "see what blocks it, then activate it at the pendant"),
     15: ("device.hand_inactive", "automatic release is complete", "activate it at the pendant"),
 }
 """FLT -> code of the error, description, remedy (manual, section 4.4.3)."""

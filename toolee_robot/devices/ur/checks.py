@@ -56,7 +56,7 @@ _MODE_REMEDY = {
     8: "wait until the update is done",
 }
 _SAFETY_REMEDY = {
-    2: "leave reduced mode (the installation's safety planes, inputs): a strike would be stopped in it",
+    2: "leave reduced mode (the installation's safety planes, inputs): it would stop a strike",
     3: "find out why, then release it at the teach pendant; software never does",
     4: "move the arm back inside its limits by hand, from the teach pendant",
     5: "close the safeguard (the door, the light curtain) and reset it",
@@ -143,7 +143,7 @@ def _identity(report: UrReport, expected: UrExpected) -> Iterator[Finding]:
         yield _model(report, report.version, expected)
     if expected.serial is not None:
         if report.serial is None:
-            yield warn("serial number", "the robot does not tell it", f"make sure that it is {expected.serial}")
+            yield warn("serial number", "the robot does not report it", f"make sure that it is {expected.serial}")
         elif report.serial != expected.serial:
             yield fail(
                 "serial number",

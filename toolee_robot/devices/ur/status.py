@@ -33,7 +33,7 @@ FULL_SPEED = 0.995
 """Fraction of the commanded speed from which on a motion counts as executed at it."""
 
 _ADVICE = {
-    ArmStatus.PROTECTIVE_STOP: "the robot has made a protective stop: look why, release it at the robot, then reset",
+    ArmStatus.PROTECTIVE_STOP: "the robot made a protective stop: find out why, release it at the robot, then reset",
     ArmStatus.SAFEGUARD_STOP: "the safeguard stop is open: close it and reset it at the robot, then reset",
     ArmStatus.EMERGENCY_STOP: "the emergency stop is pressed: release it, switch the robot on again, then reset",
     ArmStatus.FAULT: "the robot reports a safety violation or fault: see its pendant, then reset",

@@ -126,7 +126,9 @@ def _try(arm: Supervisor, station: SlowStation, joint: int, acceleration: float)
     motion = turn_about(arm.state().q_commanded, joint, acceleration, config.arm.jerk)
     dynamics = ArmDynamics.with_payload(robot, station.world.q_hand, None)
     if np.max(torque_use(dynamics, motion, TORQUE_SHARE * np.array(ARM_DATA[config.arm.model].torque))) > 1.0:
-        return AccelerationTrial(joint, acceleration, f"it would take over {100 * TORQUE_SHARE:.0f} % of a torque")
+        return AccelerationTrial(
+            joint, acceleration, f"not tried: it would take over {100 * TORQUE_SHARE:.0f} % of a joint's torque"
+        )
     # A stop takes no more than belongs to this step, whatever the largest one is.
     report = execute_whole(arm, replace(motion, braking=np.full((len(motion.times), 2), STOP_ROOM * acceleration)))
     limit = config.supervisor.tracking_error

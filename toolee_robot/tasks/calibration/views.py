@@ -47,8 +47,8 @@ class Plate:
     def __post_init__(self) -> None:
         if not DISTANCE[0] <= self.distance <= DISTANCE[1]:
             raise UserError(
-                f"a plate {self.distance} m from the flange: give {DISTANCE[0]} to {DISTANCE[1]} m; any nearer, it "
-                "meets the wrist"
+                f"a plate {self.distance} m from the flange: give {DISTANCE[0]} to {DISTANCE[1]} m. A nearer "
+                "plate meets the wrist"
             )
         if not 0.05 <= self.mass <= 5.0:
             raise UserError(f"a plate of {self.mass} kg: weigh plate and holder")

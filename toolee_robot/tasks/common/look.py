@@ -242,8 +242,8 @@ class Views:
         if not near:
             return None
         return (
-            f"the camera is too near to the tool: in {len(near)} of {len(depths)} views the face is only "
-            f"{min(near):.2f} m away, and the camera measures from {least:.2f} m (camera.device.least_range). Views "
+            f"the camera is too near to the tool. In {len(near)} of {len(depths)} views the face is only "
+            f"{min(near):.2f} m away. The camera measures from {least:.2f} m (camera.device.least_range). Views "
             f"are always planned {DISTANCE[0]:.2f} to {DISTANCE[1]:.2f} m from the camera. Use a smaller depth "
             "image, which sees nearer things (camera.width, camera.height, intrinsics and least_range), or another "
             "camera"

@@ -162,11 +162,11 @@ class NailDriving:
             if 0 < forecast.left < MOST_TOLD * task.max_strikes:
                 more = math.ceil(1.2 * forecast.left)
                 end += (
-                    f"; it still moves, and about {more} more strikes would do: raise task.max_strikes "
+                    f". It still moves, and needs about {more} more strikes: raise task.max_strikes "
                     f"({task.max_strikes}), or permit faster strikes (arm.acceleration, strike.deepest)"
                 )
             elif struck < task.max_strikes:
-                end += f", and by the forecast far more than {task.max_strikes} would be needed: permit faster strikes"
+                end += f". The forecast is far more than {task.max_strikes} strikes: permit faster strikes"
             return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if course.flush else end
         if self._striking.too_hard:
             raise JobEnded(Outcome.OVERLOAD, self._striking.too_hard)
@@ -203,7 +203,7 @@ class NailDriving:
         if end.outcome is not Outcome.NAIL_MISSED or self._missed > (BLIND_MISSES - 1 if self._look_at is None else 1):
             raise end
         if self._look_at is None:
-            self._motions.observer.message(f"{end}; the job strikes on, because it does not correct")
+            self._motions.observer.message(f"{end}; the job strikes on, because this variant does not correct")
             return self._motions.held
         self._motions.observer.message(f"{end}; looking again")
         return self._look(self._motions.held, self._config.task.views)
@@ -367,7 +367,7 @@ class NailDriving:
                 height, held = self._gauge.measure(before, held, self._forecast.unknown, missed)
         except JobEnded as end:
             if end.outcome is Outcome.BENT:
-                gone = f"the strike met the nail, which has bent since, or {LET_IN} ({end})"
+                gone = f"the strike met the nail. Either it bent, or {LET_IN} ({end})"
                 raise JobEnded(Outcome.BENT, gone) from end
             if met:
                 raise

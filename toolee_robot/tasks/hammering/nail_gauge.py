@@ -81,7 +81,7 @@ IMPLAUSIBLE_DEPTH = 0.004
 """Progress per strike above which the wood is touched a second time to confirm it [m]; strikes usually drive less."""
 NO_HEAD = 0.002
 """Largest height over the wood of what is no nail's head, but the wood: a touch may be off by this [m]."""
-CHECK = "look where the face stands, and check work.nail_xy, the height of the wood and the camera's calibration"
+CHECK = "see where the face is, and check work.nail_xy, the height of the wood and the camera's calibration"
 """What a person is to do about a nail that is not met."""
 
 Touches = tuple[Contact, Contact]

@@ -100,8 +100,8 @@ def end_program(host: str, timeout: float) -> bool:
 PATIENCE: Final = 600.0
 """[s] on the wall clock for which the end of the program is asked for, as long as the dashboard does not confirm it."""
 NOT_ENDED: Final = (
-    "the dashboard server has not confirmed the end of the robot's program: if the robot was stopped too, stop the "
-    "program at the pendant before you release the stop, or Play would move the arm on"
+    "the dashboard server has not confirmed that the robot's program ended. If the robot has stopped too, stop the "
+    "program at the pendant before you release the stop. Otherwise Play would move the arm on"
 )
 
 _ANSWER = 1.0  # [s] on the wall clock, for one attempt

@@ -58,8 +58,8 @@ class ScriptCalls:
 
         if (other := self._await(reported, np.zeros(6), TCP_TOLERANCE)) is not None:
             raise DeviceError(
-                f"the TCP was set to the flange, but the robot reports {np.round(other, 4)}: look which program or "
-                "installation changes it",
+                f"the TCP was set to the flange, but the robot reports {np.round(other, 4)}: find the program or "
+                "installation that changes it",
                 code="device.tcp_mismatch",
             )
 
