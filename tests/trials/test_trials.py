@@ -23,7 +23,6 @@ from toolee_robot.app.variant import Variant
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
 from toolee_robot.perception.weight_files import weights_hash
-from toolee_robot.runtime.html_page import Page
 from toolee_robot.sim_backend.cell_errors import CellErrors
 from toolee_robot.trials import Trial, TrialPlan, load_plan, run_trials, write_report
 from toolee_robot.trials.plan import InSimulation
@@ -465,11 +464,15 @@ def test_a_nail_that_is_flush_for_the_robot_alone_is_a_failure_with_a_name(tmp_p
     assert "conditions" not in page, "no trial has any"
 
 
-def test_a_page_escapes_what_it_is_given() -> None:
-    out = Page("<b>", "a & b")
-    out.section("Über 5° 2 cm")
-    out.table(["<i>"], [["<script>alert(1)</script>"], [("1 < 2", True)]])
-    html = out.text()
-    assert not re.search(r"https?://|<script|<link|@import|url\(|<b>|<i>", html)
-    assert 'href="#über-5-2-cm"' in html
-    assert 'id="über-5-2-cm"' in html
+def test_the_report_escapes_what_it_is_given(tmp_path: Path) -> None:
+    def strange(spec: JobSpec, out: Path) -> dict[str, Any]:
+        return {**job(spec, out), "tool": "<script>alert(1)</script>"}
+
+    plan = replace(PLAN, trials=2, name="<i> a & b")
+    run_trials(plan, tmp_path, 1, quietly, strange)
+    page = write_report(plan, tmp_path).read_text()
+    assert not re.search(r"https?://|<script|<link|@import|url\(|<i>", page)
+    assert "&lt;i&gt; a &amp; b</h1>" in page
+    links = re.findall(r'href="#([^"]+)"', page)
+    assert len(links) == 4
+    assert all(f'id="{link}"' in page for link in links)

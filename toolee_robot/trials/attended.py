@@ -17,8 +17,7 @@ from toolee_robot.station import StationConfig
 from toolee_robot.tasks.common.outcome import MAX_STOPS
 from toolee_robot.trials.plan import InRehearsal, OnRobot, TrialPlan
 from toolee_robot.trials.results import Event, Happened, Record, Results, now
-from toolee_robot.trials.run import told
-from toolee_robot.trials.tasks import Job, Task, check_paper_weights, station_of, task_of
+from toolee_robot.trials.run import Job, Task, check_paper_weights, station_of, task_of, told
 
 Ask = Callable[[str], str]
 """Shows a question and returns the line that was typed; raises EOFError where nobody can answer any more."""

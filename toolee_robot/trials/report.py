@@ -12,11 +12,11 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from toolee_robot.recording import PICTURE, RECORDING
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.html_page import Page
 from toolee_robot.tasks.common.outcome import Stage, cause
 from toolee_robot.trials.plan import TrialPlan
 from toolee_robot.trials.results import (
@@ -32,7 +32,7 @@ from toolee_robot.trials.results import (
     read_results_file,
     share,
 )
-from toolee_robot.trials.tasks import out_of
+from toolee_robot.trials.run import out_of
 
 REPORT, FIGURES = "report.html", "report.json"
 """Names of the page and of its figures, in the trials' folder."""
@@ -46,8 +46,6 @@ MEDIANS = {
     "strike_tilt_deg": "strike tilt, °",
 }
 """Figures of which the medians are told, and how they are headed."""
-CONDITIONS = "conditions"
-"""Head of the column with a trial's nail, wood, tool and sensor."""
 FALSE_FLUSH = "flush_by_the_robot_alone"
 """Outcome of a trial whose nail is flush for the robot and not for the judge, or the person."""
 
@@ -110,82 +108,16 @@ def _figures(
 
 
 def _page(plan: TrialPlan, made: dict[str, Any], records: Sequence[Record], runs: RunLinks) -> str:
-    page = Page(plan.name, f"plan {plan.hash[:12]} · {made['finished']} of {made['of']} trials finished")
-    page.section("Result")
-    pair = "repetition" if plan.led else "seed"
-    pairs = "repetitions of each tool, nail and wood" if plan.led else "seeds, the same for every variant"
-    cards = [(f"{made['distinct_tools']}", "distinct tools"), (f"{plan.trials}", pairs)]
-    for arm, of in made["arms"].items():
-        flush = of["flush"]
-        cards.append((f"{flush['hits']} of {flush['of']}", f"flush, {arm.replace('_', ' ')}"))
-    page.cards(cards)
-    page.table(
-        ["variant", "flush", "95 % (Wilson)", f"against {plan.arms[0].replace('_', ' ')}", "p (McNemar)"], _arms(made)
-    )
-    page.heading("Medians")
-    page.table(
-        ["variant", *MEDIANS.values()],
-        [
-            [arm.replace("_", " "), *(_figure(of["medians"][name]) for name in MEDIANS)]
-            for arm, of in made["arms"].items()
-        ],
-    )
-    if rows := _conditions(made):
-        page.heading("Tools, nails, woods and sensors")
-        page.table(["variant", "tool, nail, wood, sensor", "flush", "95 % (Wilson)"], rows, left=2)
-    page.section("Failures")
-    failed = [record for record in records if not record.success]
-    if failed:
-        page.table(["stage", "outcome", *(arm.replace("_", " ") for arm in made["arms"])], _failures(made), left=2)
-        page.paragraph(
-            (
-                "The stage is the one in which the job ended. It is empty in results of old versions. Each number "
-                "below links to the job's picture. Open the recording in Foxglove or Rerun, or show the job with "
-                "toolee replay."
-            )
-            + ("" if plan.on_robot else " Where that is not here, the command runs the job again, by today's program.")
-        )
-        head = [pair, "recording", CONDITIONS, "tool", "stage", "outcome", "reason"]
-        for arm in plan.arms:
-            if mine := of_arm(failed, arm):
-                page.heading(f"Failures: {arm.replace('_', ' ')}")
-                _listed(page, head, [_failure(r, runs, plan.on_robot) for r in mine], 7)
-    else:
-        page.paragraph("None.")
-    if plan.led:
-        attended_section(page, made["attended"])
-    page.section("Every trial")
-    head = ["variant", pair, CONDITIONS, "tool", "outcome", "strikes", "robot's time, s", "tries"]
-    _listed(page, head, [_row(record, runs) for record in records], 5)
-    page.section("The plan")
-    said = {name: _words(value) for name, value in asdict(plan).items() if name != "errors" or not plan.on_robot}
-    page.definitions(said | {"hash (SHA-256)": plan.hash})
-    if records:
-        page.paragraph(f"A trial is repeated by its own command, the first one by: {records[0].repeated_by}")
-    return page.text()
-
-
-def _arms(made: dict[str, Any]) -> list[list[str]]:
-    rows = []
-    for arm, of in made["arms"].items():
-        flush, against = of["flush"], of["against_first"]
-        difference = "" if against is None else f"{against['better']} better, {against['worse']} worse"
-        p = "" if against is None else f"{against['p']:.2g}"
-        interval = f"{flush['low']:.3f} to {flush['high']:.3f}"
-        rows.append([arm.replace("_", " "), f"{flush['hits']} of {flush['of']}", interval, difference, p])
-    return rows
+    environment = Environment(loader=PackageLoader(__package__, "."), autoescape=True)
+    environment.filters["words"] = _words
+    shown = {"MEDIANS": MEDIANS, "PICTURE": PICTURE, "RECORDING": RECORDING, "failures": _failures(made)}
+    said = {"link": runs.link, "outcome": _outcome, "cause": cause}
+    page = environment.get_template("report.html")
+    return page.render(plan=plan, made=made, records=records, **shown, **said) + "\n"
 
 
 def _share(records: Sequence[Record]) -> Share:
     return share([record.success for record in records])
-
-
-def _conditions(made: dict[str, Any]) -> list[list[str]]:
-    return [
-        [arm.replace("_", " "), words, f"{s['hits']} of {s['of']}", f"{s['low']:.3f} to {s['high']:.3f}"]
-        for arm, of in made["arms"].items()
-        for words, s in of["conditions"].items()
-    ]
 
 
 def _failures(made: dict[str, Any]) -> list[list[str]]:
@@ -200,14 +132,6 @@ def _failures(made: dict[str, Any]) -> list[list[str]]:
     return [[kind[0], kind[1].replace("_", " "), *(str(counts[kind].get(arm, "")) for arm in arms)] for kind in kinds]
 
 
-def _listed(page: Page, head: list[str], rows: list[list[Any]], left: int) -> None:
-    """A table of trials, without the column of conditions where none has any."""
-    at = head.index(CONDITIONS)
-    if not any(row[at] for row in rows):
-        head, rows, left = head[:at] + head[at + 1 :], [row[:at] + row[at + 1 :] for row in rows], left - 1
-    page.table(head, rows, left=left)
-
-
 def _outcome(record: Record) -> str:
     outcome = str(record.figures["outcome"])
     return FALSE_FLUSH if outcome == "flush" and not record.success else outcome
@@ -216,34 +140,6 @@ def _outcome(record: Record) -> str:
 def _failure_kind(record: Record) -> tuple[str, str]:
     """The stage in which the job ended, empty where that is not known, and how."""
     return str(record.figures.get("stage") or ""), _outcome(record)
-
-
-def _failure(record: Record, runs: RunLinks, on_robot: bool) -> list[Any]:
-    f, (stage, outcome) = record.figures, _failure_kind(record)
-    words = outcome.replace("_", " ")
-    number, recording = runs.link(record, str(record.trial.seed), PICTURE), runs.link(record, "mcap", RECORDING)
-    if not isinstance(recording, Markup) and not on_robot:
-        recording = record.repeated_by
-    return [number, recording, record.trial.conditions, f["tool"], stage, words, cause(f["reason"])]
-
-
-def _row(record: Record, runs: RunLinks) -> list[Any]:
-    f, arm = record.figures, str(record.trial.arm).replace("_", " ")
-    time = _figure(f.get("robot_seconds"))
-    return [
-        arm,
-        runs.link(record, str(record.trial.seed), PICTURE),
-        record.trial.conditions,
-        f["tool"],
-        _outcome(record).replace("_", " "),
-        str(f["strikes"]),
-        time,
-        str(f["tries"]),
-    ]
-
-
-def _figure(value: float | None) -> str:
-    return "" if value is None else f"{value:.1f}"
 
 
 def _words(value: Any) -> str:
@@ -323,46 +219,6 @@ def agreement(plan: TrialPlan, records: Sequence[Record], events: Sequence[Event
         "station_files": len({event.facts["station"] for event in events if event.what is Happened.BEGUN}),
         "sessions": sum(event.what is Happened.SESSION for event in events),
     }
-
-
-def attended_section(page: Page, made: dict[str, Any]) -> None:
-    """Add the section to a page.
-
-    Args:
-        page: The page.
-        made: Figures of `agreement`.
-    """
-    page.section("Person and robot")
-    if made["rehearsed"]:
-        page.paragraph("A rehearsal: every device was emulated, and no nail was measured.")
-    page.paragraph(
-        "A nail counts as flush if the person's calipers say so and it is not bent, whatever the robot reports. "
-        "The order of tools, nails, woods, repetitions and variants is random, fixed by the plan's hash."
-    )
-    page.table(
-        ["variant", "both say flush", "only the person", "only the robot", "neither"],
-        [[arm.replace("_", " "), *map(str, of.values())] for arm, of in made["flush"].items()],
-    )
-    touch = made["touch_against_calipers_mm"]
-    if touch["nails"]:
-        page.paragraph(
-            f"Height of the nail's head by the robot's touch minus that by calipers, {touch['nails']} nails: median "
-            f"{touch['median']:.2f} mm, at most {touch['largest']:.2f} mm to either side."
-        )
-    page.paragraph(f"The tool slipped in the hand, as the person says, in {made['slipped']} trials.")
-    page.heading("Disagreements")
-    _rows(page, ["variant", "repetition", "conditions", "the person says", "the robot says"], made["disagreements"])
-    page.heading("Interruptions and repeats")
-    changed = "the station file was the same in all" if made["station_files"] < 2 else "the station file was changed"
-    page.paragraph(f"{made['sessions']} sessions; {changed}. {made['skipped']} trials are skipped and not done.")
-    _rows(page, ["when", "what", "variant", "repetition", "conditions", "reason"], made["interruptions"])
-
-
-def _rows(page: Page, heads: list[str], rows: list[dict[str, Any]]) -> None:
-    if rows:
-        page.table(heads, [[str(value) for value in row.values()] for row in rows], left=len(heads))
-    else:
-        page.paragraph("None.")
 
 
 def _who(record: Record) -> str:

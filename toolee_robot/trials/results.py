@@ -19,6 +19,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from pydantic import TypeAdapter
 from scipy.stats import binomtest
 
 import toolee_robot
@@ -90,6 +91,9 @@ class Event:
     at: str
     trial: Trial | None = None
     facts: dict[str, Any] = field(default_factory=dict)
+
+
+_RECORD, _EVENT = TypeAdapter(Record), TypeAdapter(Event)
 
 
 class Results:
@@ -209,8 +213,8 @@ def _read(path: Path, plan: TrialPlan) -> tuple[dict[Trial, Record], list[Event]
     try:
         head, *rest = [from_json(line) for line in read_text(path).split("\n")[:-1]]
         other, named = head["hash"] != plan.hash, f"{head['plan']['name']!r} ({head['hash'][:12]})"
-        records = [] if other else [_record(line) for line in rest if "event" not in line]
-        events = [] if other else [_event(line["event"]) for line in rest if "event" in line]
+        records = [] if other else [_RECORD.validate_python(line) for line in rest if "event" not in line]
+        events = [] if other else [_EVENT.validate_python(line["event"]) for line in rest if "event" in line]
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         why = words_of(error) if isinstance(error, OSError) else "it does not begin with a plan, or a line is damaged"
         raise UserError(f"{path} holds no results of trials: {why}") from error
@@ -224,19 +228,6 @@ def _read(path: Path, plan: TrialPlan) -> tuple[dict[Trial, Record], list[Event]
 
 def _trial(trial: Trial) -> dict[str, Any]:
     return {name: value for name, value in asdict(trial).items() if value is not None}
-
-
-def _to_trial(said: dict[str, Any]) -> Trial:
-    return Trial(**{**said, "arm": Variant(said["arm"])})
-
-
-def _record(line: dict[str, Any]) -> Record:
-    return Record(_to_trial(line["trial"]), line["figures"], tuple(line["command"]))
-
-
-def _event(said: dict[str, Any]) -> Event:
-    trial = None if said["trial"] is None else _to_trial(said["trial"])
-    return Event(Happened(said["what"]), said["at"], trial, said["facts"])
 
 
 @dataclass(frozen=True)
