@@ -65,7 +65,7 @@ class CellErrors:
     those of the arm's generation (sim_backend/ur_controller/profile.py: 3.6 N of noise and 7 N of offset for a CB3, 1.5
     N and 4 N for an e-Series)."""
     compliance: NotNegative = 1.0
-    """Of the arm's joints, as a share of the nominal one (sim_backend/physics/joint_springs.py): 6.7e4, 3.1e4 and 1.0e4
+    """Of the arm's joints, as a share of the nominal one (sim_backend/physics/robot_body.py): 6.7e4, 3.1e4 and 1.0e4
     Nm/rad by the joint's size, from catalogues of gears of such torques. Steps bound how stiff a joint can be, other
     than by 0."""
     handover: NotNegative = 1.0

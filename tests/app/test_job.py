@@ -14,8 +14,7 @@ from typing import Any
 import pytest
 
 from tests.errors import raises
-from toolee_robot.app.job import JobSpec, run_job
-from toolee_robot.app.perceivers import true_poses
+from toolee_robot.app.job import JobSpec, run_job, true_poses
 from toolee_robot.app.simulated import Rehearsal, Simulated, simulated_station
 from toolee_robot.app.sources import Lab, Opened, Source, Tell
 from toolee_robot.app.variant import Variant

@@ -38,8 +38,7 @@ from toolee_robot.station import NailConfig, sim_station
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.viewer.rerun_page import LivePage, RerunPage
-from toolee_robot.viewer.run_state import RunStates
-from toolee_robot.viewer.run_view import RunView, blueprint
+from toolee_robot.viewer.run_view import RunStates, RunView, blueprint
 from toolee_robot.viewer.station_view import CAMERA_BOX
 
 RUNS = Path(__file__).parents[2] / "docs" / "benchmark" / "runs"

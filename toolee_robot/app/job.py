@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from toolee_robot.app.figures import Ran, job_figures, job_summary
-from toolee_robot.app.perceivers import job_networks, true_poses
 from toolee_robot.app.sources import JobObserver, Opened, Source
 from toolee_robot.app.variant import Variant
 from toolee_robot.end_effectors import Category
@@ -22,12 +21,61 @@ from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.runtime.files import RunFolder, json_line, run_folder, write_atomic
 from toolee_robot.runtime.latency_monitor import LatencyMonitor, gc_settled
 from toolee_robot.runtime.processes import code_version, interrupts_held
+from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.task import HammeringTask
 
 if TYPE_CHECKING:
+    from toolee_robot.perception import ToolPerception
     from toolee_robot.sim_backend.truth import Verdict  # a real station loads no simulation
+
+
+def job_networks(paper_weights: Path | None = None, device: str = "cpu") -> ToolPerception:
+    """Load the networks of a job.
+
+    Args:
+        paper_weights: Folder of a training of the paper's estimator, which takes the pose network's place; None: what
+            ships.
+        device: torch device that runs them.
+
+    Returns:
+        The networks. The paper's estimator gets no trust model: none was fitted for it, and it has no confidence.
+
+    Raises:
+        AssetError: Weights are missing or unreadable.
+        UserError: The weights are for clouds of whole tools; code `user.paper_column`.
+    """
+    from toolee_robot.perception import ToolPerception  # here: a job without networks begins in half the time
+
+    if paper_weights is None:
+        return ToolPerception.load(device=device)
+    from toolee_robot.perception.detection.segmenter import Segmenter
+    from toolee_robot.perception.pose.tooleenet import PaperEstimator
+
+    return ToolPerception(Segmenter.load(device=device), PaperEstimator.load_for_job(paper_weights, device))
+
+
+def true_poses(opened: Opened) -> Perceiver:
+    """The perception of a job that gets the tool's true pose.
+
+    Args:
+        opened: The station.
+
+    Returns:
+        The perception.
+
+    Raises:
+        UserError: The station is no simulation, which alone knows it.
+    """
+    if opened.truth is None:
+        raise UserError(
+            f"--variant {Variant.PERFECT_PERCEPTION} needs the tool's true pose, which only a simulation knows"
+        )
+    from toolee_robot.sim_backend.truth import PerfectPerception  # a real station loads none
+
+    return PerfectPerception(opened.truth)
+
 
 QUESTION = "Look at the robot. r: resume the job, t: take the hammer out of the hand, q: quit? "
 QUESTION_LAST = "The job cannot go on. t: take the hammer out of the hand, q: quit? "

@@ -13,8 +13,7 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.frames import BaseFrame
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import YamlLines
-from toolee_robot.station.camera_files import CAMERA, LOOK_AT, POSE_FIELD
-from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
+from toolee_robot.station.cell import CAMERA, LOOK_AT, POSE_FIELD, CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.station.head import FRAME, check_current
 from toolee_robot.station.job import StrikeConfig, check_enclosed
 from toolee_robot.station.measured_file import measured_path, read_measured, with_measured

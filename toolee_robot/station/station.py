@@ -12,8 +12,7 @@ from typing import Any
 from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.yaml_files import YamlLines, read_yaml, to_record
 from toolee_robot.station.calibration import CalibrationConfig, check_place, check_record, take_record
-from toolee_robot.station.camera_files import take_camera_pose
-from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope
+from toolee_robot.station.cell import CameraConfig, SceneConfig, ToolEnvelope, take_camera_pose
 from toolee_robot.station.head import FRAME, VERSION_FIELD, is_current, take_frame, to_base
 from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig, ToolData, check_enclosed
 from toolee_robot.station.measured_file import read_measured, with_measured

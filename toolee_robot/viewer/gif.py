@@ -22,7 +22,7 @@ from toolee_robot.runtime.files import written_whole
 from toolee_robot.sim_backend.visuals import BodyId
 from toolee_robot.station import StationConfig
 from toolee_robot.types import CameraIntrinsics
-from toolee_robot.viewer.run_state import RunState, RunStates
+from toolee_robot.viewer.run_view import RunState, RunStates
 from toolee_robot.viewer.station_view import bodies
 
 Picture = NDArray[np.uint8]

@@ -15,8 +15,7 @@ from scipy.linalg import eigh
 from toolee_robot.frames import Array, cross
 from toolee_robot.robots import RobotDescription, load_robot
 from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb
-from toolee_robot.sim_backend.physics.joint_springs import STIFFNESS, JointSprings
-from toolee_robot.sim_backend.physics.robot_body import RobotBody
+from toolee_robot.sim_backend.physics.robot_body import STIFFNESS, JointSprings, RobotBody
 from toolee_robot.sim_backend.world import NORMAL
 from toolee_robot.station import load_station, sim_station
 from toolee_robot.types import Payload
