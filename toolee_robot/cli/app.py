@@ -25,6 +25,8 @@ from toolee_robot.errors import TooleeError, UserError, words_of
 EXIT_FAILED, EXIT_USER = 1, 2
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
+_OF_EXTRA = {"isal": "train", "faster_coco_eval": "train", "rerun": "viewer", "rerun_cli": "viewer", "viser": "viewer"}
+"""Module -> the extra of this package that brings it."""
 GROUPS: dict[str, tuple[str, str]] = {
     "sim": ("jobs", "Do a job in simulation; nothing real moves"),
     "rehearse": ("jobs", "Do a job with your station file on emulated devices"),
@@ -205,7 +207,8 @@ def _missing_package(module: str) -> UserError | None:
     package = module.partition(".")[0]
     if package in ("", "toolee_robot") or package in sys.stdlib_module_names:
         return None
-    what = "'.[train]'" if module == "isal" else "."
+    extra = _OF_EXTRA.get(package)
+    what = "." if extra is None else f"'.[{extra}]'"
     return UserError(
         f"this command needs the Python module {module}, which is not installed. Run `python -m pip install -e "
         f"{what}` in the repository. For `toolee estimate` alone, requirements-perception.txt is enough",

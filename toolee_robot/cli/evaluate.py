@@ -14,7 +14,6 @@ import tyro
 from rich.markup import escape
 
 from toolee_robot.cli.output import Flag, JsonOption, progress_bars, text_table
-from toolee_robot.errors import UserError, words_of
 from toolee_robot.runtime.files import json_line, write_atomic
 
 if TYPE_CHECKING:
@@ -40,12 +39,7 @@ class _Evaluation(JsonOption):
         """Write the report if it was asked for, and print the tables."""
         record = {"machine": describe_machine(), **record}
         if self.out is not None:
-            try:
-                self.out.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise UserError(
-                    f"cannot make the folder {self.out}: {words_of(error)}. Choose another place"
-                ) from error
+            self.out.mkdir(parents=True, exist_ok=True)
             path = self.out / "report.json"
             write_atomic(path, json_line(record).encode() + b"\n")
             self.console.print(f"report: {escape(str(path))}", soft_wrap=True)

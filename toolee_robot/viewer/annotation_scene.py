@@ -16,7 +16,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform_points
 from toolee_robot.perception.offline.annotation.clicks import Click, Role
 from toolee_robot.perception.offline.annotation.frame_set import AnnotatedFrame
@@ -89,17 +88,12 @@ class AnnotationScene:
         view: What is shown.
 
     Raises:
-        UserError: viser is not installed.
+        ModuleNotFoundError: viser is not installed.
     """
 
     def __init__(self, port: int, clicked: Callable[[float, float], None]) -> None:
-        try:
-            import viser
-        except ImportError as error:
-            raise UserError(
-                f"the page needs viser ({error}): run `python -m pip install -e '.[viewer]'`, or give --clicks",
-                code="user.missing_package",
-            ) from error
+        import viser
+
         self._token = secrets.token_urlsafe(16)
         with contextlib.redirect_stdout(io.StringIO()), _guarded(self._token):  # it prints a banner
             self.server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)

@@ -101,17 +101,13 @@ class RerunPage:
         address: Address of the page.
 
     Raises:
-        UserError: Rerun is not installed, or does not start.
+        ModuleNotFoundError: Rerun is not installed.
+        UserError: It does not start.
     """
 
     def __init__(self, name: str, blueprint: Any, port: int) -> None:
-        try:
-            import rerun
-        except ImportError as error:
-            raise UserError(
-                f"the page needs rerun-sdk ({error}): run `python -m pip install -e '.[viewer]'`",
-                code="user.missing_package",
-            ) from error
+        import rerun
+
         web, data = _next_free(port), free_port()
         command = [sys.executable, "-m", "toolee_robot.viewer.rerun_page", str(web), str(data)]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  (closed in `close`)
@@ -180,7 +176,8 @@ class LivePage:
         address: Address of the page.
 
     Raises:
-        UserError: Rerun is not installed, or does not start.
+        ModuleNotFoundError: Rerun is not installed.
+        UserError: It does not start.
     """
 
     def __init__(self, config: StationConfig, port: int) -> None:

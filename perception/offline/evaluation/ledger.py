@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import toolee_robot
-from toolee_robot.errors import AssetError, UserError, words_of
+from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.offline.dataset.records import SUMS
 from toolee_robot.perception.offline.dataset.spec import PHOTOGRAPHS, DatasetSpec, are_test_photographs, root_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR, weights_hash
@@ -73,7 +73,7 @@ class Ledger:
             limit: Largest number of images that were scored; None: all.
 
         Raises:
-            UserError: The ledger cannot be written.
+            OSError: The ledger cannot be written.
         """
         entry = {
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -84,14 +84,8 @@ class Ledger:
             "weights": {label: weights_hash(folder or WEIGHTS_DIR) for label, folder in weights.items()},
             "figures": figures,
         }
-        try:
-            with self.path.open("a") as file:
-                file.write(json.dumps(entry) + "\n")
-        except OSError as error:
-            raise UserError(
-                f"cannot enter the scoring in {self.path}: {words_of(error)}; make it writable",
-                code="user.not_writable",
-            ) from error
+        with self.path.open("a") as file:
+            file.write(json.dumps(entry) + "\n")
 
 
 def pose_figures(report: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.errors import AssetError, UserError
+from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.detector import CLASSES, TOOL
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.scenes import SegmentationSet, bbox, load_scenes, scene_folders
@@ -62,7 +62,7 @@ def evaluate(
 
     Raises:
         AssetError: Data or weights are missing.
-        UserError: faster-coco-eval is not installed.
+        ModuleNotFoundError: faster-coco-eval is not installed.
     """
     segmenter = Segmenter.load(weights, device)
     scenes = scene_folders(dataset_dir)
@@ -99,9 +99,9 @@ def coco_task(
         The task; instances of under 50 visible pixels are crowd.
 
     Raises:
-        UserError: faster-coco-eval is not installed.
+        ModuleNotFoundError: faster-coco-eval is not installed.
     """
-    encode = _coco_library()[2].encode
+    from faster_coco_eval.core.mask import encode
 
     def encoded(mask: NDArray[np.bool_]) -> dict[str, Any]:
         rle: dict[str, Any] = encode(np.asfortranarray(mask.astype(np.uint8)))
@@ -150,7 +150,8 @@ def report(task: CocoTask) -> dict[str, Any]:
 
 def statistics(task: CocoTask) -> dict[str, Any]:
     """COCO's statistics of each class, and as "average" over the four EE categories."""
-    COCO, COCOeval_faster, _ = _coco_library()
+    from faster_coco_eval import COCO, COCOeval_faster
+
     truth = COCO(copy.deepcopy(task.truth))
     found = truth.loadRes([dict(r) for r in task.results]) if task.results else None
     report: dict[str, Any] = {}
@@ -171,18 +172,6 @@ def statistics(task: CocoTask) -> dict[str, Any]:
         for name in STATISTICS
     }
     return report
-
-
-def _coco_library() -> tuple[Any, Any, Any]:
-    try:
-        from faster_coco_eval import COCO, COCOeval_faster
-        from faster_coco_eval.core import mask
-    except ImportError as error:
-        raise UserError(
-            "this evaluation needs faster-coco-eval: run `python -m pip install -e '.[train]'` in the repository",
-            code="user.missing_package",
-        ) from error
-    return COCO, COCOeval_faster, mask
 
 
 def true_instances(images: SegmentationSet, index: int) -> list[tuple[int, NDArray[np.bool_], int]]:
