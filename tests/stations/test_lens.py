@@ -129,7 +129,7 @@ def test_corners_are_where_a_pinhole_camera_has_them(
     scene = Scene(config)
     with emulated_stream(config, clock, scene.seen) as stream, open_camera(config, clock, stream=stream) as opened:
         frame = opened.read(2.0)
-        raw, _ = opened.distorted(0.0)
+        raw = opened._wait(0.0, 0.5).images.rgb
         displacement = opened.lens.lens.largest_displacement()
     assert frame.intrinsics.agrees(config.intrinsics)
     rendering = SimCamera(scene, clock, camera(None, driver)).render()

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from toolee_robot.devices.cameras import CameraProfile, CameraStream, RawImages, StatedLens, StreamedCamera
+from toolee_robot.devices.cameras import CameraStream, StatedLens, StreamedCamera
 from toolee_robot.devices.cameras.orbbec import OrbbecStream
 from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.recording import RecordedStream
 from toolee_robot.devices.cameras.stream import CameraMode
-from toolee_robot.errors import ConfigError, NotReadyError
+from toolee_robot.errors import ConfigError
 from toolee_robot.hal import Clock
 from toolee_robot.runtime.device_plugins import installed, load
 from toolee_robot.station import CameraConfig, CameraDevice
@@ -58,7 +58,7 @@ def open_camera(
     if stream is None:
         stream = _driver(device.driver)(config, device, clock)
     stated = StatedLens(config.intrinsics, config.distortion) if check_intrinsics else None
-    return StreamedCamera(_OfSerial(stream, device.serial), clock, stated)
+    return StreamedCamera(stream, clock, stated, device.serial)
 
 
 def camera_drivers() -> dict[str, str]:
@@ -77,26 +77,6 @@ def _driver(name: str) -> CameraDriver:
         raise ConfigError(message)
     driver: CameraDriver = load(others[name])
     return driver
-
-
-class _OfSerial:
-    """A stream that is refused where it is another camera's."""
-
-    def __init__(self, stream: CameraStream, serial: str) -> None:
-        self._stream, self._serial = stream, serial
-        self.fetch: Callable[[float], RawImages | None] = stream.fetch
-        self.close: Callable[[], None] = stream.close
-
-    def open(self) -> CameraProfile:
-        profile = self._stream.open()
-        if profile.serial != self._serial:
-            self._stream.close()
-            raise NotReadyError(
-                f"the camera's serial number is {profile.serial!r}, the station file's {self._serial!r}: connect the "
-                "calibrated camera, or calibrate this one and change camera.device.serial",
-                code="not_ready.camera_serial",
-            )
-        return profile
 
 
 def _realsense(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraStream:

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from toolee_robot.devices.cameras.lens import DepthRegistration
 from toolee_robot.devices.cameras.lens_choice import ChosenLens, StatedLens, choose_lens
 from toolee_robot.devices.cameras.stream import CameraProfile, CameraStream, FrameGate, RawImages, Refusal, stale
-from toolee_robot.errors import DeviceError, NoAnswerError, TooleeError, words_of
+from toolee_robot.errors import DeviceError, NoAnswerError, NotReadyError, TooleeError, words_of
 from toolee_robot.hal import Clock
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
@@ -46,10 +45,13 @@ class StreamedCamera:
         stream: The camera's driver.
         clock: The station's clock, the host's.
         stated: What the station file states of the lens; None to take what the camera says.
+        serial: Serial number that the camera must have; None for any.
     """
 
-    def __init__(self, stream: CameraStream, clock: Clock, stated: StatedLens | None = None) -> None:
-        self._stream, self._clock, self._stated = stream, clock, stated
+    def __init__(
+        self, stream: CameraStream, clock: Clock, stated: StatedLens | None = None, serial: str | None = None
+    ) -> None:
+        self._stream, self._clock, self._stated, self._serial = stream, clock, stated, serial
         self._profile: CameraProfile | None = None
         self._news = threading.Condition()
         self._newest: _Arrived | None = None
@@ -63,7 +65,8 @@ class StreamedCamera:
 
         Raises:
             NoAnswerError: It is not there.
-            NotReadyError: It cannot give what is asked, or its lens is not the station file's (`choose_lens`).
+            NotReadyError: It is another camera, cannot give what is asked, or its lens is not the station file's
+                (`choose_lens`).
             StaleDataError: No new frame came.
             DeviceError: What it gives cannot be used.
         """
@@ -71,6 +74,12 @@ class StreamedCamera:
         self._closing.clear()
         profile = self._profile = self._stream.open()
         try:
+            if self._serial not in (None, profile.serial):
+                raise NotReadyError(
+                    f"the camera's serial number is {profile.serial!r}, the station file's {self._serial!r}: connect "
+                    "the calibrated camera, or calibrate this one and change camera.device.serial",
+                    code="not_ready.camera_serial",
+                )
             chosen = self._lens = choose_lens(profile.color, self._stated, undistorted=profile.undistorted)
             self._undistort = chosen.lens.undistortion() if chosen.lens.distorts else None
             self._register = None
@@ -158,24 +167,6 @@ class StreamedCamera:
             DeviceError: As `read`.
         """
         return self._frame(self._wait(np.nextafter(stamp, np.inf), max_age))
-
-    def distorted(self, stamp: float, max_age: float = 0.5) -> tuple[NDArray[np.uint8], float]:
-        """Wait for a colour image after another one, as the lens gives it: for the calibration of the lens.
-
-        Args:
-            stamp: Stamp of the other image, station's clock [s].
-            max_age: Longest wait, and the image's largest age [s].
-
-        Returns:
-            The newest image, (H, W, 3), and its stamp [s].
-
-        Raises:
-            StaleDataError: As `read`.
-            NoAnswerError: As `read`.
-            DeviceError: As `read`.
-        """
-        arrived = self._wait(np.nextafter(stamp, np.inf), max_age)
-        return arrived.images.rgb, arrived.stamp
 
     def _frame(self, arrived: _Arrived) -> RgbdFrame:
         profile, images = self.profile, arrived.images

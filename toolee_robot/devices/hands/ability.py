@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from toolee_robot.devices.hands import SERIAL, WiredHandKind
 from toolee_robot.devices.hands.grip import GripRule, Reading, Setpoints
-from toolee_robot.devices.hands.polled import LineCounts, PolledHand
-from toolee_robot.devices.hands.ports import SerialPort
+from toolee_robot.devices.hands.polled import PolledHand
+from toolee_robot.devices.hands.ports import PortLine, SerialPort
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock
@@ -158,7 +158,7 @@ class FrameReader:
         return good
 
 
-class AbilityLine:
+class AbilityLine(PortLine):
     """The hand on a serial port; one thread may use it.
 
     Every command is answered, and the answer is its acknowledgement: a damaged command gets none. A reply does not say
@@ -167,16 +167,11 @@ class AbilityLine:
     """
 
     def __init__(self, port: str, address: int, clock: Clock) -> None:
-        self.counts = LineCounts()
+        super().__init__(SerialPort(port, BAUD_RATE, ANSWER_S), ANSWER_S)
         self._address, self._clock = address, clock
         self._reader, self._newest = FrameReader(), -math.inf
         self._doubted: dict[Header, tuple[float, float]] = {}
         self._turn = False
-        self._port = SerialPort(port, BAUD_RATE, ANSWER_S)
-
-    def close(self) -> None:
-        """Release the port; nothing is said to the hand, which leaves the API mode 0.3 s later."""
-        self._port.close()
 
     def find(self) -> tuple[float, Reply]:
         """Ask whether the hand is there, with some attempts; as `exchange`."""

@@ -28,8 +28,8 @@ import numpy as np
 
 from toolee_robot.devices.hands import SERIAL, WiredHandKind
 from toolee_robot.devices.hands.grip import GripRule, Reading
-from toolee_robot.devices.hands.polled import UNPLUGGED, LineCounts, PolledHand
-from toolee_robot.devices.hands.ports import Port, SerialPort, TcpPort, is_tcp
+from toolee_robot.devices.hands.polled import UNPLUGGED, PolledHand
+from toolee_robot.devices.hands.ports import Port, PortLine, SerialPort, TcpPort, is_tcp
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock
@@ -104,7 +104,7 @@ WRITTEN = b"\x01"
 """The reply to a write that was carried out."""
 
 
-class InspireLine(ABC):
+class InspireLine(PortLine, ABC):
     """The hand at the other end of a wire; one thread may use it.
 
     Everything of a reply but its data is known from the request. So it is not parsed, it is looked for: garbage,
@@ -119,12 +119,8 @@ class InspireLine(ABC):
     """What a person is to check when it is silent."""
 
     def __init__(self, port: Port, hand_id: int) -> None:
-        self.counts = LineCounts()
-        self._port, self._hand_id = port, hand_id
-
-    def close(self) -> None:
-        """Release the port; nothing is said to the hand."""
-        self._port.close()
+        super().__init__(port, ANSWER_S)
+        self._hand_id = hand_id
 
     def numbers(self, register: int) -> tuple[int, ...]:
         """Read the six 16-bit numbers of a register."""
@@ -138,7 +134,7 @@ class InspireLine(ABC):
             DeviceError: It refuses.
         """
         for attempt in range(ATTEMPTS):
-            if (not attempt or self._recover()) and (found := self._ask(*self._reading(register, count))) is not None:
+            if (not attempt or self._recover()) and (found := self.ask(*self._reading(register, count))) is not None:
                 return found
         raise self._silent(register)
 
@@ -160,11 +156,11 @@ class InspireLine(ABC):
             if attempt:
                 if not self._recover():
                     continue
-                there = self._ask(*self._reading(register, len(data)))
+                there = self.ask(*self._reading(register, len(data)))
                 if there == data and not again:
                     return
                 answers |= there is not None
-            result = self._ask(*self._writing(register, data))
+            result = self.ask(*self._writing(register, data))
             if result == WRITTEN:
                 return
             if result is not None:
@@ -189,20 +185,6 @@ class InspireLine(ABC):
     @abstractmethod
     def _recover(self) -> bool:
         """After a request without a reply: make sure that a late one cannot be taken for another; whether it is."""
-
-    def _ask(self, request: bytes, find: Find) -> bytes | None:
-        """One attempt; None without a usable reply in time."""
-        self.counts.requests += 1
-        self._port.drop_received()
-        received, end, late = b"", time.monotonic() + ANSWER_S, False
-        if self._port.send(request):
-            while not late:
-                late = time.monotonic() >= end  # asked first, so that a process that was held up looks once more
-                received += self._port.receive()
-                if (found := find(received)) is not None:
-                    return found
-        self.counts.unanswered += 1
-        return None
 
     def _silent(self, register: int) -> NoAnswerError:
         message = f"no hand {self._hand_id} answers on {self._port.path} (register {register}): {self.look_at}"
@@ -239,7 +221,7 @@ class SerialLine(InspireLine):
         return b"\xeb\x90" + body + bytes((sum(body) & 0xFF,)), lambda received: serial_reply(received, head, count)
 
     def _recover(self) -> bool:
-        return self._ask(*self._reading(ANGLE_ACT, next(self._barrier_lengths))) is not None
+        return self.ask(*self._reading(ANGLE_ACT, next(self._barrier_lengths))) is not None
 
 
 def serial_reply(received: bytes, head: bytes, count: int) -> bytes | None:
@@ -291,7 +273,7 @@ class ModbusLine(InspireLine):
         before: tuple[int, ...] = ()
         for count in range(2, 26, 2):
             self._shifts = SHIFTS
-            if self._ask(*self._reading(ANGLE_ACT, count)) is None:
+            if self.ask(*self._reading(ANGLE_ACT, count)) is None:
                 continue
             if self._shifts == before:
                 return

@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
 from toolee_robot.devices.hands.grip import Grip, GripRule, Reading, SaidT
+from toolee_robot.devices.hands.ports import LineCounts
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, HandState
@@ -41,20 +41,6 @@ SILENCE_S = 0.3
 """Longest time without a reading in a motion."""
 UNPLUGGED = "no_answer.hand_unplugged"
 """Code of a port that is gone for good."""
-
-
-@dataclass
-class LineCounts:
-    """What happened on the wire so far."""
-
-    requests: int = 0
-    """Requests sent, repeated ones included."""
-    unanswered: int = 0
-    """Requests that nothing usable came back for."""
-    corrupt: int = 0
-    """Replies that were found damaged."""
-    late: int = 0
-    """Replies that were older than one that was there already, repeated ones included."""
 
 
 class Line(Protocol):

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import socket
 import termios
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import serial
 from serial.tools.list_ports import comports
@@ -167,6 +170,61 @@ class TcpPort(Port):
         if not data:
             raise ConnectionResetError("the hand has closed it")
         return data
+
+
+T = TypeVar("T")
+
+
+@dataclass
+class LineCounts:
+    """What happened on the wire so far."""
+
+    requests: int = 0
+    """Requests sent, repeated ones included."""
+    unanswered: int = 0
+    """Requests that nothing usable came back for."""
+    corrupt: int = 0
+    """Replies that were found damaged."""
+    late: int = 0
+    """Replies that were older than one that was there already, repeated ones included."""
+
+
+class PortLine:
+    """The hand at the other end of a port; one thread may use it.
+
+    Args:
+        port: The port.
+        within: Time for a reply [s].
+
+    Attributes:
+        counts: What happened on the line so far.
+    """
+
+    def __init__(self, port: Port, within: float) -> None:
+        self.counts = LineCounts()
+        self._port, self._within = port, within
+
+    def close(self) -> None:
+        """Release the port; nothing is said to the hand."""
+        self._port.close()
+
+    def ask(self, request: bytes, find: Callable[[bytes], T | None]) -> T | None:
+        """Send a request once, and look for its reply in all that comes; None without a usable one in time.
+
+        Raises:
+            NoAnswerError: The port is gone.
+        """
+        self.counts.requests += 1
+        self._port.drop_received()
+        received, end, late = b"", time.monotonic() + self._within, False
+        if self._port.send(request):
+            while not late:
+                late = time.monotonic() >= end  # asked first, so that a process that was held up looks once more
+                received += self._port.receive()
+                if (found := find(received)) is not None:
+                    return found
+        self.counts.unanswered += 1
+        return None
 
 
 def is_tcp(path: str) -> bool:

@@ -12,14 +12,13 @@ such a gripper.
 from __future__ import annotations
 
 import re
-import time
 
 import numpy as np
 
 from toolee_robot.devices.hands import WiredHandKind
 from toolee_robot.devices.hands.grip import GripRule, Reading
-from toolee_robot.devices.hands.polled import LineCounts, PolledHand
-from toolee_robot.devices.hands.ports import TcpPort
+from toolee_robot.devices.hands.polled import PolledHand
+from toolee_robot.devices.hands.ports import PortLine, TcpPort
 from toolee_robot.errors import DeviceError, NoAnswerError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock
@@ -57,16 +56,11 @@ RULE = GripRule((1,), 0, touches=1.0, shut=SHUT - 4.0, slipped=8.0, unit="of 255
 """A grip, of both jaws alike: it grips by its own judgement, and is not shut; 8 are 3 mm of a 2F-85."""
 
 
-class RobotiqLine:
-    """The URCap's socket; one thread may use it. TCP keeps the order of replies, and each names its variable."""
+class RobotiqLine(PortLine):
+    """The URCap's socket. TCP keeps the order of replies, and each names its variable."""
 
     def __init__(self, port: str) -> None:
-        self.counts = LineCounts()
-        self._port = TcpPort(port, ANSWER_S)
-
-    def close(self) -> None:
-        """Release the port; the gripper goes on with what it does."""
-        self._port.close()
+        super().__init__(TcpPort(port, ANSWER_S), ANSWER_S)
 
     def get(self, name: str) -> int:
         """Read a variable.
@@ -86,16 +80,9 @@ class RobotiqLine:
 
     def _ask(self, request: str, reply: str) -> bytes:
         for _ in range(ATTEMPTS):
-            self.counts.requests += 1
-            self._port.drop_received()
-            received, end, late = b"", time.monotonic() + ANSWER_S, False
-            self._port.send(f"{request}\n".encode())
-            while not late:
-                late = time.monotonic() >= end  # asked first, so that a process that was held up looks once more
-                received += self._port.receive()
-                if found := re.search(reply.encode(), received):
-                    return found[1]
-            self.counts.unanswered += 1
+            found = self.ask(f"{request}\n".encode(), lambda received: re.search(reply.encode(), received))
+            if found is not None:
+                return found[1]
         message = f"no gripper answers {request!r} at {self._port.path}: see that its URCap is installed and sees the"
         raise NoAnswerError(f"{message} gripper, and that no other program commands it", code="no_answer.hand_silent")
 

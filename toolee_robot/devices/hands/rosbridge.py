@@ -19,7 +19,8 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.sync.client import connect
 
-from toolee_robot.devices.hands.polled import UNPLUGGED, LineCounts
+from toolee_robot.devices.hands.polled import UNPLUGGED
+from toolee_robot.devices.hands.ports import LineCounts
 from toolee_robot.errors import ConfigError, DeviceError, NoAnswerError, ProtocolError, words_of
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock
