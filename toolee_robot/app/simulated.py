@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -94,6 +94,7 @@ class Simulated:
         sensor: Kind of depth camera; None for the nominal time-of-flight camera.
     """
 
+    real_time_factor: ClassVar[float | None] = None
     config: StationConfig
     seed: int
     gui: bool = False
@@ -112,11 +113,6 @@ class Simulated:
     def name(self) -> str:
         """See `Source`."""
         return f"seed{self.seed}"
-
-    @property
-    def real_time_factor(self) -> float | None:
-        """See `Source`."""
-        return None
 
     @property
     def mode(self) -> str:

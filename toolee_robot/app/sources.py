@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Station
@@ -123,18 +123,10 @@ class Lab:
         station_file: The file.
     """
 
+    name: ClassVar[str] = "job"
+    real_time_factor: ClassVar[float | None] = 1.0
     config: StationConfig
     station_file: Path
-
-    @property
-    def name(self) -> str:
-        """See `Source`."""
-        return "job"
-
-    @property
-    def real_time_factor(self) -> float | None:
-        """See `Source`."""
-        return 1.0
 
     @property
     def mode(self) -> str:

@@ -27,29 +27,18 @@ if TYPE_CHECKING:
 # ruff: noqa: ARG002 - an observer receives more than it shows
 
 
-_PHASES = {
-    Stage.HANDOVER: "Handover",
-    Stage.GRIP: "Grip",
-    Stage.WEIGH: "Weigh",
-    Stage.VIEW: "Look",
-    Stage.PERCEIVE: "Look",
-    Stage.PLAN: "Drive the nail",
-    Stage.TOUCH: "Drive the nail",
-    Stage.STRIKE: "Drive the nail",
-    Stage.PARK: "Park",
+_STAGES = {
+    Stage.HANDOVER: ("Handover", "waiting for the tool in the open hand"),
+    Stage.GRIP: ("Grip", "closing the fingers, confirming the hold"),
+    Stage.WEIGH: ("Weigh", "weighing the tool, the wrist turns slowly"),
+    Stage.VIEW: ("Look", "bringing the tool before the camera"),
+    Stage.PERCEIVE: ("Look", "finding the end effector and its pose"),
+    Stage.PLAN: ("Drive the nail", "planning the strike"),
+    Stage.TOUCH: ("Drive the nail", "measuring the nail with a slow touch"),
+    Stage.STRIKE: ("Drive the nail", "striking"),
+    Stage.PARK: ("Park", "putting the arm away"),
 }
-"""Phase of each stage in the output; stages that alternate are one phase."""
-_DOING = {
-    Stage.HANDOVER: "waiting for the tool in the open hand",
-    Stage.GRIP: "closing the fingers, confirming the hold",
-    Stage.WEIGH: "weighing the tool, the wrist turns slowly",
-    Stage.VIEW: "bringing the tool before the camera",
-    Stage.PERCEIVE: "finding the end effector and its pose",
-    Stage.PLAN: "planning the strike",
-    Stage.TOUCH: "measuring the nail with a slow touch",
-    Stage.STRIKE: "striking",
-    Stage.PARK: "putting the arm away",
-}
+"""Phase of each stage in the output, and what is done in it; stages that alternate are one phase."""
 
 
 class ConsoleObserver(JobObserver):
@@ -96,11 +85,12 @@ class ConsoleObserver(JobObserver):
         return None if self._ask is None else self._ask(question)
 
     def stage_started(self, stage: Stage) -> None:
-        if _PHASES[stage] != self._phase:
+        phase, doing = _STAGES[stage]
+        if phase != self._phase:
             self._close_phase()
-            self._phase, self._phase_seconds, self._plan_shown = _PHASES[stage], 0.0, False
-            self._console.print(f"[bold]{self._phase}[/bold]")
-        self._status.update(_DOING[stage])
+            self._phase, self._phase_seconds, self._plan_shown = phase, 0.0, False
+            self._console.print(f"[bold]{phase}[/bold]")
+        self._status.update(doing)
 
     def stage_ended(self, stage: Stage, seconds: float) -> None:
         self._phase_seconds += seconds
