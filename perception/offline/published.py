@@ -21,13 +21,12 @@ from toolee_robot.perception.offline.dataset.records import CIRCLE, FOCAL, FULL_
 from toolee_robot.perception.offline.evaluation import metrics, pose
 from toolee_robot.perception.offline.evaluation.estimates import Estimates
 from toolee_robot.perception.offline.processes import ProcessMap
-from toolee_robot.perception.offline.rendered_clouds import stored
 from toolee_robot.perception.offline.research.tooleenet_training import paper_source
 from toolee_robot.perception.offline.synthesis.bodies import HandStyle, hand_bodies
 from toolee_robot.perception.offline.synthesis.example import label
 from toolee_robot.perception.offline.synthesis.placement import PlacedTool, SceneSample, Stance, X_world_hand_of, look
 from toolee_robot.perception.offline.synthesis.station import shown_grasp
-from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds
+from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, stored
 from toolee_robot.perception.offline.training import pose_validation as validation
 from toolee_robot.perception.pose.canonical import MIN_POINTS
 from toolee_robot.perception.pose.tooleenet import PaperEstimator

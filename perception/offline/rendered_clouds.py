@@ -19,17 +19,12 @@ import torch
 
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
-from toolee_robot.frames import Array, inverse
+from toolee_robot.frames import inverse
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.dataset.spec import refuse_test_set
 from toolee_robot.perception.offline.evaluation.examples import Case, Instance, Part, parts, read_part, spin_points
 from toolee_robot.perception.offline.processes import ProcessMap
-from toolee_robot.perception.offline.synthetic_clouds.rendered import (
-    MAX_COMPLETED,
-    MAX_POINTS,
-    MAX_REST,
-    RenderedClouds,
-)
+from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, stored
 from toolee_robot.perception.pipeline import EeDetector
 
 NOTHING_THERE = 0.1
@@ -125,47 +120,3 @@ def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator, tell
     row = stored(points, category, instance.X_camera_ee, X_camera_tool, instance.occlusion, rng)
     hand = row.p_camera_hand if instance.X_camera_hand is None else instance.X_camera_hand[None, :3, 3]
     return replace(row, p_camera_hand=hand.astype(np.float32), tells_spin=np.array([tells_spin]))
-
-
-def stored(
-    clouds: tuple[Array, Array, Array],
-    category: int,
-    X_camera_ee: Array,
-    X_camera_tool: Array,
-    occlusion: float,
-    rng: np.random.Generator,
-) -> RenderedClouds:
-    """A cloud as it is stored, thinned.
-
-    Args:
-        clouds: Measured points, completed points, and points of the rest of the tool, (N, 3) [m].
-        category: Index of the category.
-        X_camera_ee: Pose of the EE, 4x4.
-        X_camera_tool: Pose of its tool, 4x4.
-        occlusion: In [0, 1].
-        rng: Random generator.
-
-    Returns:
-        The cloud, a positive.
-    """
-    sizes = MAX_POINTS, MAX_COMPLETED, MAX_REST
-    points, completed, rest = (_thinned(x, n, rng).astype(np.float32) for x, n in zip(clouds, sizes, strict=True))
-    return RenderedClouds(
-        points,
-        completed,
-        rest,
-        counts=np.array([[len(points), len(completed), len(rest)]]),
-        X_camera_ee=np.array([X_camera_ee], np.float32),
-        X_camera_tool=np.array([X_camera_tool], np.float32),
-        of_tool=np.array([False]),
-        p_camera_hand=np.full((1, 3), np.nan, np.float32),
-        category=np.array([category]),
-        positive=np.array([True]),
-        visible=np.array([len(clouds[0])]),
-        tells_spin=np.array([0]),
-        occlusion=np.array([occlusion], np.float32),
-    )
-
-
-def _thinned(points: Array, most: int, rng: np.random.Generator) -> Array:
-    return points if len(points) <= most else points[rng.choice(len(points), most, replace=False)]

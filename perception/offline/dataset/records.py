@@ -248,63 +248,14 @@ class CloudWriter:
         self._points.append(points)
 
     def to_bytes(self) -> bytes:
-        """Content of `clouds.npz`."""
+        """Content of `clouds.npz`, M clouds for `numpy.load`.
+
+        `image`, `gt`, `count` (M,) are the index of the image, that of the EE in scene_gt, and the pixels with a depth
+        in the mask, before sampling. `ends` (M,) ends each cloud in `points` (sum, 3) [m], camera frame.
+        """
         where = np.array(self._where, np.int32).reshape(-1, 3)
         points = np.concatenate([np.zeros((0, 3), np.float32), *self._points])
         ends = np.cumsum([len(p) for p in self._points], dtype=np.int64)
         buffer = BytesIO()
         np.savez(buffer, image=where[:, 0], gt=where[:, 1], count=where[:, 2], ends=ends, points=points)
         return buffer.getvalue()
-
-
-@dataclass(frozen=True, eq=False)
-class Clouds:
-    """The M clouds of one scene.
-
-    Attributes:
-        image: Index of the image of each cloud (M,).
-        gt: Index of the EE in scene_gt of each cloud (M,).
-        count: Pixels with a depth in the mask of each cloud (M,), before sampling.
-        ends: End of each cloud in `points` (M,): cloud m is points[ends[m - 1] : ends[m]].
-        points: Points of all clouds (sum, 3) [m], camera frame; at most `MAX_POINTS` of each cloud.
-    """
-
-    image: NDArray[np.int32]
-    gt: NDArray[np.int32]
-    count: NDArray[np.int32]
-    ends: NDArray[np.int64]
-    points: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.image)
-
-    def __getitem__(self, m: int) -> FloatArray:
-        """Points (n, 3) [m] of cloud m, n <= `MAX_POINTS`."""
-        return self.points[int(self.ends[m - 1]) if m else 0 : int(self.ends[m])]
-
-
-def read_clouds(scene: Path) -> Clouds:
-    """Read the clouds of a scene.
-
-    Args:
-        scene: Folder of the scene.
-
-    Raises:
-        AssetError: The file is missing or corrupt; the message names it.
-    """
-    path = scene / "clouds.npz"
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            clouds = Clouds(file["image"], file["gt"], file["count"], file["ends"], file["points"])
-    except Exception as error:
-        raise AssetError(
-            f"cannot read {path}: {words_of(error)}; delete its scene and generate the data set again"
-        ) from error
-    lengths = {len(clouds.image), len(clouds.gt), len(clouds.count), len(clouds.ends)}
-    if (
-        len(lengths) != 1
-        or (len(clouds) and int(clouds.ends[-1]) != len(clouds.points))
-        or np.any(np.diff(clouds.ends) < 0)
-    ):
-        raise AssetError(f"{path} holds arrays that do not fit together: delete its scene and generate it again")
-    return clouds

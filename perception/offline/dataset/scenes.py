@@ -6,7 +6,7 @@
     train/000000/mask/000000_000000.png    unoccluded mask of an EE (image, index in scene_gt)
     train/000000/mask_visib/...            visible mask of the EE
     train/000000/scene_{camera,gt,gt_info,gt_coco,instances}.json
-    train/000000/clouds.npz                see `Clouds`
+    train/000000/clouds.npz                see `CloudWriter.to_bytes`
     train/000000/SHA256SUMS
 
 Training reads these files directly. BOP fields have the meaning and units (mm) of BOP; additional

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError, words_of
+from toolee_robot.frames import Array
 from toolee_robot.perception.offline.synthetic_clouds.batch import CloudBatch, CloudConfig, CloudSource, TorchRng
 from toolee_robot.perception.offline.synthetic_clouds.scene import DIRECTION_SIGMA, direction_token
 from toolee_robot.perception.pose.canonical import (
@@ -122,23 +123,54 @@ class RenderedClouds:
 
 
 def _none() -> RenderedClouds:
-    """A record without clouds."""
-    points, numbers, poses = np.empty((0, 3), np.float32), np.empty(0, np.int64), np.empty((0, 4, 4), np.float32)
+    """No cloud."""
+    nothing = np.empty((0, 3))
+    one = stored((nothing, nothing, nothing), 0, np.eye(4), np.eye(4), 0.0, np.random.default_rng(0))
+    return RenderedClouds(*(getattr(one, f.name)[:0] for f in fields(one)))
+
+
+def stored(
+    clouds: tuple[Array, Array, Array],
+    category: int,
+    X_camera_ee: Array,
+    X_camera_tool: Array,
+    occlusion: float,
+    rng: np.random.Generator,
+) -> RenderedClouds:
+    """A cloud as it is stored, thinned.
+
+    Args:
+        clouds: Measured points, completed points, and points of the rest of the tool, (N, 3) [m].
+        category: Index of the category.
+        X_camera_ee: Pose of the EE, 4x4.
+        X_camera_tool: Pose of its tool, 4x4.
+        occlusion: In [0, 1].
+        rng: Random generator.
+
+    Returns:
+        The cloud, a positive.
+    """
+    sizes = MAX_POINTS, MAX_COMPLETED, MAX_REST
+    points, completed, rest = (_thinned(x, n, rng).astype(np.float32) for x, n in zip(clouds, sizes, strict=True))
     return RenderedClouds(
         points,
-        guessed=points,
-        rest=points,
-        counts=np.empty((0, 3), np.int64),
-        X_camera_ee=poses,
-        X_camera_tool=poses,
-        of_tool=np.empty(0, np.bool_),
-        p_camera_hand=points,
-        category=numbers,
-        positive=np.empty(0, np.bool_),
-        visible=numbers,
-        tells_spin=numbers,
-        occlusion=np.empty(0, np.float32),
+        completed,
+        rest,
+        counts=np.array([[len(points), len(completed), len(rest)]]),
+        X_camera_ee=np.array([X_camera_ee], np.float32),
+        X_camera_tool=np.array([X_camera_tool], np.float32),
+        of_tool=np.array([False]),
+        p_camera_hand=np.full((1, 3), np.nan, np.float32),
+        category=np.array([category]),
+        positive=np.array([True]),
+        visible=np.array([len(clouds[0])]),
+        tells_spin=np.array([0]),
+        occlusion=np.array([occlusion], np.float32),
     )
+
+
+def _thinned(points: Array, most: int, rng: np.random.Generator) -> Array:
+    return points if len(points) <= most else points[rng.choice(len(points), most, replace=False)]
 
 
 class RenderedSource(CloudSource):

@@ -22,7 +22,7 @@ from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.io import bop_images
 from toolee_robot.perception.offline.dataset.instances import read_ply
-from toolee_robot.perception.offline.dataset.records import SUMS, read_clouds, read_json
+from toolee_robot.perception.offline.dataset.records import SUMS, read_json
 from toolee_robot.perception.offline.dataset.scenes import load
 from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.offline.synthesis.generate import generate
@@ -117,15 +117,15 @@ def test_other_programs_can_read_it(whole: Path) -> None:
                 assert annotation["category_id"] == 5 or np.unique(np.asarray(maps)[mask > 0]).size == 1
         for scene in sorted((whole / split).iterdir()):
             frames = {image.im_id: image.read() for image in bop_images(scene)}
-            clouds = read_clouds(scene)
-            for m in range(len(clouds)):
-                check_depth_unit(frames[int(clouds.image[m])].depth)
-                entry = read_json(scene / "scene_gt.json")[str(clouds.image[m])][clouds.gt[m]]
+            clouds = np.load(scene / "clouds.npz")
+            for m, points in enumerate(np.split(clouds["points"], clouds["ends"][:-1])):
+                check_depth_unit(frames[int(clouds["image"][m])].depth)
+                entry = read_json(scene / "scene_gt.json")[str(clouds["image"][m])][clouds["gt"][m]]
                 assert info[str(entry["obj_id"])]["split"] == split
-                if clouds.count[m] > 100:
+                if clouds["count"][m] > 100:
                     R, t = np.reshape(entry["cam_R_m2c"], (3, 3)), np.array(entry["cam_t_m2c"])
                     vertices, _ = read_ply(whole / f"models/obj_{entry['obj_id']:06d}.ply")
-                    local = (1000.0 * clouds[m] - t) @ R
+                    local = (1000.0 * points - t) @ R
                     nearest = np.linalg.norm(local[:, None] - vertices[None, ::3], axis=-1).min(axis=1)
                     # Of a long screwdriver's thin shaft most pixels may show what is behind it.
                     share = 0.25 if entry["instance"].startswith("long_") else 0.5
