@@ -96,7 +96,7 @@ def candidates(
         p = X_base_nail[:3, 3]
         raise UnreachableError(
             f"no posture of the arm brings the tool onto the nail at {np.round(p, 3).tolist()} m in base_link "
-            f"({np.linalg.norm(p):.2f} m from the base). Move the block, or put it on a higher stand",
+            f"({np.linalg.norm(p):.2f} m from the base): move the block, or put it on a higher stand",
             code="unreachable.nail",
         )
     q, rows, branch, margin = q[inside], rows[inside], branch[inside], margin[inside]

@@ -222,12 +222,12 @@ class _Swing:
         if nearest is None:
             raise LimitError(
                 f"the arm cannot turn a tool of {self._tool.mass:.2f} kg back from {self._least:.2f} m/s within "
-                f"{self._deepest * 1e3:.0f} mm at this nail. Move the block nearer, or use a lighter hammer",
+                f"{self._deepest * 1e3:.0f} mm at this nail: move the block nearer, or use a lighter hammer",
                 code="limit.swing",
             )
         if not chosen:
             raise CollisionError(
-                f"every swing at this nail would bring bodies together, the best one {nearest}. Clear the way, move "
+                f"every swing at this nail would bring bodies together, the best one {nearest}: clear the way, move "
                 "the block, or use a higher stand",
                 code="collision.strike",
             )
@@ -278,7 +278,7 @@ class _Swing:
         speed = float(J[2] @ strike.qd[contact])
         if speed < self._least:
             raise LimitError(
-                f"a swing at this nail reaches no more than {speed:.2f} m/s. Move the block nearer to the middle of "
+                f"a swing at this nail reaches no more than {speed:.2f} m/s: move the block nearer to the middle of "
                 "the arm's reach, or raise strike.deepest",
                 code="limit.swing_speed",
             )

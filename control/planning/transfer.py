@@ -132,12 +132,12 @@ def _path(robot: RobotModel, config: StationConfig, way: _Way, start: Array, goa
         closest = way.world.closest(line, max(way.need, 1e-6))
         if closest.distance >= way.need:
             raise CollisionError(
-                "no path found for the transfer. On the straight path, hand or tool leave the workspace. Enlarge the "
+                "no path found for the transfer. On the straight path, hand or tool leave the workspace: enlarge the "
                 "workspace, or move the target",
                 code="collision.no_path",
             )
         raise CollisionError(
-            f"no path found for the transfer. On the straight path, {closest} collide. Clear the way, or move the "
+            f"no path found for the transfer. On the straight path, {closest} collide: clear the way, or move the "
             "target",
             code="collision.no_path",
         )

@@ -135,7 +135,7 @@ def plan_views(
     if len(q) == 0:
         near, far = DISTANCE
         raise UnreachableError(
-            f"no view of the tool, {near:.2f} to {far:.2f} m before the camera, is within the arm's reach. In the "
+            f"no view of the tool, {near:.2f} to {far:.2f} m before the camera, is within the arm's reach: in the "
             f"station file the camera {_where(config.camera)}. Correct that, or move the camera",
             code="unreachable.views",
         )
@@ -145,7 +145,7 @@ def plan_views(
     Xs_base_ee, q = Xs_base_ee[seen], q[seen]
     if len(q) == 0:
         raise UnreachableError(
-            "in every reachable view the hand hides the tool. In the station file the camera "
+            "in every reachable view the hand hides the tool: in the station file the camera "
             f"{_where(config.camera)}. Correct that, or move the camera"
         )
     for chosen, clearance in _choices(robot, world, config.camera, Xs_base_ee, q, q_start, count):
@@ -159,7 +159,7 @@ def plan_views(
         except (CollisionError, LimitError):  # hand or tool would leave the workspace on the way
             continue
     raise CollisionError(
-        f"fewer than {count} views of the tool are free of collisions and within the workspace. Clear the space in "
+        f"fewer than {count} views of the tool are free of collisions and within the workspace: clear the space in "
         "front of the camera, or move the camera"
     )
 

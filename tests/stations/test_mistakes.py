@@ -189,8 +189,8 @@ def test_a_hand_at_a_port_that_is_not_there_is_told_with_those_that_are(
     assert run(["hand", "state", "--station", str(INSPIRE), "--port", "/dev/ttyUSB97"]) == EXIT_FAILED
     told = said()
     there = f"this computer has {tmp_path}/usb-FTDI_RS485-if00-port0)"
-    assert f"cannot open the hand's port /dev/ttyUSB97 (No such file or directory; {there}. Check hand.port" in told
-    assert "Check hand.port, the cable, and your rights to the port" in told
+    assert f"cannot open the hand's port /dev/ttyUSB97 (No such file or directory; {there}: check hand.port" in told
+    assert "check hand.port, the cable, and your rights to the port" in told
 
 
 @pytest.mark.realtime(light=True)
@@ -249,7 +249,7 @@ def test_a_camera_whose_depth_is_in_millimetres_is_told(in_millimetres: Path, sa
     assert run(["camera", "show", "--recording", str(in_millimetres)]) == EXIT_FAILED
     told = said()
     assert "with 0.1 m to a step, which looks like millimetres taken for metres" in told
-    assert "Correct `depth_scale`, the step's length" in told
+    assert "correct `depth_scale`. It is in metres" in told
 
 
 @pytest.mark.sim(seconds=5)

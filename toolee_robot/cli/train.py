@@ -244,7 +244,7 @@ class Paper(JsonOption):
 
 @dataclass(frozen=True)
 class Trust(JsonOption):
-    """Fit the trust: the probability that detection and pose are both right.
+    """Fit how probable it is that detection and pose are right.
 
     It holds for poses from the detector's masks, so train both networks first.
 

@@ -228,7 +228,7 @@ def measure_force(host: str, rate: float) -> ForceAtRest:
             readings.append(reader.read(deadline).values["actual_TCP_force"])
     forces = np.array(readings, dtype=np.float64)
     if len(forces) < FEW or forces.ndim != 2 or not np.all(np.isfinite(forces)):
-        raise DeviceError(f"{len(forces)} readings of the force came, too few or not finite: restart the controller")
+        raise DeviceError(f"{len(forces)} readings of the force came, which are too few or not finite")
     return force_at_rest(forces[:, :3], rate)
 
 

@@ -282,8 +282,8 @@ class FrameGate:
                 found = [words for factor, words in likely.items() if NEAREST <= factor * median <= FARTHEST]
                 raise DeviceError(
                     f"the camera's depths are about {median:.3g} m, with {scale:g} m to a step"
-                    f"{''.join(f', which looks like {words}' for words in found)}. Correct `depth_scale`, the step's "
-                    "length: in metres in the driver's profile, in millimetres in a recording's scene_camera.json",
+                    f"{''.join(f', which looks like {words}' for words in found)}: correct `depth_scale`. It is "
+                    "in metres in the driver's profile, in millimetres in a recording's scene_camera.json",
                     code="device.camera_depth_unit",
                 )
 

@@ -109,7 +109,7 @@ class SerialPort(Port):
         except (OSError, ValueError, termios.error) as error:  # pyserial's errors are OSErrors
             raise NoAnswerError(
                 f"cannot open the hand's port {path} ({words_of(error)}; this computer has "
-                f"{', '.join(serial_ports()) or 'no serial port'}). Check hand.port, the cable, and your rights to the "
+                f"{', '.join(serial_ports()) or 'no serial port'}): check hand.port, the cable, and your rights to the "
                 "port. Close other programs that use it"
             ) from error
 

@@ -91,7 +91,7 @@ def reading_of(told: Told) -> Reading[Told]:
         fault = fault or DeviceError(message, code="device.hand_command")
     if told.motors_age > MOTORS_S:
         troubles.append("it says nothing of its motors")
-        message = f"the hand: {troubles[-1]}, so overheating would go unnoticed. Check that /diagnostics is published"
+        message = f"the hand: {troubles[-1]}, so overheating would go unnoticed: check that /diagnostics is published"
         fault = fault or DeviceError(message, code="device.hand_motor")
     closures, temperature = motors_of_joints(MAKER_SIGNS * told.position), max(temperatures, default=None)
     return Reading(told.stamp, closures, forces, told, fault, ", ".join(troubles), temperature)
