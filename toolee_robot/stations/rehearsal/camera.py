@@ -41,14 +41,13 @@ class EmulatedLens:
 
     Args:
         camera: The camera; it states a distortion.
-        finer: Rendered pixels for each pixel along each edge, for smooth edges.
 
     Attributes:
         lens: The lens.
         rendered: The camera to render with: the same, with as much more to each side as the lens sees there.
     """
 
-    def __init__(self, camera: CameraConfig, finer: int = 1) -> None:
+    def __init__(self, camera: CameraConfig) -> None:
         lens = self.lens = lens_of(camera)
         k = lens.intrinsics
         x, y = lens.rays()
@@ -57,17 +56,8 @@ class EmulatedLens:
         right, bottom = (
             max(0, int(np.ceil(high.max())) - size + 1) + MARGIN for high, size in ((u, k.width), (v, k.height))
         )
-        self._size, self._finer = (left + k.width + right, top + k.height + bottom), finer
-        # Pixel centres are at integer coordinates, so that an image begins at -0.5.
-        self.rendered = replace(
-            camera,
-            fx=finer * k.fx,
-            fy=finer * k.fy,
-            cx=finer * (k.cx + left + 0.5) - 0.5,
-            cy=finer * (k.cy + top + 0.5) - 0.5,
-            width=finer * self._size[0],
-            height=finer * self._size[1],
-        )
+        width, height = left + k.width + right, top + k.height + bottom
+        self.rendered = replace(camera, cx=k.cx + left, cy=k.cy + top, width=width, height=height)
         self._u, self._v = (u + left).astype(np.float32), (v + top).astype(np.float32)
 
     def __call__(self, rendering: Rendering) -> Rendering:
@@ -79,12 +69,10 @@ class EmulatedLens:
         Returns:
             What the lens shows: colour is interpolated, of all else each pixel has that of the nearest one.
         """
-        smooth = np.asarray(cv2.resize(rendering.rgb, self._size, interpolation=cv2.INTER_AREA))
-        middle = slice(self._finer // 2, None, self._finer)
         return Rendering(
-            self._remapped(smooth, cv2.INTER_LINEAR),
+            self._remapped(rendering.rgb, cv2.INTER_LINEAR),
             *(
-                self._remapped(np.ascontiguousarray(image[middle, middle]), cv2.INTER_NEAREST)
+                self._remapped(image, cv2.INTER_NEAREST)
                 for image in (rendering.depth, rendering.body_ids, rendering.cos_incidence, rendering.shininess)
             ),
         )
