@@ -163,7 +163,7 @@ def test_a_job_that_ends_without_a_pose_says_that_the_camera_is_too_near(bench: 
     perceiver.sees = sees
     result = bench.seeing_task(Log(), _with_least_range(0.6), perceiver).run()
     assert result.outcome is Outcome.POSE_UNKNOWN
-    assert "and the camera measures from 0.60 m (camera.device.least_range)" in result.reason
+    assert "The camera measures from 0.60 m (camera.device.least_range)" in result.reason
     assert "Use a smaller depth image" in result.reason
     assert ("sigma 31 mm" in result.reason) is sees
     told = float(result.reason.split(" m away")[0].split()[-1])
@@ -181,7 +181,7 @@ def test_a_camera_is_too_near_only_where_no_pose_was_found_within_its_least_rang
     with pytest.raises(PerceptionError) as error:
         look.fuse(0.0)
     assert error.value.code == ("perception.too_near" if least == 0.6 else "perception.not_usable")
-    assert ("in 1 of 1 views the face is only 0.50 m away" in str(error.value)) is (least == 0.6)
+    assert ("In 1 of 1 views the face is only 0.50 m away" in str(error.value)) is (least == 0.6)
 
 
 def _held(X_hand_ee: Array) -> HeldTool:
