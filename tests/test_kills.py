@@ -310,10 +310,6 @@ KILLS = 5
 """Of a part."""
 
 
-def test_a_few_kills_lose_nothing_and_leave_nothing_running(tmp_path: Path) -> None:
-    _kill(Job(), "a few", kills=3, seconds=6.0, parent=tmp_path)
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("part", [f"{kind.__name__}-{i}" for kind, parts in PARTS.items() for i in range(parts)])
 def test_kills_at_200_random_moments_lose_nothing_and_leave_nothing_running(part: str, tmp_path: Path) -> None:
@@ -327,7 +323,8 @@ def test_kills_at_200_random_moments_lose_nothing_and_leave_nothing_running(part
     _kill(command, part, KILLS, command.seconds or time.monotonic() - began, tmp_path, whole)
 
 
-@pytest.mark.parametrize("kill", [signal.SIGINT, pytest.param(signal.SIGHUP, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("kill", [signal.SIGINT, signal.SIGHUP])
 def test_a_terminals_interrupt_while_the_jobs_of_trials_are_imported(kill: signal.Signals, tmp_path: Path) -> None:
     """It reaches the server of the jobs, too, which has imported nothing yet."""
     command = Trials()

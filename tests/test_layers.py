@@ -169,17 +169,6 @@ NAMES = {
     "CameraIntrinsics", "Category", "HammeringTask", "RgbdFrame", "RunRecorder", "StationConfig", "ToolPerception",
     "TooleeError", "load_station", "nominal_grasp", "open_station", "sim_station",
 }  # fmt: skip
-HEAVY = [
-    "pybullet",
-    "rtde_control",
-    "rtde_receive",
-    "rtde_io",
-    "warp",
-    "embreex",
-    "manifold3d",
-    "foxglove",
-    "mcap",
-]
 
 
 def test_the_public_names_are_these() -> None:
@@ -208,24 +197,6 @@ from toolee_robot import CameraIntrinsics
 print(json.dumps([dict(os.environ) == before, sorted(m for m in sys.modules if m in ("torch", "pybullet", "warp"))]))
 """
     assert json.loads(python(code)) == [True, []]
-
-
-def test_perception_and_the_command_line_load_without_simulation_and_robot_driver() -> None:
-    """What `toolee estimate` needs is what the perception alone needs: none of these can be imported here."""
-    code = """
-import sys
-banned = sys.argv[1:]
-class Absent:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in banned:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-sys.meta_path.insert(0, Absent())
-from toolee_robot import ToolPerception
-from toolee_robot.cli.app import run
-import toolee_robot.perception.io
-print(run(["estimate", "--bop", "/nonexistent/000001"]))
-"""
-    assert python(code, *HEAVY).splitlines()[-1] == "2"
 
 
 def _all_errors(root: type[errors.TooleeError] = errors.TooleeError) -> set[type[errors.TooleeError]]:

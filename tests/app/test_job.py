@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from tests.errors import raises
+from tests.examples import seldom
 from toolee_robot.app.job import JobSpec, run_job, true_poses
 from toolee_robot.app.simulated import Rehearsal, Simulated, simulated_station
 from toolee_robot.app.sources import Lab, Opened, Source, Tell
@@ -57,7 +58,7 @@ class DeadLink:
 
 
 @pytest.mark.sim(seconds=10)
-@pytest.mark.parametrize("why", [WHY, ""])
+@pytest.mark.parametrize("why", seldom(WHY, ""))
 def test_the_reason_of_a_job_that_ended_for_late_data_says_why_they_were_late(tmp_path: Path, why: str) -> None:
     job = run_job(JobSpec(DeadLink(why), Variant.PERFECT_PERCEPTION), tmp_path)
     reason = job.figures["reason"]

@@ -48,6 +48,7 @@ def test_the_nail_is_found_to_its_uncertainty(lab: SimulatedNailBoard, images: t
     assert angle_between(nail.up, lab.up) < np.deg2rad(0.3)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=30)
 def test_another_size_of_the_board_is_noticed(lab: SimulatedNailBoard, images: tuple[Any, Any]) -> None:
     wrong = replace(lab.board, square=1.06 * lab.board.square)

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.calibration import LARGEST_ERROR, measure
 from benchmarks.calibration_poses import Protocol, SyntheticSet, draw
 from tests.calibration.pictures import BOARD, CAMERA
+from tests.examples import seldom
 from toolee_robot.calibration.hand_eye.diagnosis import check_depths
 from toolee_robot.calibration.hand_eye.reprojection import Estimate, Views
 from toolee_robot.calibration.hand_eye.solve import calibrate
@@ -29,7 +30,7 @@ def _draw(protocol: Protocol, seed: int = 1) -> SyntheticSet:
     return draw(protocol, BOARD, CAMERA.intrinsics, X_BASE_CAMERA, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("protocol", LARGEST_ERROR)
+@pytest.mark.parametrize("protocol", seldom("15 poses", *(LARGEST_ERROR.keys() - {"15 poses"})))
 def test_the_error_that_is_asked_for_is_met_and_the_region_has_the_truth(protocol: str) -> None:
     figures = measure(protocol, BOARD, CAMERA.intrinsics, X_BASE_CAMERA, runs=30)
     assert figures.error <= LARGEST_ERROR[protocol]
@@ -108,7 +109,7 @@ MISTAKES: dict[str, tuple[Callable[[Array], Array], str, str]] = {
 }
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("mistake", seldom(*MISTAKES))
 def test_a_classic_mistake_is_refused_by_its_name(mistake: str) -> None:
     change, code, words = MISTAKES[mistake]
     observations = [replace(o, X_base_flange=change(o.X_base_flange)) for o in _draw(Protocol(20)).observations]
@@ -117,6 +118,7 @@ def test_a_classic_mistake_is_refused_by_its_name(mistake: str) -> None:
     assert error.value.code == code
 
 
+@pytest.mark.nightly
 def test_images_that_lag_behind_the_poses_are_noticed() -> None:
     given = _draw(Protocol(20)).observations
     later = [replace(o, X_base_flange=p.X_base_flange) for o, p in zip(given, given[1:] + given[:1], strict=True)]
@@ -137,7 +139,7 @@ def test_poses_that_determine_nothing_are_refused() -> None:
         assert "Both need" in str(_refused(flat.observations))
 
 
-@pytest.mark.parametrize("scale", [0.97, 0.992, 1.01])
+@pytest.mark.parametrize("scale", seldom(0.992, 0.97, 1.01))
 def test_a_board_of_another_scale_is_noticed_by_the_arms_motions(scale: float) -> None:
     assert "the squares are not" in str(_refused(_draw(Protocol(30, scale=scale)).observations))
 

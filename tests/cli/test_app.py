@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.examples import seldom
 from toolee_robot.cli.app import command_paths, run
 from toolee_robot.cli.jobs import SimHammer
 
@@ -146,7 +147,7 @@ def test_a_screen_that_is_not_there_is_said_before_anything_runs(
     assert "--gui" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["sim hammer", "rehearse hammer", "run hammer", "estimate", "doctor"])
+@pytest.mark.parametrize("command", seldom("run hammer", "sim hammer", "rehearse hammer", "estimate", "doctor"))
 def test_help_is_quick_and_shows_how(command: str, tmp_path: Path) -> None:
     done = _toolee(*command.split(), "--help", folder=tmp_path)
     assert done.returncode == 0

@@ -121,6 +121,7 @@ def test_ctrl_c_stops_the_arm_on_its_path(
     assert np.abs(moved[:5]).max() < 1e-3
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_touch_tells_where_it_met_something_and_goes_back(
     robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
@@ -262,6 +263,7 @@ def _accelerated(
     return code, told["trials"], told["recommended"]
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_each_joint_is_turned_about_with_rising_accelerations_and_stands_where_it_was(
     robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
@@ -283,6 +285,7 @@ def test_each_joint_is_turned_about_with_rising_accelerations_and_stands_where_i
         assert q[:, joint].max() - before[joint] == pytest.approx(before[joint] - q[:, joint].min(), rel=0.2)
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_joint_ends_where_it_deviates_and_gets_what_it_bore_before(
     robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
@@ -302,6 +305,7 @@ def test_a_joint_ends_where_it_deviates_and_gets_what_it_bore_before(
     assert recommended[5] == trials[-2]["acceleration"]
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_stop_ends_all_joints_and_recommends_nothing_for_those_that_were_not_tried(
     robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]

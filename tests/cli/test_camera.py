@@ -13,6 +13,11 @@ import yaml
 from tests.devices.cameras.test_recording import INTRINSICS, SERIAL, say_undistorted, toy_recording
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
 from toolee_robot.devices.cameras.recording import open_recording
+from toolee_robot.doctor.devices import check_lens
+from toolee_robot.findings import Finding, Level
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.station import load_station
+from toolee_robot.stations.camera import open_camera
 
 LENS = (-0.2, 0.0, 0.0, 0.0)
 
@@ -67,11 +72,10 @@ def test_record_writes_what_can_be_played(folder: Path, capsys: pytest.CaptureFi
     assert all(b - a >= 0.5 for a, b in itertools.pairwise(stamps))
 
 
-def lens_of(config: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, str]:
-    """What the station's doctor says of the lens, without a robot."""
-    run(["doctor", "--config", str(config), "--robot-host", "127.0.0.77", "--json"])
-    (lens,) = (f for f in json.loads(capsys.readouterr().out)["findings"] if f["name"] == "lens")
-    return dict(lens)
+def lens_of(config: Path) -> Finding:
+    """What the station's doctor says of the lens."""
+    with open_camera(load_station(config).camera, HostClock()) as camera:
+        return check_lens(camera)
 
 
 @pytest.mark.realtime(light=True)
@@ -82,9 +86,9 @@ def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
     say_undistorted(folder, False)
     config = station(folder.parent / "lab.yaml", folder)
     show = ["camera", "show", "--config", str(config)]
-    lens = lens_of(config, capsys)
-    assert lens["level"] == "warn"
-    assert "camera.distortion" in lens["remedy"]
+    lens = lens_of(config)
+    assert lens.level is Level.WARN
+    assert "camera.distortion" in lens.remedy
     assert run(show) == 0
     shown = capsys.readouterr().out
     assert "treated as a pinhole" in shown
@@ -92,9 +96,9 @@ def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
     said = yaml.safe_load(config.read_text())
     said["camera"]["distortion"] = [-0.2, 0.0, 0.0, 0.0]
     config.write_text(yaml.safe_dump(said))
-    lens = lens_of(config, capsys)
-    assert lens["level"] == "ok"
-    assert "the station file's, brown conrady: displaces pixels by up to " in lens["message"]
+    lens = lens_of(config)
+    assert lens.level is Level.OK
+    assert "the station file's, brown conrady: displaces pixels by up to " in lens.message
     assert run([*show, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["distortion"]
     assert told["coefficients"] == [-0.2, 0.0, 0.0, 0.0]
@@ -169,9 +173,9 @@ def test_a_recording_that_does_not_say_whether_it_is_undistorted_takes_no_lens(
     """As those of an earlier version, some of which were."""
     say_undistorted(folder, None)
     config, out = station(folder.parent / "lab.yaml", folder), folder.parent / "again"
-    lens = lens_of(config, capsys)
-    assert lens["level"] == "warn"
-    assert "recording.json" in lens["remedy"]
+    lens = lens_of(config)
+    assert lens.level is Level.WARN
+    assert "recording.json" in lens.remedy
     assert run(["camera", "record", "--config", str(config), "--out", str(out), "--seconds", "0.5"]) == 0
     assert open_recording(out).undistorted is None, "recorded again it does not say, either"
     said = yaml.safe_load(config.read_text())
@@ -194,7 +198,7 @@ def test_the_stations_doctor_asks_the_camera_too(folder: Path, capsys: pytest.Ca
     run(["doctor", "--config", str(config), "--robot-host", "127.0.0.77", "--json"])
     told = json.loads(capsys.readouterr().out)
     levels = {f["name"]: f["level"] for f in told["findings"] if f["section"] != "Station file"}
-    assert levels["camera"] == levels["exposure"] == "ok"
+    assert levels["camera"] == levels["exposure"] == levels["lens"] == "ok"
 
 
 def test_list_and_devices(capsys: pytest.CaptureFixture[str]) -> None:

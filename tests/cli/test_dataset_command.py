@@ -30,6 +30,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.nightly
 def test_it_can_be_looked_at(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "pictures"
     draw([str(made), "--out", str(out), "--count", "3"])
@@ -58,6 +59,7 @@ def test_what_is_made_is_not_made_again_and_what_is_missing_tells_its_cost(
     assert cost["worker_mb"] > 50
 
 
+@pytest.mark.nightly
 def test_an_impatient_ctrl_c_ends_it_at_once(tmp_path: Path) -> None:
     """In a terminal it reaches the workers, too; waiting for them, the second one brought the pool to a standstill."""
     code = "from toolee_robot.cli import main\nif __name__ == '__main__': main()"

@@ -74,6 +74,7 @@ def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_
     assert not (tmp_path / "runs").exists(), "a look leaves nothing behind"
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
@@ -112,6 +113,7 @@ def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
     assert f"toolee doctor --config {path} --inputs" in found["person"]["remedy"]
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 @pytest.mark.parametrize(("turned", "level"), [pytest.param(False, "ok", marks=pytest.mark.nightly), (True, "fail")])
 def test_a_point_that_was_read_in_the_other_frame_is_found(
@@ -167,6 +169,7 @@ def test_at_a_terminal_the_jogged_point_is_asked_for_and_compared(
     assert expected_text in said
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 @pytest.mark.usefixtures("robot")
 @pytest.mark.parametrize("answer", [b"\n", pytest.param(b"\x04", marks=pytest.mark.nightly)])

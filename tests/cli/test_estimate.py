@@ -41,14 +41,14 @@ def examples() -> list[Example]:
         if render_example(Series(7, "test"), index).sample.kind == _STATION:
             example = make_example(Series(7, "test"), index)
             found += [example] if _clear_view(example) else []
-        if len(found) == 3:
+        if len(found) == 2:
             return found
     raise AssertionError("the data set shows no hammers")
 
 
 @pytest.fixture(scope="module")
 def scene(examples: list[Example], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A BOP folder with images 0, 4 and 8; depth in tenths of a millimetre."""
+    """A BOP folder with images 0 and 4; depth in tenths of a millimetre."""
     folder = tmp_path_factory.mktemp("scene")
     (folder / "rgb").mkdir()
     (folder / "depth").mkdir()
@@ -84,7 +84,7 @@ def test_a_bop_scene_gives_one_line_a_frame_and_what_the_perception_sees_there(
 ) -> None:
     assert run(["estimate", "--bop", str(scene), "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [line["im_id"] for line in lines] == [0, 4, 8]
+    assert [line["im_id"] for line in lines] == [0, 4]
     for line in lines:
         assert set(line) == {"im_id", "time_ms", "estimates"}
         assert line["time_ms"] > 0
@@ -113,7 +113,7 @@ def test_a_bop_scene_without_a_usable_pose_is_exit_1(
         depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         cv2.imwrite(str(path), np.full_like(depth, 800))
     assert run(["estimate", "--bop", str(empty), "--json"]) == 1
-    assert "0 of 3 frames" in capsys.readouterr().err
+    assert "0 of 2 frames" in capsys.readouterr().err
 
 
 def test_one_unreadable_frame_does_not_cost_the_others(
@@ -125,8 +125,8 @@ def test_one_unreadable_frame_does_not_cost_the_others(
     assert run(["estimate", "--bop", str(broken), "--json"]) == 2
     captured = capsys.readouterr()
     *lines, failure = [json.loads(line) for line in captured.out.splitlines()]
-    assert [line["im_id"] for line in lines] == [0, 4, 8]
-    assert [("error" in line) for line in lines] == [False, True, False]
+    assert [line["im_id"] for line in lines] == [0, 4]
+    assert [("error" in line) for line in lines] == [False, True]
     assert failure["error"]["code"] == "user"
     assert "000004.png" in captured.err
 

@@ -60,7 +60,7 @@ def _hand(
     [
         ("inspire", None, 400.0),
         pytest.param("inspire", TCP, 400.0, marks=pytest.mark.nightly),
-        ("ability", None, 55.0),
+        pytest.param("ability", None, 55.0, marks=pytest.mark.nightly),
         pytest.param("shadow", None, 55.0, marks=pytest.mark.nightly),
     ],
     ids=["inspire-rs485", "inspire-modbus", "ability", "shadow"],
@@ -83,6 +83,7 @@ def test_every_hand_closes_on_a_handle_and_opens_again(
         assert (code, state["holding"], state["fault"]) == (0, False, "")
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime(light=True)
 def test_what_one_command_gripped_the_next_one_finds_in_the_hand(
     capsys: pytest.CaptureFixture[str], keyboard: int
@@ -169,6 +170,7 @@ def test_two_programs_do_not_command_a_hand_on_a_serial_port(capsys: pytest.Capt
     assert "Close other programs that use it" in " ".join(told["said"].split())
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime(light=True)
 def test_a_lab_reads_the_efforts_of_its_shadow_hand_before_it_can_say_what_they_mean(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -247,6 +247,7 @@ def test_options_that_do_not_fit_are_refused(
     assert words in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=10)
 def test_the_picture_is_served_until_it_is_interrupted(tmp_path: Path) -> None:
     show = subprocess.Popen(

@@ -141,6 +141,7 @@ def test_data_that_are_not_there_are_asked_for(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.nightly
 def test_what_is_trusted_is_fitted_on_a_data_set(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -153,5 +154,9 @@ def test_what_is_trusted_is_fitted_on_a_data_set(
     assert run(command) == 2
     assert "take more images" in capsys.readouterr().err
     assert (weights / "trust.json").read_bytes() == before
+
+
+@pytest.mark.sim
+def test_trust_is_not_fitted_without_a_data_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["train", "trust", "--data", str(tmp_path / "nothing")]) == 1
     assert "dataset generate" in capsys.readouterr().err

@@ -16,17 +16,27 @@ from tests.contract.lab import OPTIONS
 from tests.contract.rigs import Rig, hardware_rig, sim_rig, stand_in_rig
 from toolee_robot.types import ArmModel
 
-_SIMULATED = (
-    pytest.param("pybullet", marks=pytest.mark.sim),
-    pytest.param("UR10", marks=pytest.mark.realtime),
-    pytest.param("UR10e", marks=(pytest.mark.realtime, pytest.mark.nightly)),
-)
+_REAL_IN_EVERY_RUN = {
+    "test_a_motion_is_driven_as_planned_and_reported_as_sent",
+    "test_a_contact_brakes_on_the_path",
+    "test_stop_ends_a_motion_on_its_path",
+    "test_a_stop_by_the_robot_latches_until_a_person_and_a_reset",
+    "test_an_arm_that_does_not_follow_is_stopped_on_its_path",
+    "test_lost_data_stops_the_arm_and_old_states_raise",
+}
+"""What the UR10's driver is asked in every run: how a motion is driven and how it ends. Nightly all is asked."""
 _HARDWARE = pytest.param("hardware", marks=pytest.mark.realtime)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "shared_rig" in metafunc.fixturenames:
-        rigs = (*_SIMULATED, _HARDWARE) if metafunc.config.getoption("--hardware") else _SIMULATED
+        seldom = () if metafunc.function.__name__ in _REAL_IN_EVERY_RUN else (pytest.mark.nightly,)
+        rigs = [
+            pytest.param("pybullet", marks=pytest.mark.sim),
+            pytest.param("UR10", marks=(pytest.mark.realtime, *seldom)),
+            pytest.param("UR10e", marks=(pytest.mark.realtime, pytest.mark.nightly)),
+        ]
+        rigs += [_HARDWARE] if metafunc.config.getoption("--hardware") else []
         metafunc.parametrize("shared_rig", rigs, indirect=True, scope="module")
 
 

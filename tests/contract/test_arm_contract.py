@@ -186,7 +186,7 @@ def goes_on(rig: Rig) -> None:
     assert rig.execute(rig.nudge(0.5, share=0.3)).outcome is MotionOutcome.COMPLETED
 
 
-@pytest.mark.parametrize("kind", ["protective", "emergency"])
+@pytest.mark.parametrize("kind", ["protective", pytest.param("emergency", marks=pytest.mark.nightly)])
 def test_a_stop_by_the_robot_latches_until_a_person_and_a_reset(rig: Rig, kind: str) -> None:
     needs_faults(rig)
     stop, error, status = {

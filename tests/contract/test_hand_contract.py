@@ -25,7 +25,8 @@ from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.station import sim_station
 
 EMULATED = tuple(name for name in HANDS if name != "robotiq_2f140")
-OTHERS = tuple(name for name in EMULATED if name not in ("inspire", "shadow"))
+OTHERS = tuple(name for name in EMULATED if name != "robotiq")
+"""Their own drivers' tests are in `tests/devices/hands`."""
 TIERS = {
     "simulated": pytest.mark.sim,
     "mount": pytest.mark.unit,
@@ -59,7 +60,7 @@ def state(rig: Rig) -> HandState:
     return rig.hand.state(max_age=1.0)
 
 
-@on("simulated", "mount", *EMULATED, "lab")
+@on("simulated", "mount", "robotiq", "lab", nightly=OTHERS)
 def test_its_state_is_that_of_its_model(rig: Rig) -> None:
     assert isinstance(rig.hand, Hand)
     assert rig.hand.joint_names == rig.model.joints
@@ -79,7 +80,7 @@ def test_its_state_is_that_of_its_model(rig: Rig) -> None:
         hand.state()
 
 
-@on("simulated", "mount", *EMULATED, "lab")
+@on("simulated", "mount", "robotiq", "lab", nightly=OTHERS)
 def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
     with rig.hand as hand:
         hand.open()
@@ -102,7 +103,7 @@ def test_it_holds_what_it_closed_on_and_lets_go_when_it_opens(rig: Rig) -> None:
         assert opened[len(rig.model.wrist) :].max(initial=0.0) < 0.1
 
 
-@on("inspire", "shadow", "lab", nightly=("simulated", *OTHERS))
+@on("robotiq", "lab", nightly=("simulated", *OTHERS))
 def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
     with rig.hand as hand:
         hand.close()
@@ -111,7 +112,7 @@ def test_closed_on_nothing_it_holds_nothing(rig: Rig) -> None:
         assert np.abs(bent).max() > rig.bends
 
 
-@on("inspire", "shadow", "lab", nightly=("simulated", *OTHERS))
+@on("robotiq", "lab", nightly=("simulated", *OTHERS))
 def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
     with rig.hand as hand:
         with raises(DeviceError, "device.timeout"):
@@ -125,7 +126,7 @@ def test_a_time_out_is_an_error_and_keeps_the_grip(rig: Rig) -> None:
         assert state(rig).holding
 
 
-@on(*EMULATED, nightly=("simulated",))
+@on("robotiq", nightly=("simulated", *OTHERS))
 def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None:
     with rig.hand as hand:
         rig.give()
@@ -139,7 +140,7 @@ def test_a_hand_that_is_silent_has_no_state_and_keeps_its_grip(rig: Rig) -> None
         assert state(rig).holding
 
 
-@on(*EMULATED, "lab")
+@on("robotiq", "lab", nightly=OTHERS)
 def test_it_is_watched_and_stopped_by_other_threads_while_it_closes(rig: Rig) -> None:
     with rig.hand as hand, ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)

@@ -174,7 +174,7 @@ def arm(request: pytest.FixtureRequest) -> Iterator[Arm]:
 @pytest.fixture(
     params=[
         pytest.param("simulated", marks=pytest.mark.sim),
-        pytest.param("one contact", marks=pytest.mark.realtime(light=True)),
+        pytest.param("one contact", marks=(pytest.mark.realtime(light=True), pytest.mark.nightly)),
         pytest.param("two contacts", marks=pytest.mark.realtime(light=True)),
         pytest.param("lab", marks=pytest.mark.realtime),
     ]

@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from tests.control.desk import TOOL, Desk
-from tests.examples import examples
+from tests.examples import examples, seldom
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.arm_dynamics import TORQUE_SHARE, ArmDynamics, permitted_braking
@@ -77,7 +77,7 @@ def check(
     return (len(s) - 1) * period
 
 
-@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize("period", seldom(*PERIODS))
 def test_a_strike_is_stopped_anywhere_on_its_way(plans: list[StrikePlan], period: float) -> None:
     for plan in plans:
         for start in np.linspace(0.0, plan.strike.duration, 14):
@@ -192,7 +192,7 @@ def _feasible(trajectory: Trajectory, start: float, n: int, h: float) -> bool:
     return False
 
 
-@pytest.mark.parametrize("share", [0.3, 0.7, 1.0, 1.2])
+@pytest.mark.parametrize("share", seldom(1.0, 0.3, 0.7, 1.2))
 def test_no_stop_is_two_cycles_slower_than_the_fastest_one(plans: list[StrikePlan], share: float) -> None:
     """Two cycles of the faster controller: from the middle of the run-up, still accelerating, to behind the contact."""
     for plan in plans[:2]:
@@ -229,7 +229,7 @@ def torque_share(dynamics: ArmDynamics, trajectory: Trajectory, start: float, pe
     return float(np.max(np.abs(dynamics.torques(q[1:-1], qd, qdd)) / RATED))
 
 
-@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize("period", seldom(*PERIODS))
 def test_a_stop_behind_the_contact_keeps_the_torques(robot: RobotModel, config: StationConfig, period: float) -> None:
     deep = replace(config, strike=replace(config.strike, deepest=0.1))  # the fastest strikes ask for the most
     world = CollisionWorld(robot, deep, GRASP, HELD)

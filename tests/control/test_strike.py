@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.control.desk import TOOL
 from tests.errors import raises
-from tests.examples import examples
+from tests.examples import examples, seldom
 from toolee_robot.control import (
     CollisionWorld,
     Mode,
@@ -107,7 +107,7 @@ def check_plan(
     assert world.closest(strike.q[~before], 0.05, BRAKE_EXEMPT).distance > 0.5 * config.strike.clearance
 
 
-@pytest.mark.parametrize("model", [ArmModel.UR10, ArmModel.UR10E])
+@pytest.mark.parametrize("model", seldom(ArmModel.UR10, ArmModel.UR10E))
 @given(
     x=st.floats(0.6, 0.9), y=st.floats(-0.2, 0.4), along=st.floats(-0.03, 0.03), about=st.floats(-25, 25),
     tilt=st.floats(-12, 12), deep=st.sampled_from([0.006, 0.010, 0.020, 0.100]),
@@ -258,6 +258,7 @@ def offset(along: float, about_deg: float, tilt_deg: float) -> Array:
     return transform(Rotation.from_euler("ZYX", [about_deg, tilt_deg, -tilt_deg], degrees=True), [0, 0, along])
 
 
+@pytest.mark.nightly
 def test_where_the_arm_cannot_pass_itself_another_branch_is_struck_with(
     robot: RobotModel, config: StationConfig, q_hand: Array
 ) -> None:
@@ -295,6 +296,7 @@ def test_nothing_but_the_tool_meets_the_block(world: CollisionWorld, config: Sta
     assert closest.distance >= config.strike.clearance, closest
 
 
+@pytest.mark.nightly
 def test_offsets_of_the_whole_range_are_planned(
     robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_tool_ee: Array
 ) -> None:

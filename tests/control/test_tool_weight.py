@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
+from tests.examples import seldom
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.control import CollisionWorld, RobotModel
 from toolee_robot.control.planning.views import plan_handover
@@ -124,7 +125,7 @@ def _drawn(model: ArmModel, seed: int) -> Cell:
     return Cell(model, seed, mass, GRIP + rng.uniform(-0.29, 0.29) * HANDLE + beside)
 
 
-models = pytest.mark.parametrize("model", list(ArmModel))
+models = pytest.mark.parametrize("model", seldom(*ArmModel))
 
 
 @models
@@ -156,7 +157,7 @@ def _accepted(
     return weight if sure and weight.mass * weight.center_sigma <= LARGEST_MOMENT else None
 
 
-hands = pytest.mark.parametrize("hand_mass", [0.65, 5.0])
+hands = pytest.mark.parametrize("hand_mass", seldom(0.65, 5.0))
 """Mass of a hand [kg], known to 10 %."""
 
 
@@ -331,7 +332,7 @@ def _planned(config: StationConfig, tool_off: float) -> tuple[list[Trajectory], 
     return plan_wrist_turns(robot, config, world, q, (0.6, 0.1), PRIOR, 5), q, world
 
 
-@pytest.mark.parametrize("name", ["", "mount", "inspire", "ability", "shadow"])
+@pytest.mark.parametrize("name", seldom("", "mount", "inspire", "ability", "shadow"))
 def test_the_wrist_alone_turns_the_tool_far_enough_and_hits_nothing(name: str) -> None:
     config = load_station(EXAMPLES / f"{name}.yaml") if name else sim_station()
     turns, q, world = _planned(config, 0.08)

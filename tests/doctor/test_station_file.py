@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from tests.examples import seldom
 from toolee_robot.doctor.configuration import check_calibration, check_contacts, check_limits, check_reach, check_sides
 from toolee_robot.doctor.machine import check_weights
 from toolee_robot.findings import Finding, Level, worst
@@ -38,7 +39,7 @@ def _only(findings: list[Finding]) -> Finding:
     return findings[0]
 
 
-@pytest.mark.parametrize("model", list(ArmModel))
+@pytest.mark.parametrize("model", seldom(*ArmModel))
 def test_the_shipped_station_is_well(model: ArmModel) -> None:
     config = _changed("arm", model=model)
     findings = [check_sides(config), *check_limits(config), *check_reach(config)]
@@ -147,10 +148,12 @@ def test_a_station_without_inputs_has_no_contacts_to_check() -> None:
 @pytest.mark.parametrize(
     ("section", "changes", "name", "level"),
     [
-        ("scene", {"handover_position": (1.1, -1.1, 1.5)}, "handover", Level.FAIL),
-        ("camera", {"position": (3.5, -3.0, 2.5)}, "views", Level.FAIL),
         ("work", {"nail_xy": (1.5, 0.1)}, "strike", Level.FAIL),
-        ("arm", {"velocity": (0.3, 0.3, 0.3, 0.3, 0.3, 0.3)}, "strike", Level.WARN),
+        *seldom(
+            ("scene", {"handover_position": (1.1, -1.1, 1.5)}, "handover", Level.FAIL),
+            ("camera", {"position": (3.5, -3.0, 2.5)}, "views", Level.FAIL),
+            ("arm", {"velocity": (0.3, 0.3, 0.3, 0.3, 0.3, 0.3)}, "strike", Level.WARN),
+        ),
     ],
 )
 def test_what_is_out_of_reach(section: str, changes: dict[str, Any], name: str, level: Level) -> None:
@@ -161,6 +164,7 @@ def test_what_is_out_of_reach(section: str, changes: dict[str, Any], name: str, 
     assert (told in found[name].remedy) is (section == "camera"), "as axes that are swapped show"
 
 
+@pytest.mark.nightly
 def test_the_doctor_says_where_a_block_that_is_too_far_away_may_stand() -> None:
     config = _changed("work", nail_xy=(1.35, 0.1))
     found = {f.name: f for f in check_reach(config)}

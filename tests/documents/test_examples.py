@@ -18,6 +18,7 @@ from examples.serial_hand import SerialHand
 from examples.turn_screw import TurnScrew
 from tests.documents.blocks import ROOT, blocks
 from tests.documents.hand_device import HandDevice
+from tests.perception.data_sets import frames
 from tests.robots.three_finger import THREE_FINGER_HAND
 from toolee_robot import Category, ToolPerception
 from toolee_robot.devices.cameras import StreamedCamera
@@ -44,12 +45,7 @@ def perception() -> ToolPerception:
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A BOP scene of four images."""
-    from toolee_robot.cli.app import run
-
-    out = tmp_path_factory.mktemp("data") / "hard"
-    command = f"dataset generate --config hard --size 4 --seed 6 --test-share 1 --out {out}"
-    assert run(command.split()) == 0
-    return out / "test" / "000000"
+    return frames(tmp_path_factory, "test") / "test" / "000000"
 
 
 def test_estimate_poses_prints_a_line_for_each_estimate(

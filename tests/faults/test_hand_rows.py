@@ -15,7 +15,6 @@ from tests.rigs.wired_hands import WiredHand
 pytestmark = pytest.mark.realtime
 
 _QUICK = {
-    ("finger stalled", Phase.REST, "Inspire RH56"),
     ("writes not acknowledged", Phase.REST, "Inspire RH56"),
 }
 """What is measured in every run: nightly all of them."""
@@ -81,6 +80,7 @@ def test_a_fault_is_handled(bench: Bench, kind: WiredHand, fault: HandFault) -> 
     )
 
 
+@pytest.mark.nightly
 def test_a_driver_in_the_bench_is_the_hand_that_the_job_sees(bench: Bench) -> None:
     bench.reset()
     with DriverHand(bench.sim, bench.sim_hand, HANDS[1]) as hand:

@@ -22,14 +22,11 @@ pytestmark = pytest.mark.sim(seconds=30)
 
 _QUICK = {
     ("hand does not close in time", Phase.REST),
-    ("hand too hot", Phase.REST),
-    ("camera has no depth", Phase.REST),
     ("camera frozen", Phase.REST),
     ("network link cut", Phase.REST),
     ("nobody steps back", Phase.REST),
     ("hold-to-run switch not held", Phase.REST),
     ("door contact stuck closed", Phase.REST),
-    ("one bad reading of the grip", Phase.REST),
     ("tool dropped, nobody answers", Phase.REST),
     ("nobody confirmed the swing", Phase.REST),
 }

@@ -57,6 +57,7 @@ def _log(suite: pytest.Pytester) -> list[list[str]]:
     return [line.split() for line in (suite.path / "log").read_text().splitlines()]
 
 
+@pytest.mark.nightly
 def test_what_is_bound_to_the_clock_runs_last_in_a_process_of_its_own(suite: pytest.Pytester) -> None:
     suite.runpytest_subprocess("-n", "3").assert_outcomes(passed=16)
     log = _log(suite)
@@ -79,6 +80,7 @@ def test_nightly_tests_run_when_asked_for(suite: pytest.Pytester) -> None:
     assert [note for _, note in _log(suite)] == ["long"] * 9
 
 
+@pytest.mark.nightly
 def test_every_test_has_one_tier(suite: pytest.Pytester) -> None:
     for tier, count in (("unit", 8), ("sim", 4), ("realtime", 4)):
         suite.runpytest_subprocess("-m", tier).assert_outcomes(passed=count, deselected=20 - count)

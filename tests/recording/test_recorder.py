@@ -241,6 +241,7 @@ def test_after_a_kill_all_but_the_last_second_can_be_read(tmp_path: Path) -> Non
     assert killed - float(ticks[-1].split()[1]) < FLUSH_PERIOD + 0.5
 
 
+@pytest.mark.nightly
 def test_who_records_waits_for_neither_encoding_nor_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten seconds of a 500 Hz servo, and a frame: handed over in less than one cycle of it, by a disk that hangs."""
     n = 5000

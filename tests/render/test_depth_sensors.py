@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.examples import seldom
 from toolee_robot.depth_noise import KINDS, DepthNoise, SensorKind
 from toolee_robot.perception.offline.synthesis.example import Series, make_example
 from toolee_robot.render.depth_sensors import SystematicErrors, measure_depth, random_reading
@@ -129,7 +130,7 @@ def test_time_of_flight_in_a_lab_errs_by_distance_darkness_and_polish() -> None:
     assert not seen(wall(0.29)).any()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", seldom(*KINDS))
 def test_every_kind_takes_the_same_picture_with_its_own_depth(kind: SensorKind) -> None:
     usual = make_example(Series(4242), 3)
     example = make_example(Series(4242, sensor=kind), 3)
@@ -155,7 +156,7 @@ def test_what_neighbours_share_no_number_of_frames_averages_out(shared: float, f
     assert left == pytest.approx(shared + (1.0 - shared) / frames, abs=0.05)
 
 
-@pytest.mark.parametrize("kind", KINDS[1:-1])
+@pytest.mark.parametrize("kind", seldom(*KINDS[1:-1]))
 def test_the_errors_of_one_camera_stay_with_its_pixels(kind: SensorKind) -> None:
     """What it loses and bends in one frame it does in the next one, whatever else has come into the image."""
     depth, cos = np.full(SHAPE, 0.7, np.float32), np.full(SHAPE, 0.6, np.float32)
@@ -187,7 +188,7 @@ def test_the_errors_of_one_camera_stay_with_its_pixels(kind: SensorKind) -> None
     assert np.median(same) > np.median(others) + 0.25
 
 
-@pytest.mark.parametrize("kind", ["time-of-flight", "time-of-flight-lab"])
+@pytest.mark.parametrize("kind", seldom("time-of-flight", "time-of-flight-lab"))
 def test_one_camera_errs_alike_in_every_frame(kind: SensorKind) -> None:
     """A job's frames are of one camera: only its noise is new in each."""
     flat = (np.full(SHAPE, value, np.float32) for value in (1.0, 0.0))

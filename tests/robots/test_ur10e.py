@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
-from tests.examples import examples
+from tests.examples import examples, seldom
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.control.kinematics import smallest_singular_value
 from toolee_robot.control.motion.trajectory_checks import START_TOLERANCE
@@ -140,7 +140,7 @@ def test_an_arm_that_is_no_ur_arm_is_refused(wrong: DhCalibration) -> None:
         RobotModel.load(ArmModel.UR10, wrong)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", seldom(*MODELS))
 def test_a_calibrated_arm_s_line_starts_where_the_arm_is(model: ArmModel) -> None:
     """Near a singularity, too, where few Newton steps are not enough; an arm refuses to start elsewhere."""
     ik, near = RobotModel.load(model, _measured(model, 1)[0]).ik, 0

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.servo import cpu_time
+from tests.examples import seldom
 from toolee_robot.devices.ur.protocols import tcp
 from toolee_robot.errors import NoAnswerError
 from toolee_robot.runtime.clock import readable
@@ -148,7 +149,7 @@ def test_it_measures_until_the_end() -> None:
     assert not alive(monitor.pid)
 
 
-@pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("sign", seldom(signal.SIGKILL, signal.SIGTERM))
 def test_it_ends_with_a_user_that_is_killed(sign: signal.Signals) -> None:
     program = "import time\nfrom toolee_robot.runtime.latency_monitor import LatencyMonitor\n"
     program += "with LatencyMonitor() as a:\n    print(a.pid, flush=True)\n    time.sleep(60)"
@@ -178,6 +179,7 @@ def test_every_core_has_one_of_the_lowest_priority_until_the_end() -> None:
     assert not any(alive(pid) for pid in pids)
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not is_virtual(), reason="a machine of one's own needs none of it")
 def test_they_leave_the_cores_to_whatever_else_runs() -> None:
     """Beside other sessions' work, too: each is given a share of its own."""
@@ -197,6 +199,7 @@ def test_they_leave_the_cores_to_whatever_else_runs() -> None:
                 process.wait()
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not is_virtual(), reason="a machine of one's own needs none of it")
 def test_they_end_with_a_user_that_is_killed() -> None:
     program = "import time\nfrom toolee_robot.runtime.latency_monitor import CpuKeepalive\nwith CpuKeepalive() as a:\n"

@@ -168,6 +168,7 @@ def test_the_data_of_another_hammer_are_told_by_a_share(seed: int, share: float)
     assert replace(again, name=other.name) == other, "it is another hammer of the kind, whatever is handed over"
 
 
+@pytest.mark.nightly
 def test_another_hammer_is_off_by_more_than_a_ruler_and_scales() -> None:
     tool = make_tool(NAIL_DRIVERS[0], 5)
     told = [draw_errors(replace(EXACT, other_tool=1.0), seed).measured(tool, "hammer") for seed in range(40)]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.examples import seldom
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.hal import ArmStatus
 from toolee_robot.sim_backend import SimOptions, SimStation
@@ -17,8 +18,8 @@ pytestmark = pytest.mark.sim(seconds=8)
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-@pytest.mark.parametrize("hand", ["inspire", "ability"])
-@pytest.mark.parametrize("seed", [7403, 3])
+@pytest.mark.parametrize("hand", seldom("inspire", "ability"))
+@pytest.mark.parametrize("seed", seldom(7403, 3))
 def test_the_hand_closes_around_it_and_the_arm_does_not_stop(hand: str, seed: int) -> None:
     """Seed 7403: the handle, tilted by 13 degrees, meets the thumb on its way to the palm."""
     config = load_station(EXAMPLES / f"{hand}.yaml")

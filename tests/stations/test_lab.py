@@ -167,6 +167,7 @@ def test_the_rehearsed_cell_is_off_by_what_a_person_measures(config: StationConf
         assert abs(told.mass / tool.mass - 1.0) < 0.06
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationConfig) -> None:
     cell = job_cell(config, LAB, 7401)

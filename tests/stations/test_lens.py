@@ -115,9 +115,10 @@ def apart(some: dict[int, Array], others: dict[int, Array]) -> Array:
 
 
 @pytest.mark.realtime(light=True)
-@pytest.mark.parametrize("driver", [REALSENSE, "recorded"])
+@pytest.mark.parametrize("driver", [REALSENSE, pytest.param("recorded", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(
-    ("distortion", "most", "least"), [(WEAK, 5.0, 1.0), (STRONG, 29.0, 8.0)], ids=["weak", "strong"]
+    ("distortion", "most", "least"),
+    [pytest.param(WEAK, 5.0, 1.0, id="weak", marks=pytest.mark.nightly), pytest.param(STRONG, 29.0, 8.0, id="strong")],
 )
 def test_corners_are_where_a_pinhole_camera_has_them(
     driver: str, distortion: tuple[float, ...], most: float, least: float
@@ -175,14 +176,11 @@ def hand_eye(distortion: tuple[float, ...] | None, told: tuple[float, ...] | Non
     return calibration, 1e3 * float(np.linalg.norm(off))
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 @pytest.mark.parametrize(
     "distortion",
-    [
-        pytest.param(None, id="none", marks=pytest.mark.nightly),
-        pytest.param(WEAK, id="weak", marks=pytest.mark.nightly),
-        pytest.param(STRONG, id="strong"),
-    ],
+    [pytest.param(None, id="none"), pytest.param(WEAK, id="weak"), pytest.param(STRONG, id="strong")],
 )
 def test_a_camera_is_calibrated_to_the_robot_through_its_lens(distortion: tuple[float, ...] | None) -> None:
     calibration, error = hand_eye(distortion, told=distortion)

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.errors import raises
-from tests.examples import examples
+from tests.examples import examples, seldom
 from toolee_robot.devices.hands import wired_hand
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.robots.hands import HAND_FILES
@@ -163,7 +163,7 @@ def test_a_contact_that_is_not_there_is_none() -> None:
 
 
 @pytest.mark.parametrize("model", [*HAND_FILES, "mount"])
-@pytest.mark.parametrize("driver", ["realsense", "recorded"])
+@pytest.mark.parametrize("driver", seldom("realsense", "recorded"))
 def test_an_empty_template_lacks_everything_and_nothing_in_it_is_wrong(model: str, driver: str, tmp_path: Path) -> None:
     data: dict[str, Any] = {}
     for name, value in (("arm.model", "UR10e"), ("hand.model", model), ("camera.device.driver", driver)):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.examples import seldom
 from tests.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from tests.rigs.people import People, ScriptedPerception, unsure
 from tests.tasks.bench import Log, is_home, soon
@@ -43,6 +44,7 @@ def empty() -> Iterator[SimStation]:
 # -- nobody, nothing, too near -----------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_nobody_comes(empty: SimStation) -> None:
     log = Log()
     result = HammeringTask(
@@ -56,6 +58,7 @@ def test_nobody_comes(empty: SimStation) -> None:
     assert at_rest(empty)
 
 
+@pytest.mark.nightly
 def test_the_hand_closes_on_nothing(empty: SimStation) -> None:
     people = People()  # who say that they laid a tool into the hand
     log = Log()
@@ -157,7 +160,8 @@ def test_a_look_tells_how_far_the_camera_is_off(bench: Bench, millimetres: float
     assert ("Calibrate it again" in text) is again
 
 
-@pytest.mark.parametrize("sees", [pytest.param(True, marks=pytest.mark.nightly), False])
+@pytest.mark.nightly
+@pytest.mark.parametrize("sees", [True, False])
 def test_a_job_that_ends_without_a_pose_says_that_the_camera_is_too_near(bench: Bench, sees: bool) -> None:
     perceiver = ScriptedPerception(bench.sim.judge, unsure)
     perceiver.sees = sees
@@ -205,6 +209,7 @@ def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> Non
         look.fuse(0.0)
 
 
+@pytest.mark.nightly
 def test_a_camera_whose_frames_perception_refuses_is_a_device_fault(bench: Bench) -> None:
     class Refuses(PerfectPerception):
         def estimate(self, frame: RgbdFrame, *_args: Any, **_kwargs: Any) -> list[ToolEstimate]:
@@ -288,6 +293,7 @@ def test_a_nail_that_stops_just_over_the_wood_is_not_called_flush(bench: Bench) 
     assert result.protrusion == pytest.approx(nail.protrusion, abs=0.0005)
 
 
+@pytest.mark.nightly
 def test_out_of_strikes_without_correction_and_without_perception(bench: Bench) -> None:
     log = Log()
     result = bench.blind_task(log).run()  # a perceiver that is asked fails the job
@@ -316,7 +322,7 @@ def test_out_of_strikes_without_correction_and_without_perception(bench: Bench) 
 # -- what escapes ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+@pytest.mark.parametrize("error", seldom(KeyboardInterrupt, ZeroDivisionError))
 def test_an_interrupt_or_a_bug_in_mid_motion_stops_the_arm_and_escapes(
     bench: Bench, error: type[BaseException]
 ) -> None:

@@ -62,6 +62,7 @@ def measured(bench: Bench, log: Log, result: HammerResult) -> None:
     assert strike.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
 
 
+@pytest.mark.nightly
 def test_a_head_that_stands_higher_than_expected_ends_the_fast_way(bench: Bench) -> None:
     """What was expected 12 mm lower is met fast, and then touched slowly from the start."""
     rig = Rig(bench, 1, scale=0.0)

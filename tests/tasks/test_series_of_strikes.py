@@ -50,6 +50,7 @@ def deepest(plan: StrikePlan, report: MotionReport) -> float:
     return float(np.max(((fk(report.q_commanded) @ X_flange_ee)[:, :3, 3] - contact) @ normal))
 
 
+@pytest.mark.nightly
 def test_the_command_turns_back_and_the_nail_is_driven(bench: Bench) -> None:
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=2))
     log = Plans()
@@ -65,6 +66,7 @@ def test_the_command_turns_back_and_the_nail_is_driven(bench: Bench) -> None:
     assert config.work.nail_protrusion - bench.sim.world.nail.protrusion > 0.001
 
 
+@pytest.mark.nightly
 def test_a_nail_is_touched_after_its_second_strike_and_its_last_one_and_not_in_between(bench: Bench) -> None:
     config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=5))
     log = Log()

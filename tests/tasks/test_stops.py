@@ -131,6 +131,7 @@ class Person(JobObserver):
         return answer if isinstance(answer, str) else answer()
 
 
+@pytest.mark.nightly
 def test_a_person_at_the_terminal_resumes_it(
     bench: Bench, log: Log, stopped: tuple[HammeringTask, HammerResult]
 ) -> None:

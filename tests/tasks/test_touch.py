@@ -7,6 +7,7 @@ import pytest
 
 from tests.control.motion.cb3_noise import RATE
 from tests.errors import raises
+from tests.examples import seldom
 from tests.rigs.job_rig import CONFIG, Bench
 from tests.tasks.noisy_arm import Rig
 from toolee_robot.control.motion.touch_force import MAX_PHANTOMS
@@ -47,6 +48,7 @@ def test_a_hundred_touches_of_a_hundred_end_within_a_millimetre(bench: Bench) ->
     assert np.sum(np.abs(errors) < 1e-3) == len(errors) == 100, errors
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=10)
 def test_a_force_too_noisy_for_the_threshold_is_refused(bench: Bench) -> None:
     rig = Rig(bench, 2, scale=2.5)
@@ -75,6 +77,7 @@ def test_what_feigns_a_contact_as_long_as_the_face_moves_is_touched_through(benc
     assert 1 < rig.log.motions.count("touch the nail") <= MAX_PHANTOMS
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=10)
 def test_what_feigns_a_contact_with_more_than_a_touch_may_press_ends_it(bench: Bench) -> None:
     rig = Rig(bench, seed=0, scale=0.0)
@@ -99,6 +102,7 @@ class Beside(ReadingErrors):
         return self._error if np.abs(q - self._begin).max() > 0.003 else np.zeros(6)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=10)
 def test_what_presses_on_the_tools_side_is_no_contact_of_the_face_and_no_phantom(bench: Bench) -> None:
     rig = Rig(bench, seed=0, scale=0.0)
@@ -129,6 +133,7 @@ def test_a_face_that_leans_against_something_is_not_zeroed(bench: Bench) -> None
     assert bench.arm.state().wrench[2] == pytest.approx(pressing, abs=1.0)
 
 
+@pytest.mark.nightly
 def test_a_zero_that_was_taken_while_the_face_leant_is_told_before_the_next_touch(bench: Bench) -> None:
     """The offset is unknown before the first zero; but free again, the face misses the force that it leant with."""
     rig, pressing = leaning(bench)
@@ -139,7 +144,7 @@ def test_a_zero_that_was_taken_while_the_face_leant_is_told_before_the_next_touc
 
 
 @pytest.mark.sim(seconds=10)
-@pytest.mark.parametrize(("scale", "kept"), [(0.0, True), (1.0, False)])
+@pytest.mark.parametrize(("scale", "kept"), seldom((1.0, False), (0.0, True)))
 def test_a_zero_that_still_holds_is_kept_on_a_quiet_arm_only(bench: Bench, scale: float, kept: bool) -> None:
     rig = Rig(bench, 4, scale=scale)
     rig.go_over(0.010)
@@ -149,6 +154,7 @@ def test_a_zero_that_still_holds_is_kept_on_a_quiet_arm_only(bench: Bench, scale
     assert (bench.sim.world.time - begin < ZERO_TIME) == kept
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=10)
 def test_a_zero_from_which_the_force_has_drifted_is_taken_anew(bench: Bench) -> None:
     rig = Rig(bench, 5, scale=0.0)

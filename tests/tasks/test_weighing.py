@@ -86,7 +86,8 @@ def _task(simulation: SimStation, config: StationConfig, observer: TaskObserver 
     )
 
 
-@pytest.mark.parametrize("model", [ArmModel.UR10, pytest.param(ArmModel.UR10E, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("model", ArmModel)
 def test_the_arm_weighs_the_tool_and_is_told_its_weight(model: ArmModel, monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(sim_station(), arm=replace(sim_station().arm, model=model))
     observer, told = Until(Stage.VIEW), list[Payload]()

@@ -11,24 +11,45 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse, is_rigid, transform_points
 from toolee_robot.tools import EndEffector, Family, Tool, ToolKind, kinds_of, make_tool
 
-SEEDS = range(6)
+SEEDS, EVERY_RUN = range(6), 2
+"""Of a kind, and how many of them are looked at in every run."""
 TOOTHED = (ToolKind.MEAT_TENDERISER,)
 """Kinds whose striking faces may have teeth."""
 SIDEWAYS = (ToolKind.PIPE_WRENCH, ToolKind.MONKEY_WRENCH)
 """Wrenches whose jaws are at right angles to the handle."""
 
 
-def tools(family: Family) -> list[Tool]:
-    return [make_tool(kind, seed) for kind in kinds_of(family) for seed in SEEDS]
-
-
-def of(category: Category, family: Family, *, leave_out: tuple[ToolKind, ...] = ()) -> list[object]:
+def seeds(kind: ToolKind, *rest: object, name: str = "") -> list[object]:
+    """A case of a kind for each seed: the tool is made when its test runs."""
     return [
-        pytest.param(tool, ee, id=f"{tool.name}-{i}")
-        for tool in tools(family)
-        for i, ee in enumerate(tool.ees)
-        if ee.category is category and tool.kind not in leave_out
+        pytest.param(
+            (kind, seed), *rest, id=f"{kind}-{seed:04d}{name}", marks=() if seed < EVERY_RUN else pytest.mark.nightly
+        )
+        for seed in SEEDS
     ]
+
+
+def of(category: Category, family: Family, *, leave_out: tuple[ToolKind, ...] = ()) -> pytest.MarkDecorator:
+    """A family's end effectors of a category."""
+    cases = [
+        case
+        for kind in kinds_of(family)
+        if kind not in leave_out
+        for i, ee in enumerate(make_tool(kind, 0).ees)
+        if ee.category is category
+        for case in seeds(kind, i, name=f"-{i}")
+    ]
+    return pytest.mark.parametrize(("tool", "ee"), cases, indirect=True)
+
+
+@pytest.fixture
+def tool(request: pytest.FixtureRequest) -> Tool:
+    return make_tool(*request.param)
+
+
+@pytest.fixture
+def ee(request: pytest.FixtureRequest, tool: Tool) -> EndEffector:
+    return tool.ees[request.param % len(tool.ees)]  # an open-end wrench has one end or two
 
 
 def axes(ee: EndEffector) -> tuple[Array, Array, Array, Array]:
@@ -38,7 +59,7 @@ def axes(ee: EndEffector) -> tuple[Array, Array, Array, Array]:
     return X[:3, 0], X[:3, 1], X[:3, 2], X[:3, 3]
 
 
-@pytest.mark.parametrize(("tool", "ee"), of(Category.HAMMER_HEAD, Family.HAMMERS, leave_out=TOOTHED))
+@of(Category.HAMMER_HEAD, Family.HAMMERS, leave_out=TOOTHED)
 def test_hammer_face(tool: Tool, ee: EndEffector) -> None:
     x, _, z, p = axes(ee)
     # Just above the face: steel right behind, free space in front.
@@ -84,12 +105,12 @@ def test_a_tenderiser_has_rows_of_pyramids_whose_tops_lie_in_the_plane_of_the_fa
     assert other == 1 or other > coarse, "flat, or finer"
 
 
-@pytest.mark.parametrize("tool", tools(Family.HAMMERS), ids=lambda tool: tool.name)
+@pytest.mark.parametrize("tool", [case for kind in kinds_of(Family.HAMMERS) for case in seeds(kind)], indirect=True)
 def test_striking_face_looks_along_tool_x(tool: Tool) -> None:
     assert tool.ees[0].X_tool_ee[:3, 2] @ [1.0, 0.0, 0.0] > np.cos(np.deg2rad(8.0))
 
 
-@pytest.mark.parametrize(("tool", "ee"), of(Category.HAMMER_GRIP, Family.HAMMERS))
+@of(Category.HAMMER_GRIP, Family.HAMMERS)
 def test_claw(tool: Tool, ee: EndEffector) -> None:
     x, y, z, p = axes(ee)
     # The slot: free across the plate, a tine on either side at the same distance, steel behind the slot's end.
@@ -137,7 +158,7 @@ def test_a_hanging_claw_bends_strongly_and_hangs_below_the_top(seed: int) -> Non
     assert np.ptp(claw[:, 0]) > 0.01
 
 
-@pytest.mark.parametrize(("tool", "ee"), of(Category.SCREWDRIVER_HEAD, Family.SCREWDRIVERS))
+@of(Category.SCREWDRIVER_HEAD, Family.SCREWDRIVERS)
 def test_screwdriver_tip(tool: Tool, ee: EndEffector) -> None:
     _, _, z, p = axes(ee)
     vertices = tool.mesh.vertices.view(np.ndarray)
@@ -152,7 +173,7 @@ def test_screwdriver_tip(tool: Tool, ee: EndEffector) -> None:
     assert p[2] - tool.handle.z_max >= (0.15 if tool.kind.startswith("long_") else 0.055) - 1e-9
 
 
-@pytest.mark.parametrize(("tool", "ee"), of(Category.WRENCH_HEAD, Family.WRENCHES))
+@of(Category.WRENCH_HEAD, Family.WRENCHES)
 def test_wrench_jaw(tool: Tool, ee: EndEffector) -> None:
     x, y, z, p = axes(ee)
     turns = [np.cos(a) * x + np.sin(a) * y for a in np.arange(12) * np.pi / 6]

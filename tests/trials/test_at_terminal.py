@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import pty
 import re
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -17,6 +17,7 @@ from typing import Self
 
 import pytest
 
+from toolee_robot.cli.app import run
 from toolee_robot.runtime.clock import readable
 from toolee_robot.trials import load_plan
 from toolee_robot.trials.results import Happened, read_results
@@ -134,6 +135,7 @@ def written(folder: Path, **fields: object) -> Path:
     return path
 
 
+@pytest.mark.nightly
 def test_the_job_has_the_terminal_and_the_person_answers_both(tmp_path: Path) -> None:
     plan = written(tmp_path)
     with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
@@ -180,13 +182,14 @@ def test_ctrl_c_at_a_question_stops_and_the_same_command_goes_on(tmp_path: Path)
     assert len(read_results(load_plan(plan), tmp_path / "out")[0]) == 2
 
 
-def test_without_a_terminal_or_with_several_jobs_it_is_refused(tmp_path: Path) -> None:
-    plan = written(tmp_path)
-    command = [sys.executable, "-c", MAIN, "trials", str(plan), "--out", str(tmp_path / "out")]
+def test_without_a_terminal_or_with_several_jobs_it_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    command = ["trials", str(written(tmp_path)), "--out", str(tmp_path / "out")]
     for options, what in ([], "there is none"), (["--jobs", "2"], "one trial at a time"):
-        done = subprocess.run([*command, *options], stdin=subprocess.DEVNULL, capture_output=True, text=True)
-        assert done.returncode == 2
-        assert what in " ".join(done.stderr.split())
+        assert run([*command, *options]) == 2
+        assert what in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.sim

@@ -174,6 +174,7 @@ def test_a_browser_shows_the_page(tmp_path: Path) -> None:
         page.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=15)
 def test_a_live_page_ends_with_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("toolee_robot.viewer.rerun_page.SEEN_S", 0.0)

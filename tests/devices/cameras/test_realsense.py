@@ -174,6 +174,7 @@ def test_unplugged_it_says_so_and_can_be_opened_again(device: SoftwareRealSense)
         camera.read()
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime(light=True)
 def test_it_plays_a_recording_of_the_sdk(device: SoftwareRealSense, tmp_path: Path) -> None:
     path = tmp_path / "frames.db3"

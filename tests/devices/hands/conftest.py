@@ -38,7 +38,12 @@ def shadow_model() -> HandModel:
     return hand_model("shadow_right")
 
 
-@pytest.fixture(params=[InspireEmulator, ModbusEmulator], ids=["rs485", "modbus"])
+@pytest.fixture(
+    params=[
+        pytest.param(InspireEmulator, id="rs485"),
+        pytest.param(ModbusEmulator, id="modbus", marks=pytest.mark.nightly),  # `test_modbus.py` is in every run
+    ]
+)
 def inspire(request: pytest.FixtureRequest) -> Iterator[InspireWire]:
     with request.param(pace=PACE) as emulator:
         yield emulator

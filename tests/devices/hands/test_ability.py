@@ -75,6 +75,7 @@ def test_entering_moves_nothing_and_leaves_it_to_whoever_drives_it(
     assert told(ability_hand).joints.q[0] == pytest.approx(np.deg2rad(30.0), abs=1e-3)
 
 
+@pytest.mark.nightly
 def test_it_presses_slowly_keeps_the_api_mode_up_and_lets_go_when_it_opens(
     ability: AbilityEmulator, ability_hand: AbilityHand
 ) -> None:
@@ -90,6 +91,7 @@ def test_it_presses_slowly_keeps_the_api_mode_up_and_lets_go_when_it_opens(
     assert max(map(abs, ability.angles[:5])) < 1.0
 
 
+@pytest.mark.nightly
 def test_the_grip_is_kept_up_although_the_hand_bars_a_finger_that_has_collided(
     ability: AbilityEmulator, ability_hand: AbilityHand
 ) -> None:
@@ -140,6 +142,7 @@ def always_ratchets_twice(hand: Hand) -> None:
         motor.chance = Chance()  # type: ignore[assignment]
 
 
+@pytest.mark.nightly
 def test_it_opens_although_that_is_taken_for_a_collision(ability: AbilityEmulator, ability_hand: AbilityHand) -> None:
     held(ability, ability_hand)
     ability.tell(always_ratchets_twice)

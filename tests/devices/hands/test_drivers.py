@@ -53,11 +53,10 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
         yield Rig(replace(station, hand=config), emulator, hand.heats)
 
 
-_WIRES = ("inspire", "shadow")
-"""A serial line and a websocket: what the drivers' one base does is asked on these in every run, nightly on all."""
 by_wire = pytest.mark.parametrize(
-    "rig", [pytest.param(name, marks=() if name in _WIRES else pytest.mark.nightly) for name in HANDS], indirect=True
+    "rig", [pytest.param(name, marks=() if name == "inspire" else pytest.mark.nightly) for name in HANDS], indirect=True
 )
+"""What the drivers' one base does is asked on a serial line in every run, nightly on all."""
 
 
 def moves(rig: Rig, before: Array) -> None:
@@ -136,6 +135,7 @@ def test_polling_loses_no_reply_and_no_memory(rig: Rig, duration: float, rates: 
             assert lost <= 0.02 * readings, "what the machine holds up for 30 ms"
 
 
+@by_wire
 def test_nobody_is_there(rig: Rig) -> None:
     nowhere = {"/": "/dev/no_such_port", "t": "tcp://127.0.0.1:9", "w": "ws://127.0.0.1:9"}[rig.emulator.port[0]]
     hand = open_hand(replace(rig.config.hand, port=nowhere), HostClock())
@@ -154,6 +154,7 @@ def test_a_serial_port_is_one_programs(rig: Rig) -> None:
             pass
 
 
+@by_wire
 def test_the_doctor_looks_at_it_and_moves_nothing(rig: Rig) -> None:
     before = rig.emulator.angles
     with rig.hand as hand:

@@ -46,7 +46,7 @@ def test_a_hand_may_shift_the_transaction_identifier_by_one(emulator: ModbusEmul
             line.read(ANGLE_ACT, 12)
 
 
-@pytest.mark.parametrize("shift", [-2, 5, 256])
+@pytest.mark.parametrize("shift", [*(pytest.param(s, marks=pytest.mark.nightly) for s in (-2, 256)), 5])
 def test_a_hand_that_numbers_its_replies_in_no_known_way_is_refused(emulator: ModbusEmulator, shift: int) -> None:
     emulator.shift = shift
     with raises(NoAnswerError, "no_answer.hand_silent"):

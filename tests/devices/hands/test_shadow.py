@@ -34,6 +34,7 @@ def held(emulator: ShadowEmulator, hand: ShadowHand) -> None:
     assert told(hand).fault == ""
 
 
+@pytest.mark.nightly
 def test_entering_moves_nothing_and_leaving_keeps_the_grip(shadow: ShadowEmulator, shadow_model: HandModel) -> None:
     shadow.tell(lambda hand: setattr(hand.motor("FFJ3"), "position", 30.0))
     shadow.tell(lambda hand: setattr(hand.motor("FFJ3"), "jammed", True))
@@ -69,6 +70,7 @@ def test_joints_are_counted_as_the_model_counts_them(
     eventually(as_expected)
 
 
+@pytest.mark.nightly
 def test_it_presses_with_the_grips_effort_and_lets_go_when_it_opens(
     shadow: ShadowEmulator, shadow_hand: ShadowHand
 ) -> None:
@@ -106,6 +108,7 @@ def test_a_broken_motor_is_a_fault(shadow: ShadowEmulator, shadow_hand: ShadowHa
         shadow_hand.close()
 
 
+@pytest.mark.nightly
 def test_commands_that_the_controllers_do_not_take_are_an_error(
     shadow: ShadowEmulator, shadow_hand: ShadowHand
 ) -> None:
@@ -119,6 +122,7 @@ def test_commands_that_the_controllers_do_not_take_are_an_error(
     eventually(lambda: told(shadow_hand).fault == "")
 
 
+@pytest.mark.nightly
 def test_the_command_of_another_program_is_countermanded(shadow: ShadowEmulator, shadow_hand: ShadowHand) -> None:
     held(shadow, shadow_hand)
     sent = shadow_hand.line_counts.requests
@@ -134,6 +138,7 @@ def test_the_command_of_another_program_is_countermanded(shadow: ShadowEmulator,
     assert told(shadow_hand).fault == ""
 
 
+@pytest.mark.nightly
 def test_motors_of_which_nothing_is_known_are_a_fault(shadow: ShadowEmulator, shadow_hand: ShadowHand) -> None:
     assert told(shadow_hand).fault == ""
     happen(shadow, "diagnostics off")
@@ -160,6 +165,7 @@ def test_a_port_that_is_no_rosbridge(shadow_model: HandModel, url: str) -> None:
         pass
 
 
+@pytest.mark.nightly
 def test_efforts_that_are_higher_press_harder(shadow: ShadowEmulator, shadow_model: HandModel) -> None:
     with ShadowHand(shadow_model, shadow.port, replace(EFFORTS, grip=450.0), HostClock()) as hand:
         held(shadow, hand)

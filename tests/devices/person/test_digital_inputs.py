@@ -174,7 +174,7 @@ def obey(panel: Panel, prompts: list[str]) -> Callable[[str], None]:
     return act
 
 
-@pytest.mark.parametrize("config", [ONE_CONTACT, TWO_CONTACTS])
+@pytest.mark.parametrize("config", [pytest.param(ONE_CONTACT, marks=pytest.mark.nightly), TWO_CONTACTS])
 @pytest.mark.parametrize("closed", [True, False])
 def test_doctor_sees_each_change_once(config: PersonConfig, closed: bool) -> None:
     panel, prompts = Panel(), list[str]()

@@ -73,6 +73,7 @@ def test_a_robot_in_protective_stop_is_refused(controller: ControllerProcess) ->
     controller.fault("reset")
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_payload_and_freedrive_reach_the_robot_and_nobody_else_does(controller: ControllerProcess) -> None:
     limits = replace(sim_station().arm, model=ArmModel.UR10E)
@@ -171,6 +172,7 @@ def proxy(controller_of_read_back: ControllerProcess) -> Iterator[CorruptingProx
         yield network
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_tcp_that_is_not_the_one_set_is_refused(
     controller_of_read_back: ControllerProcess, proxy: CorruptingProxy
@@ -184,6 +186,7 @@ def test_a_tcp_that_is_not_the_one_set_is_refused(
     assert controller_of_read_back.state()["q"] == pytest.approx(HOME)
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_after_a_reset_the_payload_is_the_installations_or_the_one_set_last_or_the_arm_stays_latched(
     controller_of_read_back: ControllerProcess, proxy: CorruptingProxy

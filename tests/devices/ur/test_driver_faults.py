@@ -176,6 +176,7 @@ LINK_FIRST, STOP_FIRST = "link first", "stop first"
 nightly = pytest.mark.nightly
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("pause", "order", "between"),
     [
@@ -330,6 +331,7 @@ def test_a_stall_of_three_seconds_is_a_lost_link(arm: UnsupervisedUrArm, control
     time.sleep(1.0)
 
 
+@pytest.mark.nightly
 def test_killed_servo_process(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, partial(os.kill, arm.servo_pid, signal.SIGKILL))
     assert isinstance(error, ServoCrashError)

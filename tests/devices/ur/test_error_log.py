@@ -183,6 +183,7 @@ def test_a_stop_at_rest_names_its_code_and_the_next_one_its_own(
     assert "C173" not in str(caught.value)
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_closed_port_is_no_obstacle_and_the_message_says_so(
     arm: UnsupervisedUrArm, controller: ControllerProcess
@@ -199,6 +200,7 @@ def test_a_closed_port_is_no_obstacle_and_the_message_says_so(
         arm.execute(swing(held(arm)), None, PATIENT)
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_it_connects_again_after_the_connection_was_lost(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     listening(arm._errors)

@@ -129,6 +129,7 @@ def test_what_is_no_measurement_is_a_fault(
         assert np.abs(measured).max() < 1e3, "garbage is in the report"
 
 
+@pytest.mark.nightly
 @both
 def test_ur_rtde_does_not_connect_again_behind_our_back(
     arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess

@@ -92,6 +92,7 @@ def accelerations(report: MotionReport, rows: int) -> Array:
     return np.abs(np.diff(q, 2, axis=0)).max(axis=1) * 125.0**2
 
 
+@pytest.mark.nightly
 def test_a_stop_within_the_torques_is_no_reason_to_stop_for_the_controller(
     arm: UnsupervisedUrArm, controller: ControllerProcess, plan: StrikePlan, robot: RobotModel
 ) -> None:
@@ -103,6 +104,7 @@ def test_a_stop_within_the_torques_is_no_reason_to_stop_for_the_controller(
     assert controller.state()["safety_reason"] == ""
 
 
+@pytest.mark.nightly
 def test_without_a_bound_the_controller_stops_the_arm_and_no_later_command_is_reported(
     arm: UnsupervisedUrArm, plan: StrikePlan
 ) -> None:
@@ -137,9 +139,8 @@ def arm_of_stalls(controller_of_stalls: ControllerProcess) -> Iterator[Unsupervi
         yield arm_of_stalls
 
 
-@pytest.mark.parametrize(
-    "who", ["both", *(pytest.param(who, marks=pytest.mark.nightly) for who in ("stand-in", "driver"))]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("who", ["both", "stand-in", "driver"])
 def test_commands_are_followed_with_the_usual_lag_after_a_standstill(
     controller_of_stalls: ControllerProcess, arm_of_stalls: UnsupervisedUrArm, who: str
 ) -> None:
@@ -230,6 +231,7 @@ class Noisy(JointPlant):
         return super().qd + self._rng.normal(0.0, 3e-3, 6)
 
 
+@pytest.mark.nightly
 def test_an_arm_with_noisy_encoders_is_at_rest_soon() -> None:
     with (
         ControllerProcess(model="UR10", host=HOST_MOTION_END, plant=Noisy, realtime=True) as controller,

@@ -59,6 +59,7 @@ def watching() -> list[int]:
     return [int(pid) for pid in children if b"program_watch" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
+@pytest.mark.nightly
 def test_an_arm_that_is_closed_without_its_link(controller: ControllerProcess) -> None:
     with UnsupervisedUrArm(patient(HOST), LIMITS):
         controller.fault("protective_stop")
@@ -91,6 +92,7 @@ def test_a_servo_process_that_dies_at_rest_unnoticed(controller: ControllerProce
         plays_in_vain(controller)
 
 
+@pytest.mark.nightly
 def test_task_and_servo_process_die_at_once(controller: ControllerProcess) -> None:
     command = [sys.executable, "-m", "tests.devices.ur.swings", HOST, "UR10"]
     task = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -116,6 +118,7 @@ def test_servo_process_and_watch_die_at_once(controller: ControllerProcess) -> N
     plays_in_vain(controller)
 
 
+@pytest.mark.nightly
 def test_a_program_of_somebody_else_is_left_alone(controller: ControllerProcess) -> None:
     """The driver's own has ended before; what a person starts afterwards is not the driver's to end."""
     with UnsupervisedUrArm(patient(HOST), LIMITS) as arm:
@@ -128,6 +131,7 @@ def test_a_program_of_somebody_else_is_left_alone(controller: ControllerProcess)
         assert controller.state()["program_state"] == "PLAYING"
 
 
+@pytest.mark.nightly
 def test_a_stopped_robot_has_its_program_ended_at_once_and_a_moving_one_by_its_watchdog_first(
     controller: ControllerProcess,
 ) -> None:

@@ -40,6 +40,7 @@ def arm(controller: ControllerProcess) -> Iterator[UnsupervisedUrArm]:
         yield arm
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_all_of_the_station_runs_at_its_real_time_factor_and_on_one_clock(
     controller: ControllerProcess, arm: UnsupervisedUrArm
@@ -64,6 +65,7 @@ def test_all_of_the_station_runs_at_its_real_time_factor_and_on_one_clock(
     assert abs(arm.state().joints.stamp - clock.now()) < 0.1
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_knock_is_no_contact_for_a_guard_that_averages_and_a_push_is(
     controller: ControllerProcess, arm: UnsupervisedUrArm
@@ -84,7 +86,7 @@ def test_a_knock_is_no_contact_for_a_guard_that_averages_and_a_push_is(
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("over", [0.0, 0.016])
+@pytest.mark.parametrize("over", [0.0, pytest.param(0.016, marks=pytest.mark.nightly)])
 def test_a_knock_among_readings_that_come_at_once_is_felt(
     controller: ControllerProcess, arm: UnsupervisedUrArm, over: float
 ) -> None:
@@ -103,6 +105,7 @@ def test_a_knock_among_readings_that_come_at_once_is_felt(
     assert np.linalg.norm(report.wrenches[:, :3], axis=1).max() == pytest.approx(30.0, abs=0.1)
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime
 def test_the_collector_does_not_pause_a_task_whose_arm_moves(arm: UnsupervisedUrArm) -> None:
     """Its pause is the heartbeat's, too, and a task without one is taken for stalled."""

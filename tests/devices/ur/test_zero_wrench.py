@@ -60,6 +60,7 @@ def push(controller: ControllerProcess, wrench: Array) -> None:
     time.sleep(0.1)
 
 
+@pytest.mark.nightly
 def test_a_zeroed_offset_is_in_no_reading_and_triggers_no_guard(
     arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:
@@ -86,6 +87,7 @@ def test_what_the_arm_leans_against_is_not_zeroed(arm: UnsupervisedUrArm, contro
     push(controller, np.zeros(6))
 
 
+@pytest.mark.nightly
 def test_a_latched_arm_zeroes_nothing_and_after_the_reset_it_can(
     arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:

@@ -45,7 +45,7 @@ from toolee_robot.perception.offline.training.refiner_training import (
 )
 from toolee_robot.perception.weight_files import load_weights, save_weights
 
-pytestmark = pytest.mark.sim(seconds=30)
+pytestmark = [pytest.mark.sim(seconds=30), pytest.mark.nightly]
 
 STEPS = 120
 

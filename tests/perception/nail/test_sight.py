@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bent_nails import look_at_nails
+from tests.examples import seldom
 from tests.nails import with_nails
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.nail.appearance import Appearance, NailPose, Window
@@ -68,8 +69,9 @@ def test_a_lean_is_seen_within_its_uncertainty(simulation: SimStation, nail: Nai
     assert seen.sigma < 0.002
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=15)
-@pytest.mark.parametrize("lab", [20057, pytest.param(20079, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("lab", [20057, 20079])
 def test_the_grain_of_wood_is_not_taken_for_a_nail_that_leans(lab: int) -> None:
     """In these labs the image alone prefers nails that lean by 17 and 27 degrees along the line of sight."""
     as_set = next(look_at_nails(lab))
@@ -78,8 +80,9 @@ def test_the_grain_of_wood_is_not_taken_for_a_nail_that_leans(lab: int) -> None:
     assert np.linalg.norm(as_set.found.offset - as_set.offset) < 0.0015
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=15)
-@pytest.mark.parametrize("lab", [53016, pytest.param(53034, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("lab", [53016, 53034])
 def test_a_straight_nail_at_the_blocks_edge_beside_others_is_not_seen_bent(lab: int) -> None:
     """In the first lab the calibration makes the next nail look nearer to where this one is believed than it is itself;
     in the second the head stands before what is behind the block."""
@@ -91,7 +94,7 @@ def test_a_straight_nail_at_the_blocks_edge_beside_others_is_not_seen_bent(lab: 
 
 
 @pytest.mark.sim(seconds=15)
-@pytest.mark.parametrize("aside", [0.0, 0.004, 0.006])
+@pytest.mark.parametrize("aside", [0.0, *seldom(0.006, 0.004)])
 @pytest.mark.parametrize(
     "towards", [0.0, *(pytest.param(angle, marks=pytest.mark.nightly) for angle in (1.5, 3.0, 4.5))]
 )
@@ -107,6 +110,7 @@ def test_a_head_pushed_aside_is_seen_and_one_on_its_axis_is_not(
     assert seen.surely_beyond(0.0023) == (aside > 0.0)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=15)
 @pytest.mark.parametrize("aside", [0.0, 0.004])
 def test_neither_other_light_nor_a_hand_beside_the_nail_is_taken_for_its_head(
@@ -146,8 +150,9 @@ def test_a_height_that_is_not_known_hides_what_moves_along_the_line_of_sight() -
     assert not both.surely_beyond(0.0023), "surely it is beside the axis, and by next to nothing"
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=15)
-@pytest.mark.parametrize("unknown", [0.0, pytest.param(np.nan, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("unknown", [0.0, np.nan])
 def test_what_lies_behind_the_wood_is_no_nail(
     simulation: SimStation, nail: Nail, sight: NailSight, unknown: float
 ) -> None:

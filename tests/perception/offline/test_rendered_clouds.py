@@ -35,7 +35,7 @@ from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.tooleenet import PaperEstimator
 from toolee_robot.types import Detection, RgbdFrame
 
-pytestmark = pytest.mark.sim(seconds=20)
+pytestmark = [pytest.mark.sim(seconds=20), pytest.mark.nightly]
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +177,6 @@ def test_the_command_keeps_them_for_a_training(
     assert said["negative"] == (~kept.positive).sum()
 
 
-@pytest.mark.nightly
 def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> None:
     samples, held_out = (sample_tools(held_out=held, seeds_per_kind=1, workers=1) for held in (False, True))
     config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=64, validation=40, compile=False)

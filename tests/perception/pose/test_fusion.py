@@ -213,6 +213,7 @@ def test_views_alike_leave_the_cameras_error_in_the_covariance() -> None:
     assert result.sigma_position > UNKNOWN_CAMERA.at(frames[0].X_camera_ee[:3, 3])[1] > 0.004
 
 
+@pytest.mark.nightly
 def test_a_later_look_knows_the_camera() -> None:
     """Two views say more once six have told the camera's error."""
     rng = np.random.default_rng(8)

@@ -11,6 +11,7 @@ import pytest
 
 from tests.contract.rigs import sim_rig
 from tests.errors import raises
+from tests.examples import seldom
 from toolee_robot.control import RobotModel
 from toolee_robot.errors import DeviceError, LatchedError, NotReadyError, ProtectiveStopError
 from toolee_robot.frames import Array
@@ -86,7 +87,7 @@ def test_a_motion_ends_when_a_ringing_arm_has_stood_for_a_while() -> None:
         assert np.array(speeds)[len(seen) :, 1].max() < 1.2 * STANDSTILL
 
 
-@pytest.mark.parametrize("compliance", [0.0, 1.0])
+@pytest.mark.parametrize("compliance", seldom(1.0, 0.0))
 def test_a_motion_is_reported_with_velocities_and_the_torques_that_the_controller_computes(compliance: float) -> None:
     options = SimOptions(q_start=np.array(sim_station().scene.home), hands_over=False, compliance=compliance)
     with SimStation.build(sim_station(), 0, options) as simulation:
@@ -115,7 +116,7 @@ def test_a_motion_is_reported_with_velocities_and_the_torques_that_the_controlle
 
 HOME = np.array(sim_station().scene.home)
 BASE = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-both = pytest.mark.parametrize("model", list(ArmModel))
+both = pytest.mark.parametrize("model", seldom(*ArmModel))
 
 
 @contextmanager
@@ -156,7 +157,7 @@ def turn(q: Array, way: float, duration: float) -> Trajectory:
 
 
 @both
-@pytest.mark.parametrize("force", [[0.0, 0.0, 170.0], [0.0, 140.0, 0.0], [-400.0, 0.0, 0.0]])
+@pytest.mark.parametrize("force", seldom([0.0, 0.0, 170.0], [0.0, 140.0, 0.0], [-400.0, 0.0, 0.0]))
 def test_it_stops_for_the_stand_ins_reason_at_its_time(model: ArmModel, force: list[float]) -> None:
     wrench = np.array(force)
     with station(model) as simulation:
@@ -285,7 +286,7 @@ def forces(simulation: SimStation, duration: float) -> Array:
     return np.array(readings)
 
 
-@pytest.mark.parametrize(("model", "errors"), [(ArmModel.UR10, CB3.force), (ArmModel.UR10E, E_SERIES.force)])
+@pytest.mark.parametrize(("model", "errors"), seldom((ArmModel.UR10, CB3.force), (ArmModel.UR10E, E_SERIES.force)))
 def test_an_arm_reads_the_noise_and_the_offset_of_its_generation(model: ArmModel, errors: ForceErrors) -> None:
     with arm_at_rest(model, 1.0) as simulation:
         rest = forces(simulation, 3.0)

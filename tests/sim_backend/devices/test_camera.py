@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
+from tests.examples import seldom
 from toolee_robot.depth_noise import KINDS, SensorKind
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import inverse, transform
@@ -74,7 +75,7 @@ def test_frames_are_new_and_follow_the_world() -> None:
     assert gone.depth[row, column] == 0 or gone.depth[row, column] > second.depth[row, column] + 0.1
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", seldom(*KINDS))
 def test_each_kind_of_depth_camera_sees_the_boxes_with_noise_of_its_own(kind: SensorKind) -> None:
     camera, plain = (SimCamera(Boxes(), Clock(), CONFIG, 1, sensor) for sensor in (kind, None))
     first, second, usual = camera.read().depth, camera.read().depth, plain.read().depth
@@ -88,7 +89,7 @@ def test_each_kind_of_depth_camera_sees_the_boxes_with_noise_of_its_own(kind: Se
     np.testing.assert_array_equal(again, first)
 
 
-@pytest.mark.parametrize("kind", ["structured-light", "active-stereo", "filled-stereo"])
+@pytest.mark.parametrize("kind", seldom("structured-light", "active-stereo", "filled-stereo"))
 def test_frames_of_a_depth_camera_do_not_average_its_errors_out(kind: SensorKind) -> None:
     """As those of a real one that stands still; another camera's do."""
 

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from tests.examples import seldom
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb
 from toolee_robot.sim_backend.physics.grip import (
@@ -93,7 +94,7 @@ def kinetic_energies(
     return np.array(energies)
 
 
-@pytest.mark.parametrize("settings", [NORMAL, IMPACT], ids=["1 ms", "1/4 ms"])
+@pytest.mark.parametrize("settings", seldom(NORMAL, IMPACT), ids=["1 ms", "1/4 ms"])
 @pytest.mark.parametrize("hinge_inertia", [0.0, 2e-3], ids=["palm held", "palm gives way"])
 def test_no_tool_that_can_be_handed_over_gains_energy_in_the_grip(settings: StepSettings, hinge_inertia: float) -> None:
     for body in (*handed_over(), *OUTSIDE):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
+from tests.examples import seldom
 from toolee_robot.frames import Array, cross
 from toolee_robot.robots import RobotDescription, load_robot
 from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb
@@ -135,7 +136,7 @@ def test_steps_are_stable_in_every_pose(name: str, size: float) -> None:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-@pytest.mark.parametrize("settings", [NORMAL, IMPACT], ids=["1 ms", "1/4 ms"])
+@pytest.mark.parametrize("settings", seldom(NORMAL, IMPACT), ids=["1 ms", "1/4 ms"])
 def test_energy_does_not_grow_after_a_kick(name: str, settings: StepSettings) -> None:
     """Without gravity, so that the springs are tensioned at the start; the joints get speeds besides."""
     rng = np.random.default_rng(3)

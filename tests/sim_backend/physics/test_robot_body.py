@@ -33,6 +33,7 @@ def run(body: RobotBody, steps: int) -> None:
         pb.stepSimulation(physicsClientId=body._client)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_fingers_move_when_commanded_and_stay_where_they_are_made_rigid(body: RobotBody) -> None:
     wrist = len(body.robot.hand.wrist)

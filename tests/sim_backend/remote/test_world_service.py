@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
+from tests.examples import seldom
 from tests.sim_backend.kinematics import joints_for_hand
 from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.frames import Array, frame_from_axes, inverse
@@ -118,6 +119,7 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
         judge.X_hand_ee(began - 1e3)
 
 
+@pytest.mark.nightly
 def test_the_hand_closes_while_the_arm_moves_and_is_seen(loop: Loop) -> None:
     q_start = loop.plant.q.copy()
     closing = _closing(loop)
@@ -140,6 +142,7 @@ def test_time_alone_ends_a_wait(loop: Loop) -> None:
     assert not loop.call("person.request_handover", "", 0.2, lasting=0.2), "a person needs longer than that"
 
 
+@pytest.mark.nightly
 def test_nothing_but_the_tick_loop_steps_the_world(loop: Loop) -> None:
     """While no tick is done, a hand's command does not end, the scene can be seen, and no time passes."""
     loop.hold.set()
@@ -203,7 +206,7 @@ def test_a_push_is_felt_at_the_flange_in_the_controllers_base(loop: Loop) -> Non
 TURN = np.array([0.3, 0.2, -0.2, 0.3, 0.2, 0.4])  # [rad] in a second
 
 
-@pytest.mark.parametrize("period", [0.008, 0.002], ids=["CB3", "e-Series"])
+@pytest.mark.parametrize("period", seldom(0.008, 0.002), ids=["CB3", "e-Series"])
 def test_elastic_joints_follow_a_controllers_ticks_and_come_to_rest(period: float) -> None:
     options = SimOptions(compliance=1.0, hands_over=False)
     world = build_world(sim_station(), draw_handover(1, options)[0], options)

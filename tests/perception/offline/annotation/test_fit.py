@@ -71,10 +71,9 @@ def _runs(kind: str, n: int) -> tuple[float, np.ndarray]:
     return float(np.mean(inside)), np.array(rows)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim(seconds=20)
-@pytest.mark.parametrize(
-    "kind", [kind if kind == "face" else pytest.param(kind, marks=pytest.mark.nightly) for kind in KINDS]
-)
+@pytest.mark.parametrize("kind", KINDS)
 def test_errors_are_as_large_as_the_covariance_says(kind: str) -> None:
     inside, rows = _runs(kind, 30)
     assert inside >= 0.85

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from tests.perception.data_sets import held_out_tools
+from tests.perception.data_sets import frames, held_out_tools
 from tests.perception.offline.annotation.scenes import RenderedEnd, rendered_ends
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError, UserError
@@ -33,8 +33,13 @@ pytestmark = pytest.mark.sim(seconds=40)
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return held_out_tools(tmp_path_factory)
+def data(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    held_out = getattr(request, "param", False)
+    return held_out_tools(tmp_path_factory) if held_out else frames(tmp_path_factory, "test")
+
+
+held_out = pytest.mark.parametrize("data", [pytest.param(True, marks=pytest.mark.nightly)], indirect=True)
+"""With 24 images and their tools' meshes instead of four images."""
 
 
 @pytest.fixture
@@ -63,7 +68,7 @@ def _clicks(ends: list[RenderedEnd], empty: tuple[str, ...] = ()) -> ClicksFile:
     return ClicksFile("bench", frames=frames)
 
 
-@pytest.mark.nightly
+@held_out
 def test_the_true_outlines_give_the_true_poses(folder: Path, ends: list[RenderedEnd]) -> None:
     write_clicks(folder / "clicks.yaml", _clicks(ends))
     frames = FrameSet(folder)
@@ -87,7 +92,7 @@ def test_the_true_outlines_give_the_true_poses(folder: Path, ends: list[Rendered
     assert (off[:, 0] < 3 * off[:, 2]).mean() >= 0.8, "errors are of the size that is told"
 
 
-@pytest.mark.nightly
+@held_out
 def test_annotate_then_evaluate(
     folder: Path, ends: list[RenderedEnd], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -114,6 +119,7 @@ def test_annotate_then_evaluate(
     assert 0.5 < row["median_annotation_mm"] < 8.0
 
 
+@held_out
 def test_a_frame_with_an_unfinished_end_is_left_out_and_told(
     folder: Path, ends: list[RenderedEnd], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,6 +137,7 @@ def test_a_frame_with_an_unfinished_end_is_left_out_and_told(
     assert photograph.ends[0].X_camera_ee is None
 
 
+@held_out
 def test_a_pose_that_contradicts_the_tape_is_not_written(folder: Path, ends: list[RenderedEnd]) -> None:
     face = next(e for e in ends if e.clicked.shape is Shape.FACE)
     true_mm = 1000 * float(np.linalg.norm(face.X_camera_ee[:3, 3]))

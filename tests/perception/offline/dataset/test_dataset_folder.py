@@ -74,6 +74,7 @@ def test_three_workers_give_the_bytes_of_one_and_so_does_a_run_killed_in_the_mid
     assert not generate(SPEC, killed), "what is finished is left alone"
 
 
+@pytest.mark.nightly
 def test_a_broken_scene_stops_a_resumed_run_and_nothing_half_written_stays(copy: Path) -> None:
     (copy / SUMS).unlink()
     shutil.rmtree(copy / "coco")

@@ -222,6 +222,7 @@ def test_the_segmentation_command(folder: Path, tmp_path: Path, capsys: pytest.C
     assert json.loads((tmp_path / "report.json").read_text()) == printed
 
 
+@pytest.mark.nightly
 def test_what_is_no_target_is_neither_found_nor_missed(images: SegmentationSet, task: CocoTask) -> None:
     targets = images.table.targets
     assert targets.any()

@@ -29,6 +29,16 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def described(tmp_path: Path) -> Path:
+    """A test set as its description has it, without images."""
+    folder = tmp_path / "described"
+    folder.mkdir()
+    (folder / DESCRIPTION).write_text(json.dumps(DatasetSpec("hard", 2, 5, 1.0, test_set=True).to_json()))
+    (folder / "SHA256SUMS").touch()
+    return folder
+
+
+@pytest.fixture
 def entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "test_ledger.jsonl"
     path.touch()
@@ -36,6 +46,7 @@ def entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
+@pytest.mark.nightly
 def test_every_scoring_of_a_test_set_enters_itself(made: Path, entries: Path) -> None:
     for times in (1, 2):
         assert run(["evaluate", "pose", str(made), "--true-masks-only", "--limit", "2"]) == 0
@@ -52,9 +63,9 @@ def test_every_scoring_of_a_test_set_enters_itself(made: Path, entries: Path) ->
     assert first["date"][:2] == "20"
 
 
-def test_other_weights_have_another_hash(made: Path, entries: Path, tmp_path: Path) -> None:
+def test_other_weights_have_another_hash(described: Path, entries: Path, tmp_path: Path) -> None:
     (tmp_path / "pose.json").write_text("{}")
-    found = ledger.Ledger.of(made)
+    found = ledger.Ledger.of(described)
     assert found is not None
     found.enter("pose", {"shipped": None, "named": WEIGHTS_DIR, "others": tmp_path}, {})
     hashes = json.loads(entries.read_text())["weights"]
@@ -62,17 +73,17 @@ def test_other_weights_have_another_hash(made: Path, entries: Path, tmp_path: Pa
 
 
 def test_a_test_set_without_a_ledger_is_not_scored(
-    made: Path, entries: Path, capsys: pytest.CaptureFixture[str]
+    described: Path, entries: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     entries.unlink()
-    assert run(["evaluate", "pose", str(made), "--true-masks-only"]) == 2
+    assert run(["evaluate", "pose", str(described), "--true-masks-only"]) == 2
     printed = capsys.readouterr()
     assert "ledger" in printed.err
     assert "5deg2cm" not in printed.out
 
 
-def test_other_data_sets_enter_nothing(made: Path, entries: Path, tmp_path: Path) -> None:
-    spec = replace(DatasetSpec.read(made), test_set=False)
+def test_other_data_sets_enter_nothing(described: Path, entries: Path, tmp_path: Path) -> None:
+    spec = replace(DatasetSpec.read(described), test_set=False)
     (tmp_path / DESCRIPTION).write_text(json.dumps(spec.to_json()))
     assert ledger.Ledger.of(tmp_path) is None
     assert entries.read_text() == ""

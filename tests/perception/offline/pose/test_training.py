@@ -77,6 +77,7 @@ def test_clean_clouds_lie_on_the_tools_surface(samples: SurfaceSamples, hands: F
         assert float(distance.quantile(0.95)) < 0.004
 
 
+@pytest.mark.nightly
 def test_the_confidence_is_fitted_on_clouds_of_every_category(samples: SurfaceSamples, clouds: CloudBatch) -> None:
     """A claw's row follows that of its hammer's head: half of the rows, instead of half of the tools, had no claw."""
     model = judge(PoseNet(TINY), clouds, samples, "cpu")[1].confidence
@@ -85,6 +86,7 @@ def test_the_confidence_is_fitted_on_clouds_of_every_category(samples: SurfaceSa
         assert share[f"is_{category}"] > 0.05
 
 
+@pytest.mark.nightly
 def test_the_rest_may_begin_beyond_the_cut(samples: SurfaceSamples, hands: Float32) -> None:
     gaps = []
     for share in (0.0, 1.0):
@@ -96,6 +98,7 @@ def test_the_rest_may_begin_beyond_the_cut(samples: SurfaceSamples, hands: Float
     assert gaps[0] + 0.004 < gaps[1] < 0.02
 
 
+@pytest.mark.nightly
 def test_masks_may_be_cut_at_another_radius(samples: SurfaceSamples, hands: Float32) -> None:
     batch = CloudGenerator(samples, hands, "cpu", 1, replace(CLEAN, other_cut_share=1.0)).collect(24, 32)
     nominal = torch.tensor([list(Category)[int(c)].spec.radius for c in batch.category])
@@ -104,6 +107,7 @@ def test_masks_may_be_cut_at_another_radius(samples: SurfaceSamples, hands: Floa
     assert float(reach.max()) > 1.2
 
 
+@pytest.mark.nightly
 def test_the_image_may_end_near_the_end_effector(samples: SurfaceSamples, hands: Float32) -> None:
     """What lies beyond is not seen, and counts as hidden. (Of this seed no tool hides its own end effector.)"""
     whole, ended = (
@@ -115,6 +119,7 @@ def test_the_image_may_end_near_the_end_effector(samples: SurfaceSamples, hands:
     assert float(ended.visible.mean(dtype=torch.float32)) < 0.9 * float(whole.visible.mean(dtype=torch.float32))
 
 
+@pytest.mark.nightly
 def test_the_rest_of_the_tool_is_its_surface_beyond_the_end_effector(samples: SurfaceSamples, hands: Float32) -> None:
     clean = replace(CLEAN, rest_error_share=0.0, rest_chunk_share=0.0, wrong_rest_share=0.0)
     batch = CloudGenerator(samples, hands, "cpu", 1, clean).collect(12, 16)

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from tests.errors import raises
+from tests.examples import seldom
 from tests.paper_weights import untrained_paper_weights
 from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import Category
@@ -339,7 +340,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.sim
 @pytest.mark.usefixtures("small")
-@pytest.mark.parametrize("column", ["object-prior", "ee-symmetry-prior", "symmetry-aware"])
+@pytest.mark.parametrize("column", seldom("symmetry-aware", "object-prior", "ee-symmetry-prior"))
 def test_every_column_learns_and_its_weights_load(column: str, tmp_path: Path) -> None:
     training = trained(tmp_path, column, epochs=30, freeze_epochs=10)
     losses = [entry["loss"] for entry in training.log]
@@ -355,6 +356,7 @@ def test_every_column_learns_and_its_weights_load(column: str, tmp_path: Path) -
     np.testing.assert_allclose(priors[:, :3, 3], np.tile([0.0, 0.0, 0.1], (4, 1)), atol=1e-6)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 @pytest.mark.usefixtures("small")
 def test_an_interrupted_training_gives_the_weights_of_one_without_a_break(tmp_path: Path) -> None:

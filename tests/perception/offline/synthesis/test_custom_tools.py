@@ -62,6 +62,7 @@ def bring(folder: Path, X: np.ndarray | None = None, **change: Any) -> None:
     (folder / "tool.yaml").write_text(yaml.safe_dump(description | change))
 
 
+@pytest.mark.nightly
 def test_a_mesh_that_is_damaged_or_too_fine_is_named(tmp_path: Path) -> None:
     bring(tmp_path / "mallet")
     path = tmp_path / "mallet" / "mallet.stl"

@@ -87,6 +87,7 @@ def test_a_tool_that_leans_touches_the_plane_and_its_support() -> None:
     assert max(tilts) > 60.0
 
 
+@pytest.mark.nightly
 def test_a_tool_across_another_one_touches_it_and_the_plane() -> None:
     rng = np.random.default_rng(3)
     found = 0

@@ -8,13 +8,14 @@ from math import inf
 import numpy as np
 import pytest
 
+from tests.examples import seldom
 from tests.sim_backend.ur_controller.server.wire import Recorder, robot
 from toolee_robot.sim_backend.ur_controller.robot.safety_system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.primary import StateSession
 from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Outputs
 
-both = pytest.mark.parametrize("model", ["UR10", "UR10e"])
+both = pytest.mark.parametrize("model", seldom("UR10e", "UR10"))
 LOOSE = {"force": inf, "power": inf, "momentum": inf, "collision_torque": inf, "sudden_stop": inf}
 SLOW = """def slow():
   movej([0.2, -1.4, 1.4, -1.5, -1.5, 0.2], 0.8, 0.4)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.examples import examples
+from tests.examples import examples, seldom
 from tests.sim_backend.ur_controller.server.wire import robot
 from toolee_robot.sim_backend.ur_controller.process import Q_START
 from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
@@ -66,7 +66,7 @@ def test_stops_brake_as_hard_as_the_model_says(
     np.testing.assert_array_equal(served.plant.q, at_rest)
 
 
-@pytest.mark.parametrize("model", ["UR10", "UR10e"])
+@pytest.mark.parametrize("model", seldom("UR10", "UR10e"))
 def test_after_a_protective_stop_play_resumes_the_old_motion(model: str) -> None:
     goal = Q_START + np.array([0.8, 0, 0, 0, 0, 0])
     moves = {

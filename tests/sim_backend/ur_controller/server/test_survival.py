@@ -11,6 +11,7 @@ from contextlib import ExitStack, suppress
 
 import pytest
 
+from tests.examples import seldom
 from tests.sim_backend.ur_controller.server.wire import RtdeSocket
 from toolee_robot.errors import UserError
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
@@ -20,6 +21,8 @@ pytestmark = pytest.mark.realtime(light=True)
 
 HOST = "127.0.0.67"
 PORTS = {"dashboard": 29999, "primary": 30001, "secondary": 30002, "realtime": 30003, "rtde": 30004, "faults": 30020}
+
+
 STALL = 0.5  # [s] on a busy machine; alone, all of these are under 0.05
 
 
@@ -47,8 +50,8 @@ def push(port: str, data: bytes, seconds: float = 1.0) -> None:
         time.sleep(0.2)
 
 
-@pytest.mark.parametrize("name", [b"actual_q", b"nonsense"])
-@pytest.mark.parametrize("kind", ["O", "I"])
+@pytest.mark.parametrize("name", seldom(b"actual_q", b"nonsense"))
+@pytest.mark.parametrize("kind", seldom("I", "O"))
 def test_a_recipe_that_outgrows_a_packet(controller: ControllerProcess, kind: str, name: bytes) -> None:
     rate = struct.pack(">d", 500.0) if kind == "O" else b""
     with RtdeSocket(HOST) as client:
@@ -61,27 +64,27 @@ def test_a_recipe_that_outgrows_a_packet(controller: ControllerProcess, kind: st
     assert controller.state()["clients"]["rtde"] <= 1
 
 
-@pytest.mark.parametrize("port", PORTS)
+@pytest.mark.parametrize("port", seldom("rtde", *(port for port in PORTS if port != "rtde")))
 def test_half_a_megabyte_without_a_line_end(controller: ControllerProcess, port: str) -> None:  # noqa: ARG001
     push(port, b"a" * 500_000)
 
 
 @pytest.mark.parametrize(
     ("port", "unit"),
-    [
+    seldom(
         ("rtde", packet(ord("Z"))),
         ("rtde", packet(ord("v"))),
         ("dashboard", b"robotmode\n"),
         ("realtime", b'popup("x")\n'),
         ("faults", b'{"fault": "trace"}\n'),
         ("faults", b"[" * 900 + b"]" * 900 + b"\n"),
-    ],
+    ),
 )
 def test_a_flood_whose_answers_nobody_reads(controller: ControllerProcess, port: str, unit: bytes) -> None:  # noqa: ARG001
     push(port, unit * (300_000 // len(unit)))
 
 
-@pytest.mark.parametrize("port", PORTS)
+@pytest.mark.parametrize("port", seldom("rtde", *(port for port in PORTS if port != "rtde")))
 def test_many_slow_clients(controller: ControllerProcess, port: str) -> None:
     with ExitStack() as stack:
         clients = [stack.enter_context(socket.create_connection((HOST, PORTS[port]), 5.0)) for _ in range(15)]
@@ -93,7 +96,7 @@ def test_many_slow_clients(controller: ControllerProcess, port: str) -> None:
         assert controller.state()["ticks"]["done"] > 0
 
 
-@pytest.mark.parametrize("port", PORTS)
+@pytest.mark.parametrize("port", seldom("rtde", *(port for port in PORTS if port != "rtde")))
 def test_hundreds_of_connections(controller: ControllerProcess, port: str) -> None:
     for _ in range(200):
         with suppress(OSError):

@@ -194,6 +194,7 @@ def ticks_until(served: Robot, name: str) -> int:
     return count
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_the_running_program_goes_on_meanwhile() -> None:
     served = robot()
@@ -210,6 +211,7 @@ def test_the_running_program_goes_on_meanwhile() -> None:
     assert ticks_until(served, "second") <= 2, "it has been compiled before"
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_programs_start_in_the_order_in_which_they_came() -> None:
     served = robot()
