@@ -43,4 +43,4 @@ def test_damage_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], monk
     data[data.index(b"tool.glb") + 5000] ^= 1
     path.write_bytes(data)
     assert run(["replay", str(path), "--gif", str(tmp_path / "run.gif")]) == 0
-    assert "is damaged after" in capsys.readouterr().out
+    assert "is damaged before byte" in capsys.readouterr().out

@@ -86,6 +86,7 @@ class Simulated:
     """A simulated station.
 
     Attributes:
+        real_time_factor: See `Source`.
         config: What the station file says.
         seed: Seed of tool, grasp and noise.
         gui: Whether pybullet's window is shown.

@@ -119,6 +119,8 @@ class Lab:
     """A lab's own station.
 
     Attributes:
+        name: See `Source`.
+        real_time_factor: See `Source`.
         config: What the station file says.
         station_file: The file.
     """
