@@ -71,7 +71,7 @@ def test_refinement_resumes_beside_the_detector_and_keeps_its_configuration(
     """The shipped detector's finds in a few rendered frames, the refiner trained into that detector's folder."""
     data, out, options = frames(tmp_path_factory, "train") / "train", tmp_path / "out", tmp_path / "options.yaml"
     out.mkdir()
-    for path in WEIGHTS_DIR.glob("segmentation*"):
+    for path in (*WEIGHTS_DIR.glob("segmentation*"), WEIGHTS_DIR / "sha256.txt"):
         shutil.copy(path, out)
     (out / "config.json").write_text("the detector's")
     options.write_text("batch: 2\nlog_every: 1\nlr: 0.0005\nmax_steps: 9\n")
