@@ -27,7 +27,7 @@ nail that leans would meet the wood within that depth, the face is square to the
 LEANS = 1e-4
 """Angle of a nail's axis to the wood's normal from which it leans [rad]."""
 SOFTER, SOFTENINGS = 0.75, 2
-"""Share of the speed of a strike that was too hard for the arm, at which the next one is, and how often in a job."""
+"""Speed of the next strike as a share of one that was too hard for the arm, and how often this may be at one nail."""
 
 
 class Striking:
