@@ -12,15 +12,19 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from toolee_robot.cli.app import run
 from toolee_robot.runtime.files import sha256
+from toolee_robot.tools import ToolKind, make_tool
 
 HERE = Path(__file__).parent
 JOBS: list[dict[str, Any]] = json.loads((HERE / "jobs.json").read_text())
 DATASETS: list[dict[str, str]] = json.loads((HERE / "dataset.json").read_text())
 """Of two processors: the second, an AMD Milan without AVX-512, gave these at commit 298027cb, too."""
+TOOLS: dict[str, list[list[list[float]]]] = json.loads((HERE / "tools.json").read_text())
+"""Of two seeds of each kind the end effectors' poses in the tool's frame, as of 2026-11-30."""
 COMMAND = ("sim", "hammer")
 SAME = ("success", "outcome", "nail", "tool", "robot", "hand", "stops", "off_face_strikes")
 """Figures that have to be the same."""
@@ -66,3 +70,10 @@ def test_a_data_set_has_the_bytes_that_it_had(tmp_path: Path) -> None:
     options = ["--config", "hard", "--size", "4", "--seed", "5", "--workers", "1", "--out", str(tmp_path / "hard")]
     assert run(["dataset", "generate", *options]) == 0
     assert {name: sha256(tmp_path / "hard" / name) for name in DATASETS[0]} in DATASETS
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_a_tools_end_effectors_are_where_they_were(name: str) -> None:
+    kind, _, seed = name.rpartition("-")
+    poses = [ee.X_tool_ee[:3] for ee in make_tool(ToolKind(kind), int(seed)).ees]
+    np.testing.assert_allclose(poses, TOOLS[name], atol=1e-6)

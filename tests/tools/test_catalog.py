@@ -158,21 +158,6 @@ def test_mass_properties_are_physical(tool: Tool) -> None:
     assert np.all((tool.center_of_mass > low_corner) & (tool.center_of_mass < high_corner))
 
 
-def test_mass_properties_agree_with_trimesh() -> None:
-    tool = make_tool(ToolKind.CLAW_HAMMER, 0)
-    mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
-    for part in tool.parts:
-        part_mesh = part.mesh.copy()
-        part_mesh.density = part.density
-        mass += part_mesh.mass
-        moment += part_mesh.mass * part_mesh.center_mass
-        d = part_mesh.center_mass - tool.center_of_mass
-        inertia += part_mesh.moment_inertia + part_mesh.mass * (d @ d * np.eye(3) - np.outer(d, d))
-    assert tool.mass == pytest.approx(mass, rel=1e-9)
-    np.testing.assert_allclose(tool.center_of_mass, moment / mass, atol=1e-9)
-    np.testing.assert_allclose(tool.inertia, inertia, atol=1e-10)
-
-
 @every_tool
 def test_handle_is_where_and_as_thick_as_it_says(tool: Tool) -> None:
     handle = tool.handle
