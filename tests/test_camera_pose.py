@@ -83,14 +83,6 @@ def test_a_pose_is_the_camera_that_position_and_target_are(tmp_path: Path) -> No
     np.testing.assert_allclose(camera.X_base_camera, LOOK_AT, atol=2e-4)
 
 
-def test_a_camera_that_looks_straight_down_needs_a_pose(tmp_path: Path) -> None:
-    camera = _load(tmp_path, {"X_base_camera": _matrix(DOWN)}).camera
-    np.testing.assert_allclose(camera.X_base_camera, DOWN, atol=1e-12)
-    with raises(ConfigError) as caught:
-        _load(tmp_path, {"position": [0.60, -0.15, 1.50], "target": [0.60, -0.15, 0.70]})
-    assert "X_base_camera" in str(caught.value)
-
-
 @examples(10)
 @given(_quaternion, st.integers(4, 6))
 def test_the_digits_of_a_report_are_enough(
@@ -103,76 +95,6 @@ def test_the_digits_of_a_report_are_enough(
         found = _load(folder, {"X_base_camera": reported}).camera.X_base_camera
         assert is_rigid(found, 1e-9)
         np.testing.assert_allclose(found, X, atol=1e-3)
-
-
-def _changed(row: int, column: int, value: float) -> list[list[float]]:
-    X = DOWN.copy()
-    X[row, column] = value
-    return _matrix(X)
-
-
-POSITION, HALF = [0.60, -0.15, 1.50], [0.5, 0.5, 0.5, 0.5]
-
-
-@pytest.mark.parametrize(
-    ("pose", "words"),
-    [
-        ({"position": POSITION, "quaternion": [0.5, 0.5, 0.5, 0.51]}, "x, y, z, w"),
-        ({"position": POSITION, "quaternion": [0.0, 0.0, 0.0, 0.0]}, "norm 0.0000"),
-        (_changed(0, 0, 1.002), "not a rotation"),
-        (_changed(0, 1, 0.01), "not a rotation"),
-        (_changed(0, 0, -1.0), "x right, y down, z forward"),
-        (_matrix(DOWN[[1, 0, 2, 3]]), "or two are swapped"),
-        (_changed(3, 3, 1.01), "[0, 0, 0, 1]"),
-        (_matrix(DOWN.T), "transposed"),
-        (_changed(2, 3, 1500.0), "millimetres"),
-        ({"position": [600.0, -150.0, 1500.0], "quaternion": HALF}, "millimetres"),
-        (_matrix(DOWN)[:3], "four rows"),
-        (_matrix(DOWN[:, :3]), "four rows"),
-        (DOWN.ravel().tolist(), "four rows"),
-        (_changed(0, 0, float("nan")), "four rows"),
-        ("matrix.txt", "matrix.txt"),
-        ({"position": POSITION}, "quaternion: [x, y, z, w]"),
-        ({"qw": 1.0, "x": 0.6}, "has the fields qw, x"),
-        ({"position": POSITION[:2], "quaternion": HALF}, "not 3 numbers"),
-        ({"position": POSITION, "quaternion": ["a", 0, 0, 1]}, "not 4 numbers"),
-    ],
-)
-def test_what_is_no_pose_of_a_camera_is_refused(tmp_path: Path, pose: Any, words: str) -> None:
-    with raises(ConfigError, says=words) as caught:
-        _load(tmp_path, {"X_base_camera": pose})
-    assert "camera.X_base_camera" in str(caught.value)
-
-
-@pytest.mark.parametrize(("error", "accepted"), [(0.9e-3, True), (1.1e-3, False), (-0.9e-3, True), (-1.1e-3, False)])
-def test_the_norm_of_a_quaternion_may_be_off_by_a_thousandth(tmp_path: Path, error: float, accepted: bool) -> None:
-    pose = {"position": POSITION, "quaternion": [(1.0 + error) * part for part in HALF]}
-    if accepted:
-        assert is_rigid(_load(tmp_path, {"X_base_camera": pose}).camera.X_base_camera)
-        return
-    with raises(ConfigError, says="has the norm"):
-        _load(tmp_path, {"X_base_camera": pose})
-
-
-def test_a_pose_beside_position_and_target_is_refused_with_the_names_of_both(tmp_path: Path) -> None:
-    for given_too in (("position",), ("target",), ("position", "target")):
-        camera = {name: list(getattr(sim_station().camera, name)) for name in given_too}
-        with raises(ConfigError, says="leave out one or the other") as caught:
-            _load(tmp_path, {"X_base_camera": _matrix(DOWN), **camera})
-        assert all(f"camera.{name}" in str(caught.value) for name in ("X_base_camera", *given_too))
-
-
-def test_a_pose_needs_the_name_of_its_frame(tmp_path: Path) -> None:
-    with raises(ConfigError, says="pendant_base` if they were read from") as caught:
-        _load(tmp_path, {"X_base_camera": _matrix(DOWN)}, frame=None)
-    assert "camera.X_base_camera" in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["pose", "measured_pose"])
-def test_the_program_s_own_fields_are_not_given_by_hand(tmp_path: Path, name: str) -> None:
-    with raises(ConfigError, says="or give another program's pose in") as caught:
-        _load(tmp_path, {name: _matrix(DOWN)})
-    assert "camera.X_base_camera" in str(caught.value)
 
 
 def test_a_labs_file_is_complete_with_a_pose(tmp_path: Path) -> None:

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from datetime import date
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
 from tests.errors import raises
 from toolee_robot.devices.ur.config import UrArmConfig
-from toolee_robot.errors import ConfigError, UserError
-from toolee_robot.frames import is_rigid
-from toolee_robot.runtime.yaml_files import to_record
+from toolee_robot.errors import ConfigError
 from toolee_robot.station import (
     MEASURED,
     SIMULATED,
     CalibrationConfig,
     ServoConfig,
-    StationConfig,
     load_lab_station,
     load_station,
     servo_lag,
@@ -68,63 +63,6 @@ def test_a_servo_that_the_controller_does_not_take_is_refused_by_its_driver(serv
 @pytest.mark.parametrize(("rate", "measured"), [(500.0, 0.034), (125.0, 0.054)])
 def test_the_assumed_lag_bounds_what_was_measured_elsewhere(rate: float, measured: float) -> None:
     assert measured < servo_lag(ServoConfig(gain=1200.0, lookahead=0.03), rate) < 2.0 * measured
-
-
-def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
-    assert load_station(_write(tmp_path, "")) == sim_station()
-
-
-@pytest.mark.parametrize(
-    ("text", "expected_text"),
-    [
-        ("work: {nail_xz: [0.6, 0.2]}", "work.nail_xz"),
-        ("task: {max_strikes: many}", "task.max_strikes"),
-        ("servo: {gain: 50}", "servo.gain"),
-        ("frame: base_link\nwork: {nail_xy: [0.6]}", "work.nail_xy"),
-        ("strike: {speed: .nan}", "strike.speed"),
-        ("work: {nail_diameter: -0.002}", "work.nail_diameter"),
-        ("work: {nail_protrusion: 0.2}", "nail_length"),
-        ("arm: {velocity: [1, 1, 1]}", "arm.velocity"),
-        ("arm: {transfer_velocity_scale: 1.5}", "arm.transfer_velocity_scale"),
-        ("task: {max_strikes: 0}", "task.max_strikes"),
-        ("robot: ur5", "robot"),
-        ("- a\n- list", "lab.yaml"),
-        ("work: {nail_xy: [0.6, 0.2", "lab.yaml"),
-        ("just words", "lab.yaml"),
-        ("frame: base_link\ntask: {max_strikes: 3}\nframe: pendant_base\n", "'frame' is given twice"),
-        ("calibration: {measured_on: 20th of May, robot_serial: a, camera_serial: b, residual: 0}", "measured_on"),
-        ("calibration: {measured_on: '2026-05-20'}", "calibration"),
-        ("supervisor: {unattended_speed: 0}", "supervisor.unattended_speed"),
-        ("strike: {speed: 1.6}", "supervisor.unattended_speed"),
-        ("arm: {acceleration: [15, 15, 15]}", "arm.acceleration"),
-        ("arm: {acceleration: true}", "arm.acceleration"),
-        ("arm: {stop_acceleration: 20}", "arm.stop_acceleration"),
-    ],
-)
-def test_what_is_wrong_is_named(tmp_path: Path, text: str, expected_text: str) -> None:
-    with pytest.raises(ConfigError, match=expected_text.replace(".", r"\.")) as caught:
-        load_station(_write(tmp_path, text))
-    assert isinstance(caught.value, UserError)
-
-
-def test_the_cameras_pose_looks_at_its_target_with_the_image_upright() -> None:
-    camera = sim_station().camera
-    X = camera.X_base_camera
-    assert is_rigid(X)
-    assert camera.target is not None
-    assert camera.position is not None
-    away = np.subtract(camera.target, camera.position)
-    np.testing.assert_allclose(X[:3, 2], away / np.linalg.norm(away), atol=1e-12)
-    assert X[2, 0] == pytest.approx(0.0), "the image's rows are level"
-    assert X[2, 1] < 0, "down in the image is down in the world"
-
-
-def test_the_nails_frame_points_into_the_wood_and_sinks_with_it() -> None:
-    work = sim_station().work
-    X0, X1 = work.X_base_nail(), work.X_base_nail(0.0)
-    np.testing.assert_allclose(X0[:3, 2], [0, 0, -1])
-    assert X0[2, 3] - X1[2, 3] == pytest.approx(work.nail_protrusion)
-    assert X1[2, 3] == pytest.approx(work.wood_height)
 
 
 @pytest.mark.parametrize(
@@ -192,31 +130,6 @@ def test_a_robots_station_file_without_a_measured_field_is_refused_by_its_name(
     assert f"give {section}.{name}" in str(caught.value)
 
 
-LAB = Path(__file__).parents[1] / "examples" / "lab.yaml"
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"work": {"nail_lenght": 0.05}}, "work.nail_lenght: there is no such field: did you mean nail_length?"),
-        ({"work": {"nail_length": "2,2 mm"}}, "'2,2 mm' is not a number"),
-        (
-            {"camera": {"device": {"driver": "realsense", "serial": 832112070123, "least_range": 0.28}}},
-            "put it in quotes",
-        ),
-        ({"tool": {"name": "claw"}}, "tool.grip_radius: is missing"),
-        ({"arm": [1, 2]}, "arm: fields with their values are needed"),
-    ],
-)
-def test_what_is_wrong_in_a_file_is_said_in_words(tmp_path: Path, change: dict[str, Any], words: str) -> None:
-    path = tmp_path / "lab.yaml"
-    path.write_text(yaml.safe_dump(change))
-    with raises(ConfigError) as caught:
-        load_station(path)
-    assert words in str(caught.value)
-    assert "Value error" not in str(caught.value)
-
-
 LINES = """\
 # A lab.
 frame: base_link
@@ -277,23 +190,6 @@ def test_the_lines_of_what_a_lab_must_measure_and_of_other_units_are_said(tmp_pa
     assert "scene.workspace_upper; `toolee" in str(caught.value), "a section that is not there has no line"
 
 
-def test_an_error_in_data_of_no_file_has_no_line(tmp_path: Path) -> None:
-    with raises(ConfigError) as caught:
-        to_record({"camera": {"width": 0.4}}, tmp_path / "none.json", StationConfig, "station")
-    assert "line" not in str(caught.value)
-
-
-def test_a_head_beside_the_handle_is_refused(tmp_path: Path) -> None:
-    data = yaml.safe_load(LAB.read_text())
-    x, y, z = data["tool"]["face"]
-    data["tool"]["face"] = [x, z, y]
-    path = tmp_path / "lab.yaml"
-    path.write_text(yaml.safe_dump(data))
-    with raises(ConfigError) as caught:
-        load_station(path)
-    assert "z runs along the handle" in str(caught.value)
-
-
 def test_a_file_that_is_not_there_names_the_interview(tmp_path: Path) -> None:
     with raises(ConfigError) as caught:
         load_station(tmp_path / "lab.yaml")
@@ -302,35 +198,3 @@ def test_a_file_that_is_not_there_names_the_interview(tmp_path: Path) -> None:
     with raises(ConfigError) as caught:
         load_station(tmp_path / "picture.png")
     assert "not UTF-8" in str(caught.value)
-
-
-def test_a_calibration_by_another_program_is_written_into_the_file(tmp_path: Path) -> None:
-    data = _whole_station()
-    told = {"measured_on": "2026-11-20", "robot_serial": "20185500001", "camera_serial": "17", "residual": 0.0012}
-    path = tmp_path / "lab.yaml"
-    path.write_text(yaml.safe_dump(data | {"calibration": told}))
-    calibration = load_lab_station(path).calibration
-    assert calibration is not None
-    assert calibration.robot_serial == "20185500001"
-
-
-def test_every_measured_field_is_one_of_the_station_file() -> None:
-    for section, names in MEASURED.items():
-        record = getattr(sim_station(), section)
-        assert set(names) <= {field.name for field in fields(record)}
-
-
-@pytest.mark.parametrize(
-    ("distortion", "words"),
-    [
-        ([0.1, -0.2, 0.001], "3 numbers"),
-        ([0.1, -0.2, 0.07, 0.001, 0.001], "in the order k1, k2, p1, p2, k3"),
-        (0.1, "distortion"),
-    ],
-)
-def test_what_is_no_distortion_is_said(tmp_path: Path, distortion: Any, words: str) -> None:
-    path = tmp_path / "lab.yaml"
-    path.write_text(yaml.safe_dump({"camera": {"distortion": distortion}}))
-    with raises(ConfigError) as error:
-        load_station(path)
-    assert words in str(error.value)

@@ -11,11 +11,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.errors import raises
 from tests.examples import examples
 from tests.nails import with_nails
 from toolee_robot.control.collision_shapes import nail_bodies, station_bodies
-from toolee_robot.errors import ConfigError
 from toolee_robot.frames import angle_between, inverse, is_rigid, transform_points
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.options import SimOptions
@@ -55,33 +53,14 @@ def test_one_nail_is_written_as_ever(tmp_path: Path) -> None:
 
 
 def test_the_pendants_frame_holds_for_every_nail(tmp_path: Path) -> None:
-    nails = [{**nail, "xy": [-nail["xy"][0], -nail["xy"][1]]} for nail in (LEFT, RIGHT)]  # type: ignore[index]
-    turned = _load(tmp_path, {"nails": nails, "block_xy": [-0.75, -0.10]}, "pendant_base")
-    assert turned == _load(tmp_path, {"nails": [LEFT, RIGHT], "block_xy": [0.75, 0.10]})
+    def there(sign: int) -> dict[str, object]:
+        nails = [
+            {**nail, "xy": [sign * x for x in nail["xy"]], "lean": [sign * 0.02, sign * -0.03]}  # type: ignore[attr-defined]
+            for nail in (LEFT, RIGHT)
+        ]
+        return {"nails": nails, "block_xy": [sign * 0.75, sign * 0.10], "wood_rise": [sign * 0.01, 0.0]}
 
-
-@pytest.mark.parametrize(
-    "work",
-    [
-        {"nails": [LEFT, {**LEFT, "xy": [0.75, 0.06]}]},  # two of one name
-        {"nails": [LEFT, {"name": "near", "xy": [0.75, 0.12]}]},  # the hammer would meet both
-        {"nails": [LEFT, RIGHT], "nail_xy": [0.70, 0.10]},  # of no nail
-        {"nails": [LEFT, RIGHT], "block_xy": [0.75, 0.30]},  # beside the wood
-        {"nails": [LEFT, {**RIGHT, "protrusion": 0.05}]},  # longer than it is
-        {"nails": [{"name": "with space", "xy": [0.75, 0.1]}]},
-    ],
-)
-def test_what_cannot_be_is_refused(tmp_path: Path, work: dict[str, object]) -> None:
-    with pytest.raises(ConfigError):
-        _load(tmp_path, work)
-
-
-def test_nails_without_a_frame_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "station.yaml"
-    path.write_text(yaml.safe_dump({"work": {"block_size": BLOCK, "nails": [LEFT, RIGHT]}}))
-    with raises(ConfigError, says="pendant_base` if they were read from") as refused:
-        load_station(path)
-    assert "gives work.nails, but" in str(refused.value)
+    assert _load(tmp_path, there(-1), "pendant_base") == _load(tmp_path, there(1))
 
 
 def test_the_wood_moves_with_its_nails() -> None:
@@ -131,32 +110,6 @@ def test_several_nails_lean_each_for_itself_and_stand_at_the_height_of_the_wood_
     np.testing.assert_allclose(right.nail_axis, right.wood_normal)
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [
-        "wood_rise: [0.2, 0.0]",
-        "nail_lean: [0.0, 1.5]",
-        "wood_rise: [0.1, 0]\n  nail_lean: [-0.1, 0]",
-        "wood_rise: [0.17, 0]\n  nail_lean: [0.34, 0]",  # each within 10 of the vertical, on either side of it
-    ],
-)
-def test_more_than_ten_degrees_are_refused(tmp_path: Path, fields: str) -> None:
-    path = tmp_path / "lab.yaml"
-    path.write_text(f"frame: base_link\nwork:\n  {fields}\n")
-    with raises(ConfigError) as refused:
-        load_station(path)
-    assert "10 are allowed" in str(refused.value)
-
-
-def test_a_list_of_nails_that_lean_is_the_same_in_either_frame(tmp_path: Path) -> None:
-    path, texts = tmp_path / "lab.yaml", []
-    for frame, sign in (("base_link", 1), ("pendant_base", -1)):
-        nail = f"{{name: a, xy: [{sign * 0.75}, {sign * 0.1}], lean: [{sign * 0.02}, {sign * -0.03}]}}"
-        path.write_text(f"frame: {frame}\nwork:\n  wood_rise: [{sign * 0.01}, 0.0]\n  nails: [{nail}]\n")
-        texts.append(load_station(path).work)
-    assert texts[0] == texts[1]
-
-
 def test_the_block_is_tilted_where_collisions_are_looked_for() -> None:
     config = replace(sim_station(), work=replace(WORK, wood_rise=(0.15, 0.0)))
     block = next(body for body in station_bodies(config) if body.name == "block")
@@ -190,19 +143,6 @@ def test_a_nail_is_in_the_wood_of_the_turned_block() -> None:
     assert inverse(corner.X_base_block)[:3, :3] @ [1.0, 0.0, 0.0] == pytest.approx([0.5**0.5, -(0.5**0.5), 0.0])
     with pytest.raises(ValueError, match="outside the block"):
         replace(corner, block_turn=0.0)
-
-
-def test_a_block_under_the_table_and_a_turn_in_degrees_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "lab.yaml"
-    for text, words in (
-        ("work: {stand_height: -0.30}\nscene: {table_height: -0.25}", "50 mm below the table's top"),
-        ("work: {stand_height: -0.10}", "100 mm below the table's top"),
-        ("work: {block_turn: 30}", "block_turn"),
-    ):
-        path.write_text(f"frame: base_link\n{text}\n")
-        with raises(ConfigError) as refused:
-            load_station(path)
-        assert words in str(refused.value)
 
 
 @pytest.mark.nightly

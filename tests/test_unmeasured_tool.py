@@ -32,7 +32,7 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote import RemoteWorld
 from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.station import StationConfig, ToolData, load_lab_station, load_station, sim_station, with_setup
+from toolee_robot.station import StationConfig, ToolData, load_lab_station, sim_station
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal import job_cell
 from toolee_robot.stations.template import NONE, nullable, open_questions, parse, put
@@ -72,14 +72,6 @@ def test_a_face_that_was_measured_is_used_with_a_mass_that_was_not(tmp_path: Pat
     np.testing.assert_array_equal(grasp.X_hand_ee, known.X_hand_ee)
 
 
-@pytest.mark.parametrize(("one", "other"), [("mass", "center_of_mass"), ("face", "face_normal")])
-def test_half_of_what_belongs_together_is_refused(tmp_path: Path, one: str, other: str) -> None:
-    said = yaml.safe_load(LAB.read_text())["tool"]
-    with raises(ConfigError) as refused:
-        load_lab_station(_lab(tmp_path, said | {one: None}))
-    assert f"{one} and {other} belong together" in str(refused.value)
-
-
 def test_the_interview_takes_none_for_all_but_the_name(tmp_path: Path) -> None:
     data = yaml.safe_load(LAB.read_text())
     del data["tool"]
@@ -91,13 +83,6 @@ def test_the_interview_takes_none_for_all_but_the_name(tmp_path: Path) -> None:
     assert data["tool"] == NOTHING
     assert not [question for question in open_questions(data) if question.path[0] == "tool"]
     assert load_lab_station(_lab(tmp_path, data["tool"])).tool == ToolData(**NOTHING)  # type: ignore[arg-type]
-
-
-def test_a_setup_may_name_such_a_tool(tmp_path: Path) -> None:
-    path = tmp_path / "setup.yaml"
-    path.write_text(yaml.safe_dump({"tool": NOTHING}))
-    made = with_setup(load_lab_station(LAB), path)
-    assert made.tool == ToolData(**NOTHING)  # type: ignore[arg-type]
 
 
 def test_a_rehearsal_leaves_untold_what_the_file_does(tmp_path: Path) -> None:
@@ -174,15 +159,6 @@ def test_joint_torques_at_rest_carry_the_weight_along_gravity_in_the_base(
     np.testing.assert_allclose(dynamics.at_rest(q)[1], expected, atol=1e-4)
 
 
-@examples(25)
-@given(_joints)
-def test_under_a_ceiling_the_torques_at_rest_have_the_other_sign(q: Array) -> None:
-    robots = [RobotModel.of_station(_mounted(up)) for up in ((0.0, 0.0, 1.0), CEILING)]
-    held = Payload(0.9, np.zeros(3))
-    one, other = (ArmDynamics(r, r.description.hand_closed, np.eye(4), held).at_rest(q)[1] for r in robots)
-    np.testing.assert_allclose(one, -other, atol=1e-9)
-
-
 def _state(q: Array, felt: Array | None) -> UrState:
     return UrState(q, np.zeros(6), np.zeros(6), np.zeros(6), None, 7, 1, 1, 3, 1, 1.0, felt)
 
@@ -222,14 +198,6 @@ def test_the_message_tells_the_mounting_in_both_frames_and_no_reading_is_no_proo
         assert _finding(wall, felt).level is Level.WARN
     moving = replace(_state(Q, _felt(Q, wall)), qd=np.full(6, 0.1))
     assert check_mounting(moving, _mounted(wall)).level is Level.WARN
-
-
-def test_what_is_no_direction_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "lab.yaml"
-    path.write_text("frame: base_link\narm: {up: [0, 0, 0]}\n")
-    with raises(ConfigError) as caught:
-        load_station(path)
-    assert "up is not a direction" in str(caught.value)
 
 
 def test_a_base_that_is_level_enough_is_upright() -> None:

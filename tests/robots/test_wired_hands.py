@@ -10,16 +10,11 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from toolee_robot.devices.hands import MountedTool, open_hand
-from toolee_robot.devices.hands.ability import AbilityHand
-from toolee_robot.devices.hands.inspire import InspireHand
-from toolee_robot.devices.hands.shadow import ShadowHand
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array
 from toolee_robot.robots import SHADOW_HAND, hand_model, load_robot, wrap_fingers
 from toolee_robot.robots.hands import ability, inspire
 from toolee_robot.robots.hands.shadow import CLOSED, MAKER_SIGNS, MOTORS, OPEN, joints_of_motors, motors_of_joints
-from toolee_robot.runtime.clock import HostClock
 from toolee_robot.station import HandConfig, load_station, sim_station
 from toolee_robot.types import HandMounting
 
@@ -39,17 +34,6 @@ RANGES = {
 
 def config(name: str) -> HandConfig:
     return load_station(Path(__file__).parents[2] / "examples" / f"{name}.yaml").hand
-
-
-@pytest.mark.parametrize(
-    ("name", "driver"),
-    [("inspire", InspireHand), ("ability", AbilityHand), ("shadow", ShadowHand), ("mount", MountedTool)],
-)
-def test_the_station_file_names_the_driver(name: str, driver: type[object]) -> None:
-    assert isinstance(open_hand(config(name), HostClock()), driver)
-    if name != "mount":
-        with raises(ConfigError, "config.hand_port"):
-            open_hand(replace(config(name), port=None), HostClock())
 
 
 @pytest.mark.parametrize("name", ["inspire", "ability"])

@@ -10,10 +10,9 @@ import pytest
 
 from tests.devices.cameras.test_recording import INTRINSICS, SERIAL, toy_recording
 from tests.errors import raises
-from tests.robots.three_finger import THREE_FINGER_HAND
-from toolee_robot.devices.hands import hand_drivers, open_hand, wired_hand
-from toolee_robot.errors import ConfigError, NoAnswerError, NotReadyError
-from toolee_robot.robots import HANDS, hand_model
+from toolee_robot.devices.hands import open_hand, wired_hand
+from toolee_robot.errors import ConfigError, NotReadyError
+from toolee_robot.robots import hand_model
 from toolee_robot.robots.hands import HAND_FILES
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hands import emulated_hand
@@ -65,13 +64,6 @@ def test_an_exposure_is_refused_where_the_driver_sets_none() -> None:
         open_camera(config(CameraDevice("orbbec", "0042", 0.3, exposure=0.01)), HostClock())
 
 
-def test_without_the_camera_it_says_which_are_there() -> None:
-    pytest.importorskip("pyrealsense2", exc_type=ImportError)
-    camera = open_camera(config(CameraDevice("realsense", "no such", 0.2)), HostClock())
-    with raises(NoAnswerError, "no_answer.camera_missing"), camera:
-        pass
-
-
 def test_another_camera_and_another_lens_are_refused(tmp_path: Path) -> None:
     toy_recording(tmp_path / "r")
     clock = HostClock()
@@ -90,18 +82,13 @@ def test_another_camera_and_another_lens_are_refused(tmp_path: Path) -> None:
 
 def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     toy_recording(tmp_path / "r")
-    (tmp_path / "our_lab.py").write_text(
+    code = (
         "from pathlib import Path\n"
         "from toolee_robot.devices.cameras.recording import RecordedStream\n"
         "def open_stream(config, device, clock):\n"
         "    return RecordedStream(Path(__file__).parent / 'r', clock)\n"
     )
-    info = tmp_path / "our_lab-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: our_lab\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[toolee_robot.devices]\ncamera.ours = our_lab:open_stream\ncamera.gone = our_lab:no_such\n"
-    )
+    _install(tmp_path, "our_lab", code, {"camera.ours": "open_stream", "camera.gone": "no_such"})
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     assert camera_drivers()["ours"] == "our_lab:open_stream"
     with open_camera(config(CameraDevice("ours", SERIAL, 0.3)), HostClock()) as camera:
@@ -122,22 +109,6 @@ def _install(folder: Path, package: str, code: str, names: dict[str, str]) -> No
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
     entries = "".join(f"{entry} = {package}:{name}\n" for entry, name in names.items())
     (info / "entry_points.txt").write_text(f"[toolee_robot.devices]\n{entries}")
-
-
-def test_a_labs_own_hand_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code = "def open_ours(model, config, clock):\n    return model, config.port\n"
-    names = {"hand.three_finger": "open_ours", "hand.inspire_rh56": "no_such"}
-    _install(tmp_path, "our_lab_hands", code, names)
-    monkeypatch.setitem(HANDS, "three_finger", THREE_FINGER_HAND)
-    with raises(ConfigError, "config.hand_driver"):
-        open_hand(HandConfig("three_finger", port="here"), HostClock())
-    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    ours: object = open_hand(HandConfig("three_finger", port="here"), HostClock())
-    assert ours == (THREE_FINGER_HAND, "here")
-    drivers = hand_drivers()
-    assert drivers["three_finger"] == "our_lab_hands:open_ours"
-    for name in (*HAND_FILES, "mount"):
-        assert drivers[name] == "toolee_robot", "ours stays ours"
 
 
 OURS = """

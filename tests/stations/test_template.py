@@ -24,7 +24,6 @@ from toolee_robot.stations.template import (
     OFFERED,
     applicable,
     get,
-    nullable,
     open_fields,
     open_questions,
     parse,
@@ -71,13 +70,6 @@ def test_what_was_answered_is_a_whole_station(tmp_path: Path) -> None:
     assert template(yaml.safe_load(template(data))) == template(data)
     assert set(said) - set(data) == {"servo", "calibration"}, "these are measured by commands of their own"
     assert open_questions(data) == []
-
-
-def test_a_hand_is_asked_how_it_is_screwed_on_and_what_it_weighs() -> None:
-    data: dict[str, Any] = {"hand": {"model": "inspire_rh56"}}
-    names = {question.name for question in open_questions(data)}
-    assert {"hand.port", "hand.weighed.mass", "hand.mounting.fingers", "hand.strap_force"} <= names
-    assert not any(name.startswith("hand.mount.") for name in names)
 
 
 def test_every_hand_is_asked_for_what_its_driver_and_a_job_need() -> None:
@@ -141,12 +133,6 @@ def test_an_answer_that_cannot_be_is_asked_again(name: str, answer: str, words: 
         parse(_field(name), answer)
 
 
-def test_a_list_may_be_copied_from_a_file() -> None:
-    home = _field("scene.home")
-    assert home.kind.startswith("6 numbers")
-    assert parse(home, "[0.0, -1.9, 1.9, -1.57, -1.57, 0.0]") == [0.0, -1.9, 1.9, -1.57, -1.57, 0.0]
-
-
 def test_what_most_labs_have_alike_is_offered() -> None:
     offered = {name: _field(name) for name in OFFERED}
     assert parse(offered["work.block_xy"], OFFERED["work.block_xy"]) is None
@@ -154,12 +140,6 @@ def test_what_most_labs_have_alike_is_offered() -> None:
     assert offered["work.block_xy"].kind.startswith("2 numbers")
     assert parse(offered["strike.speed"], OFFERED["strike.speed"]) == 0.4
     assert not any(name.startswith("tool_envelope") for name in OFFERED), "nobody's cylinders are the simulation's"
-
-
-def test_a_contact_that_is_not_there_is_none() -> None:
-    contact = _field("person.door_open_input")
-    assert nullable(contact)
-    assert parse(contact, "none") is None
 
 
 @pytest.mark.parametrize("model", [*HAND_FILES, "mount"])
