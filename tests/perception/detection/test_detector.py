@@ -16,10 +16,9 @@ from tests.errors import raises
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.detection.backbone import _near
 from toolee_robot.perception.detection.boxes import decode, encode, greedy_suppression
-from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector
-from toolee_robot.perception.detection.inputs import DetectorConfig, encode_rgbd
+from toolee_robot.perception.detection.detector import TOOL, Detector
+from toolee_robot.perception.detection.inputs import DetectorConfig
 from toolee_robot.perception.detection.instances import Instance, associate, without_duplicates
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.offline.evaluation.segmentation import coco_task, report
@@ -86,35 +85,6 @@ def test_augmentation_moves_image_and_maps_together() -> None:
     assert ((scale > 0.74) & (scale < 1.9)).all()
 
 
-def test_the_network_sees_sizes_in_metres_and_what_stands_out() -> None:
-    """A pixel twice as far seen with twice the focal length is as large; the near half stands out; holes say so."""
-    depth = torch.full((1, 128, 128), 0.8)
-    depth[:, :, :64] = 0.7
-    depth[:, 20:30, 20:30] = 0.0
-    rgb = torch.full((1, 3, 128, 128), 110.0)
-    seen, twice = (encode_rgbd(rgb, k * depth, torch.tensor([k * 400.0])).pixels for k in (1.0, 2.0))
-    torch.testing.assert_close(seen[:, 3], twice[:, 3])
-    assert float(seen[0, 3, 0, 127] - seen[0, 3, 0, 0]) == pytest.approx(2 * np.log(0.8 / 0.7), abs=1e-5)
-    assert seen[0, 4, 64, 60] < -0.5 < 0.5 < seen[0, 4, 64, 68]
-    assert not seen[0, 3:, 20:30, 20:30].any()
-    assert seen[0, 5].sum() == 128 * 128 - 100
-
-
-def test_the_mask_head_sees_places_in_metres() -> None:
-    """A wall 0.6 m away with a hole in its depth, and a region that reaches beyond the image."""
-    depth = torch.full((1, 64, 96), 0.6)
-    depth[:, 30:34, 40:44] = 0.0
-    batch = encode_rgbd(torch.zeros((1, 3, 64, 96)), depth, torch.tensor([300.0]))
-    near = _near(batch, torch.tensor([[0.0, -20.0, 4.0, 36.0, 60.0]]))[0]
-    x, y, z, known = near[3:]
-    # 56 pixels of 2 mm, in units of 5 cm, about the region's centre (8, 32).
-    torch.testing.assert_close(x[0], (torch.arange(56) + 0.5 - 28) * 2 / 50)
-    torch.testing.assert_close(y[:, 0], (torch.arange(56) + 0.5 - 28) * 2 / 50)
-    assert not z.any()
-    assert not known[:, :20].any()
-    assert known[:, 20:].all()
-
-
 def test_of_two_masks_of_one_thing_the_better_stays() -> None:
     whole, part, other = (np.zeros((20, 40), dtype=bool) for _ in range(3))
     whole[5:10, 5:30], part[5:10, 15:32], other[5:10, 5:30] = True, True, True
@@ -147,15 +117,6 @@ def log_of(folder: Path) -> list[dict[str, float]]:
     """The losses that a training logged, without its events."""
     entries = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     return [entry for entry in entries if "event" not in entry]
-
-
-@pytest.mark.nightly
-def test_training_lowers_the_loss_and_logs_it(trained: Path) -> None:
-    log = log_of(trained)
-    assert log[-1]["loss"] < 0.75 * log[0]["loss"]
-    description = json.loads((trained / "segmentation.json").read_text())
-    assert description["classes"] == list(CLASSES)
-    assert description["steps"] == STEPS
 
 
 def test_overfit_detector_finds_the_tools_of_its_pictures(trained: Path) -> None:

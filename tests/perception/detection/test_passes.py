@@ -112,38 +112,6 @@ def test_only_tools_without_a_certain_end_effector_are_looked_at_again() -> None
 
 
 WHERE = Crop(20, 20, 100, 80, (96, 128))
-EE, NEARLY = (40.0, 30.0, 60.0, 40.0), (41.0, 30.0, 61.0, 40.0)
-
-
-def scores_of(merged: list[Instance]) -> list[tuple[int, float]]:
-    """(label, score) of each, scores to twelve digits."""
-    return [(i.label, round(i.score, 12)) for i in merged]
-
-
-def test_things_in_both_passes_have_the_mean_score_and_the_second_mask() -> None:
-    merged = merge(instances((1, 0.4, EE)), [instances((1, 0.8, NEARLY))], [WHERE], IMAGE)
-    assert scores_of(merged) == [(1, 0.6)]
-    np.testing.assert_array_equal(merged[0].mask, mask_of(NEARLY))
-    assert merged[0].box == NEARLY
-
-
-def test_a_detection_of_one_pass_alone_has_half_its_score() -> None:
-    elsewhere = (70.0, 60.0, 80.0, 70.0)
-    merged = merge(instances((1, 0.4, EE)), [instances((1, 0.8, elsewhere))], [WHERE], IMAGE)
-    assert scores_of(merged) == [(1, 0.2), (1, 0.4)]
-    other_class = merge(instances((1, 0.4, EE)), [instances((2, 0.8, EE))], [WHERE], IMAGE)
-    assert scores_of(other_class) == [(1, 0.2), (2, 0.4)]
-
-
-def test_a_tool_keeps_its_better_mask_and_must_be_in_the_first_pass() -> None:
-    for second, expected in ((0.9, NEARLY), (0.3, EE)):
-        merged = merge(instances((TOOL, 0.5, EE)), [instances((TOOL, second, NEARLY))], [WHERE], IMAGE)
-        assert scores_of(merged) == [(TOOL, (0.5 + second) / 2)]
-        assert merged[0].box == expected
-    missed = merge(instances((TOOL, 0.5, EE)), [instances((TOOL, 0.9, (70.0, 60.0, 80.0, 70.0)))], [WHERE], IMAGE)
-    assert scores_of(missed) == [(TOOL, 0.5)]
-
-
 boxes_inside = st.tuples(st.integers(0, 108), st.integers(0, 76), st.integers(4, 20), st.integers(4, 20)).map(
     lambda v: (float(v[0]), float(v[1]), float(v[0] + v[2]), float(v[1] + v[3]))
 )

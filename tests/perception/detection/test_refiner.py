@@ -16,10 +16,8 @@ from tests.errors import raises
 from tests.perception.detection.toy_refiner import (
     CPU,
     TIMES,
-    TINY,
     TINY_DETECTOR,
     box_of,
-    described,
     dilated,
     eroded,
     masks_of,
@@ -31,14 +29,13 @@ from tests.perception.toy_scenes import toy_scenes, write_toys
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.detection.detector import TOOL, Detector, load_detector
 from toolee_robot.perception.detection.instances import Box, Instance, mask_iou
-from toolee_robot.perception.detection.refiner import MaskRefinement, Refiner, RefinerConfig, Squares, load_refiner
+from toolee_robot.perception.detection.refiner import MaskRefinement, Squares
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.offline.dataset.scenes import SegmentationSet
 from toolee_robot.perception.offline.training.detector_training import SegmentationTraining
 from toolee_robot.perception.offline.training.detector_training import train as train_detector
 from toolee_robot.perception.offline.training.refiner_training import (
-    CHECKPOINT,
     MIN_LEARNT_IOU,
     RefinementData,
     train,
@@ -152,22 +149,6 @@ def test_examples_show_their_end_effector(refinement_data: RefinementData) -> No
     assert (apart.abs().amax(1) > 2 * spread.amin(1)).float().mean() > 0.8
 
 
-@pytest.mark.nightly
-def test_training_writes_weights_configuration_validation_and_log(trained: Path) -> None:
-    description = described(trained)
-    assert RefinerConfig.from_json(description["model"]) == TINY  # type: ignore[arg-type]
-    assert (description["steps"], description["images"]) == (STEPS, 32)
-    assert description["training"]["lr"] == 1e-2  # type: ignore[index]
-    validation = description["validation"]
-    assert validation.keys() == {"mask", "dice", "quality", "iou", "iou_before"}  # type: ignore[attr-defined]
-    assert 0 < validation["iou"] <= 1  # type: ignore[index]
-    log = description["log"]
-    assert [entry["step"] for entry in log] == list(range(10, STEPS + 1, 10))  # type: ignore[attr-defined]
-    assert log[-1]["loss"] < 0.8 * log[0]["loss"]  # type: ignore[index]
-    load_refiner(Refiner(TINY), load_weights(trained, "refinement")[0])
-    assert (trained / CHECKPOINT).is_file()
-
-
 @pytest.mark.parametrize("spoilt", [dilated, eroded, shifted])
 def test_spoilt_masks_of_new_pictures_are_better_refined(
     trained: Path, spoilt: Callable[[NDArray[np.bool_]], NDArray[np.bool_]]
@@ -261,14 +242,6 @@ def test_a_damaged_refiner_is_named(text: str, code: str, trained: Path, tmp_pat
     (tmp_path / "refinement.json").write_text(text)
     with raises(AssetError, code=code):
         Segmenter.load(tmp_path)
-
-
-def test_a_refiner_s_missing_weights_are_named(trained: Path, tmp_path: Path) -> None:
-    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "refinement-00001-of-00001.safetensors").unlink()
-    with raises(AssetError, code="asset.missing") as refused:
-        Segmenter.load(tmp_path)
-    assert "refinement-00001-of-00001.safetensors" in str(refused.value)
 
 
 def without_tools(pictures: SegmentationSet, which: slice) -> SegmentationSet:

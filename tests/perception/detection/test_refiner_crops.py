@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -137,32 +136,3 @@ def test_what_lies_beyond_the_image_is_no_pixel_and_unknown() -> None:
     for channel in (0, 1, 2, KNOWN, MASK):
         assert not seen[:, channel][~inside].any()
     assert (seen[:, MASK][inside] == 1).all()
-
-
-def test_without_any_depth_there_is_no_place() -> None:
-    seen, _ = sample_squares(
-        plane(torch.zeros((HEIGHT, WIDTH)), 400.0),
-        torch.zeros(1, dtype=torch.long),
-        square(40.0, 30.0, 48.0),
-        everywhere,
-    )
-    assert not seen[0, [X, Y, Z, KNOWN]].any()
-    assert seen[0, MASK].all()
-
-
-def test_jittered_squares_still_show_their_detection() -> None:
-    torch.manual_seed(0)
-    found = torch.tensor([[100.0, 50.0, 160.0, 80.0]]).expand(2000, 4)
-    varied = Squares.about(found).jittered()
-    plain = Squares.about(found)
-    larger = varied.side / plain.side
-    assert ((larger > 0.77) & (larger < 1.29)).all()
-    assert larger.min() < 0.8
-    assert larger.max() > 1.25
-    assert (varied.turn == 0).float().mean() == pytest.approx(0.5, abs=0.05)
-    assert (varied.mirrored == -1).float().mean() == pytest.approx(0.5, abs=0.05)
-    assert set(varied.mirrored.tolist()) == {-1.0, 1.0}
-    # The box's middle in the square's own axes, as a share of its side: in view, but anywhere.
-    away = (varied.centre - plain.centre).norm(dim=1) / varied.side
-    assert away.max() < 0.5
-    assert away.mean() > 0.03

@@ -12,9 +12,7 @@ from torch import nn
 
 from tests.errors import raises
 from tests.perception.detection.toy_refiner import (
-    CPU,
     TINY,
-    noise,
     some_squares,
     training,
     used,
@@ -23,14 +21,12 @@ from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.detection.backbone import MASK_SIZE, paste_one
 from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.detection.refiner import (
-    MaskRefinement,
     Refiner,
     load_refiner,
 )
 from toolee_robot.perception.offline.training.refiner_training import (
     Detections,
 )
-from toolee_robot.types import RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=10)
 
@@ -83,22 +79,6 @@ def test_a_detection_s_training_mask_is_the_detector_s() -> None:
         pasted = paste_one(patch, box, 64, 96)
         assert pasted.any()
         assert mask_iou(pasted, mask) > 0.99
-
-
-def test_the_mirrored_image_s_masks_are_the_mirrored_masks() -> None:
-    """Of any refiner, though an untrained one draws something else in the mirror: the mean knows no left and right."""
-    refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
-    frame, [before] = noise()
-    x0, y0, x1, y1 = before.box
-    (seen,) = refinement(frame, [before])
-    mirrored = RgbdFrame(frame.rgb[:, ::-1].copy(), frame.depth[:, ::-1].copy(), frame.intrinsics)
-    there = before._replace(mask=before.mask[:, ::-1].copy(), box=(80 - x1, y0, 80 - x0, y1))
-    (again,) = refinement(mirrored, [there])
-    assert again.score == pytest.approx(seen.score, abs=1e-3)
-    assert 50 < seen.mask.sum() < 1400
-    assert mask_iou(again.mask[:, ::-1], seen.mask) > 0.97
-    assert mask_iou(again.mask, seen.mask) < 0.9
-    assert mask_iou(before.mask, seen.mask) < 0.9
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,6 @@ from toolee_robot.perception.pose.canonical import (
     canonicalize_one,
     complete_depth,
     farthest_points_first,
-    ray_rotation,
     with_rest,
     with_rest_one,
 )
@@ -81,15 +80,6 @@ def test_any_vector_decodes_to_a_rotation_that_keeps_the_action_axis(seed: int) 
     torch.testing.assert_close(R @ R.mT, torch.eye(3, dtype=R.dtype).expand(4, 3, 3), atol=1e-9, rtol=0)
     assert bool((torch.linalg.det(R) > 0).all())
     torch.testing.assert_close(R[0, :, 2], u[0, :3] / u[0, :3].norm())
-
-
-def test_ray_rotation_turns_the_ray_onto_z() -> None:
-    centre = torch.tensor([[0.2, -0.1, 0.6], [0.0, 0.0, 1.0]])
-    R = ray_rotation(centre)
-    turned = torch.einsum("bij,bj->bi", R, centre)
-    torch.testing.assert_close(
-        turned, torch.tensor([[0.0, 0.0, 1.0]]) * centre.norm(dim=1, keepdim=True), atol=1e-6, rtol=0
-    )
 
 
 @given(seeds, st.integers(1, 40), st.integers(1, 12))

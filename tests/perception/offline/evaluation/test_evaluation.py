@@ -7,7 +7,6 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from toolee_robot.perception.offline.evaluation import metrics, pose
 from toolee_robot.perception.offline.evaluation.estimates import Ranked, answer, load_estimator, questions, summary
 from toolee_robot.perception.offline.evaluation.examples import Examples, collect, ee_shape, of_role
 from toolee_robot.perception.offline.evaluation.pose import held_out_breakdown
-from toolee_robot.perception.offline.evaluation.report import pose_tables
 from toolee_robot.perception.offline.evaluation.run import empty_frame
 from toolee_robot.perception.offline.evaluation.segmentation import STATISTICS, CocoTask, coco_task, statistics
 from toolee_robot.perception.pose import PoseEstimator
@@ -96,42 +94,6 @@ def test_an_end_effector_is_taken_once_and_what_is_not_asked_for_does_not_count(
     correct, counted = pose.right_poses(unasked, right)
     assert not correct.any()
     assert not counted.any()
-
-
-def test_tables_and_the_report(examples: Examples) -> None:
-    estimator = PoseEstimator.load()
-    report: dict[str, Any] = {
-        "data": {
-            "folder": "<data>",
-            "images": 4,
-            "targets": 3,
-            "targets_held_out": 3,
-            "held_out_tools": 2,
-            "left_out_under_50_points": 0,
-        },
-        "no_tool": {"frames": 2, "with_a_detection": 1, "with_a_usable_pose": 0, "share_without": 1.0},
-    }
-    record: dict[str, object] = {"method": {"name": "ours", "candidates": 32, "sampler": "Euler(steps=5)"}}
-    for masks in ("truth", "predicted"):
-        answers = (answer(estimator, Trust(), question) for question in questions(examples, masks))
-        rows, ranked = summary(examples, answers)
-        assert len(rows) == sum(i.target for i in examples.instances)
-        assert np.all(rows.position[~rows.made] == np.inf)
-        groups = pose.tables(rows)
-        assert set(groups) == {"held-out"}
-        for category, row in groups["held-out"]["table"].items():
-            assert row["2deg2mm"] <= row["5deg5mm"] <= row["5deg1cm"] <= row["5deg2cm"] <= row["10deg5cm"], category
-        latency = {**pose.latency(rows), "device": "cpu", "torch_threads": 1}
-        record[masks] = {
-            "groups": groups,
-            "breakdown": held_out_breakdown(examples.instances, rows),
-            "usable": pose.usable_poses(examples.instances, ranked, examples.images),
-            "latency": latency,
-        }
-    report["estimators"] = {"ours & more": record}
-    cells = [row for table in pose_tables(report) for row in table.rows]
-    assert any("ours & more" in row for row in cells)
-    json.dumps(report, default=float)
 
 
 def test_the_command_writes_the_report(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
