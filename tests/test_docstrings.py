@@ -212,36 +212,3 @@ def test_what_another_room_imports_documents_arguments_result_and_errors(
         found = missing_sections((ROOT / path).read_text(), classes, names.__contains__)
         missing += [f"{path}: {what}" for what in found]
     assert missing == []
-
-
-def test_sections_that_are_missing_are_found() -> None:
-    source = '''
-class LimitError(TooleeError):
-    pass
-
-
-class Arm:
-    """An arm."""
-
-    def __init__(self, model, rate):
-        pass
-
-    def move(self, q: Array) -> None:
-        """Move to q."""
-        raise LimitError("too fast")
-
-    def distance(self, a: Array, b: Array) -> float:
-        """Distance.
-
-        Args:
-            a: A place.
-            b: The other one.
-        """
-
-
-class FastArm(Arm):
-    def distance(self, a: Array, b: Array) -> float:
-        return 0.0
-'''
-    found = list(missing_sections(source, Classes([source]), lambda name: name == "Arm"))
-    assert found == ["Arm.__init__: Args", "Arm.move: Raises LimitError", "Arm.distance: Returns"]

@@ -248,11 +248,6 @@ def test_poses_in_the_other_frame_of_the_base_are_noticed(tmp_path: Path, capsys
     assert not (tmp_path / "out").exists(), "nothing is left of a refused calibration"
 
 
-def test_without_the_measured_bars_nothing_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["calibrate", "camera", "--station", str(LAB), "--images", str(tmp_path)]) == 2
-    assert "--bars-mm" in capsys.readouterr().err
-
-
 def test_the_touch_of_a_corner_agrees_or_tells_why_not(calibrated: Path, tmp_path: Path) -> None:
     record = read_record(calibrated / "camera.json")
     write_record(tmp_path / "camera.json", record)

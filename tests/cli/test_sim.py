@@ -264,19 +264,6 @@ def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal
 
 
 @pytest.mark.nightly
-def test_a_nail_out_of_reach_ends_the_job_with_a_reason_and_the_arm_parked(tmp_path: Path) -> None:
-    (tmp_path / "lab.yaml").write_text("frame: base_link\nwork: {nail_xy: [2.5, 0.1]}")
-    process = _start(tmp_path, "--variant", "perfect_perception", "--seed", "101", "--json", "--config", "lab.yaml")
-    out, err = process.communicate(timeout=120)
-    record = _line(out)
-    assert process.returncode == 1, err
-    assert (record["outcome"], record["strikes"]) == ("no_plan", 0)
-    assert "move the block" in record["reason"]
-    assert "park" in record["stage_seconds"]
-    assert "Traceback" not in err
-
-
-@pytest.mark.nightly
 @pytest.mark.parametrize("model", ["UR10", "UR10e"])
 def test_a_nail_of_fifty_millimetres_needs_no_pilot_hole(tmp_path: Path, model: str) -> None:
     """The example's nail takes 21 J, more than five times the default one."""

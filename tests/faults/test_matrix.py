@@ -4,70 +4,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from tests.faults import matrix
-from tests.faults.record import ATTEMPTS, FaultRow, Measurement, MissedMomentError, Phase
 from tests.faults.rows.commands import into_itself, into_the_table
 from tests.rigs.strikes import Swing, plan_swing
-from tests.stalls import STALL_LIMIT
 from toolee_robot.control.supervisor_checks import check_clear, check_limits
-from toolee_robot.errors import CollisionError, LinkLostError, TooleeError
+from toolee_robot.errors import CollisionError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel, Trajectory
-
-
-class Machine:
-    """A latency monitor that has seen these stalls [s], one in each measurement."""
-
-    def __init__(self, *stalls: float) -> None:
-        self._stalls = list(stalls)
-        self.longest = 0.0
-
-    def begin(self) -> None:
-        self.longest = self._stalls.pop(0) if self._stalls else 0.0
-
-
-def measurement(*outcomes: bool | TooleeError) -> Measurement:
-    left = list(outcomes)
-
-    def run() -> FaultRow:
-        outcome = left.pop(0)
-        if isinstance(outcome, TooleeError):
-            raise outcome
-        return FaultRow(9, "connection closed", Phase.REST, "UR10", "latches", "latched", True, outcome)
-
-    return Measurement(9, "connection closed", Phase.REST, "UR10", "latches", run)
-
-
-STALL = 2 * STALL_LIMIT
-MISSED = MissedMomentError("too late")
-
-
-@pytest.mark.parametrize(
-    ("outcomes", "stalls", "handled", "again"),
-    [
-        ((False,), (), False, 0),
-        ((False, True), (STALL,), True, 1),
-        ((False,) * ATTEMPTS, (STALL,) * ATTEMPTS, False, ATTEMPTS - 1),
-        ((LinkLostError("the link is gone"),), (), False, 0),
-        ((MISSED, True), (), True, 1),
-        ((MISSED,) * ATTEMPTS, (), False, ATTEMPTS - 1),
-    ],
-)
-def test_only_what_failed_while_the_machine_stalled_or_missed_its_moment_is_measured_again(
-    outcomes: Any, stalls: tuple[float, ...], handled: bool, again: int
-) -> None:
-    machine: Any = Machine(*stalls)
-    row = measurement(*outcomes).row(machine)
-    assert (row.handled, row.again) == (handled, again)
-    if isinstance(outcomes[-1], TooleeError):
-        assert row.got == "not measured"
-        assert str(outcomes[-1]) in row.why
 
 
 def test_every_row_is_listed_once_and_its_number_is_on_the_safety_page() -> None:

@@ -135,17 +135,6 @@ def written(folder: Path, **fields: object) -> Path:
     return path
 
 
-@pytest.mark.nightly
-def test_the_job_has_the_terminal_and_the_person_answers_both(tmp_path: Path) -> None:
-    plan = written(tmp_path)
-    with Terminal(CHEAP, "trials", str(plan), "--out", str(tmp_path / "out")) as terminal:
-        assert terminal.until_end({**ANSWERS, "moving?": "go"}) == 0, terminal.text
-    assert "job: at the terminal True True" in terminal.text
-    assert "2 of 2 flush" in terminal.text
-    records, _ = read_results(load_plan(plan), tmp_path / "out")
-    assert [record.figures["robot"]["outcome"] for record in records] == ["flush", "flush"]
-
-
 @pytest.mark.parametrize("by", ["the keyboard", pytest.param("SIGTERM", marks=pytest.mark.nightly)])
 def test_ctrl_c_in_a_job_stops_the_job_alone_and_the_person_measures_it(tmp_path: Path, by: str) -> None:
     plan = written(tmp_path, trials=1)

@@ -11,11 +11,10 @@ from typing import Any
 import pytest
 
 from tests.errors import raises
-from tests.paper_weights import untrained_paper_weights
 from toolee_robot.app.job import JobSpec
 from toolee_robot.app.sources import Lab
 from toolee_robot.app.variant import Variant
-from toolee_robot.errors import AssetError, ConfigError, TooleeError, UserError
+from toolee_robot.errors import ConfigError, TooleeError, UserError
 from toolee_robot.station import ToolData, load_lab_station
 from toolee_robot.trials import Record, Trial, TrialPlan, lead_trials, load_plan, run_trials, write_report
 from toolee_robot.trials.plan import InRehearsal, InSimulation, NailSizes, OnRobot
@@ -184,18 +183,6 @@ def test_the_person_decides_whatever_the_robot_believes(
     assert (record.success, record.figures["outcome"]) == (flush, outcome)
     assert record.figures["robot"]["success"]
     assert record.figures["person"]["slipped"] == (answers[2] == "y")
-
-
-def test_the_papers_estimator_may_be_tried_on_a_robot(tmp_path: Path) -> None:
-    """It needs no truth."""
-    weights = untrained_paper_weights(tmp_path / "weights")
-    plan = replace(PLAN, trials=1, arms=(Variant.PAPER,), tools=(), paper_weights=str(weights))
-    robot = lead(plan, tmp_path / "out", Person(*GOOD))
-    assert robot.specs[0].paper_weights == weights
-    missing, robot = replace(plan, paper_weights=str(tmp_path / "none")), Robot()
-    with raises(AssetError, code="asset.missing"):
-        lead(missing, tmp_path / "other", Person(*GOOD), robot)
-    assert not robot.specs
 
 
 def test_a_void_trial_is_kept_with_its_reason_and_done_again(tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ from hypothesis import strategies as st
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.devices.cameras.lens import Lens, LensModel
-from toolee_robot.devices.cameras.lens_choice import LensSource, StatedLens, choose_lens
 from toolee_robot.errors import NotReadyError
 from toolee_robot.types import CameraIntrinsics
 
@@ -36,16 +33,6 @@ def test_rays_are_those_of_librealsense(coefficients: tuple[float, ...], name: s
     for u, v in ((0, 0), (423, 239), (30, 200), (213, 119), (400, 20)):
         pixel = rs.rs2_project_point_to_pixel(theirs, [*map(float, rays[:, v, u]), 1.0])
         assert np.abs(np.subtract(pixel, (u, v))).max() < 0.01, "a hundredth of a pixel"
-
-
-@examples(10)
-@given(coefficients=COEFFICIENTS)
-def test_rays_project_back_to_their_pixels(coefficients: tuple[float, ...]) -> None:
-    rays = Lens(PINHOLE, LensModel.BROWN_CONRADY, coefficients).rays()
-    points = np.concatenate([rays.reshape(2, -1).T, np.ones((rays[0].size, 1))], axis=1).astype(np.float64)
-    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), PINHOLE.matrix, np.array(coefficients))
-    v, u = np.mgrid[: PINHOLE.height, : PINHOLE.width]
-    assert np.abs(pixels.reshape(-1, 2) - np.stack([u.ravel(), v.ravel()], axis=1)).max() < 0.02
 
 
 @examples(20)
@@ -123,70 +110,3 @@ def test_without_distortion_nothing_moves() -> None:
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (PINHOLE.height, PINHOLE.width, 3)).astype(np.uint8)
     np.testing.assert_array_equal(lens.undistortion().color(image), image)
-
-
-COEFFICIENTS_LENS_CHOICE = (0.08, -0.1, 8e-4, -5e-4, 0.02)
-KNOWN = Lens(PINHOLE, LensModel.MODIFIED_BROWN_CONRADY, COEFFICIENTS_LENS_CHOICE)
-UNKNOWN = Lens(PINHOLE, LensModel.UNKNOWN)
-
-
-def test_without_a_file_the_cameras_own_holds() -> None:
-    for told in (KNOWN, UNKNOWN, Lens(PINHOLE)):
-        chosen = choose_lens(told, None)
-        assert (chosen.lens, chosen.source) == (told, LensSource.CAMERA)
-    assert "not known" in choose_lens(UNKNOWN, None).words
-    assert "up to 4." in choose_lens(KNOWN, None).words, "its displacement"
-
-
-@pytest.mark.parametrize("told", [KNOWN, UNKNOWN, Lens(PINHOLE)])
-def test_a_file_that_states_no_distortion_must_have_the_cameras_pinhole(told: Lens) -> None:
-    assert choose_lens(told, StatedLens(replace(PINHOLE, fx=390.004))).lens == told
-    with raises(NotReadyError, "not_ready.camera_intrinsics"):
-        choose_lens(told, StatedLens(replace(PINHOLE, fx=390.1)))
-    for stated in (
-        StatedLens(replace(PINHOLE, width=640)),
-        StatedLens(replace(PINHOLE, width=640), COEFFICIENTS_LENS_CHOICE),
-    ):
-        with raises(NotReadyError, "not_ready.camera_size"):
-            choose_lens(told, stated)
-
-
-def test_of_a_camera_that_tells_none_the_files_holds() -> None:
-    chosen = choose_lens(UNKNOWN, StatedLens(replace(PINHOLE, fx=392.5), COEFFICIENTS_LENS_CHOICE))
-    assert chosen.source is LensSource.FILE
-    assert (chosen.lens.model, chosen.lens.coefficients) == (LensModel.BROWN_CONRADY, COEFFICIENTS_LENS_CHOICE)
-    assert chosen.lens.intrinsics.fx == 392.5, "focal lengths and distortion are measured together"
-    undistorted = choose_lens(UNKNOWN, StatedLens(PINHOLE, (0.0,) * 4))
-    assert undistorted.lens.known
-    assert not undistorted.lens.distorts
-    with raises(NotReadyError, "not_ready.camera_distortion"):
-        choose_lens(UNKNOWN, StatedLens(replace(PINHOLE, fx=480.0), COEFFICIENTS_LENS_CHOICE))
-
-
-def test_a_typed_distortion_must_be_the_cameras_own() -> None:
-    told = Lens(PINHOLE, LensModel.BROWN_CONRADY, COEFFICIENTS_LENS_CHOICE)
-    rounded = tuple(round(c, 4) for c in COEFFICIENTS_LENS_CHOICE)
-    assert choose_lens(told, StatedLens(PINHOLE, rounded)).source is LensSource.CAMERA
-    for distortion in ((0.0,) * 4, (-0.08, *COEFFICIENTS_LENS_CHOICE[1:])):
-        with raises(NotReadyError, "not_ready.camera_distortion"):
-            choose_lens(told, StatedLens(PINHOLE, distortion))
-    with raises(NotReadyError, "not_ready.camera_distortion"):
-        choose_lens(Lens(PINHOLE), StatedLens(PINHOLE, COEFFICIENTS_LENS_CHOICE))
-
-
-@pytest.mark.parametrize("stated", [None, StatedLens(PINHOLE), StatedLens(PINHOLE, COEFFICIENTS_LENS_CHOICE)])
-def test_images_that_are_undistorted_are_not_undistorted_again(stated: StatedLens | None) -> None:
-    """As a recording's, which the station's own lens undistorted."""
-    chosen = choose_lens(Lens(PINHOLE), stated, undistorted=True)
-    assert (chosen.lens, chosen.source) == (Lens(PINHOLE), LensSource.RECORDING)
-    assert chosen.words == "undistorted when it was recorded"
-    if stated is not None:
-        with raises(NotReadyError, "not_ready.camera_intrinsics"):
-            choose_lens(Lens(PINHOLE), replace(stated, intrinsics=replace(PINHOLE, fx=390.1)), undistorted=True)
-
-
-def test_where_nobody_knows_whether_images_are_undistorted_no_lens_is_applied() -> None:
-    for stated in (None, StatedLens(PINHOLE), StatedLens(PINHOLE, (0.0,) * 4)):
-        assert not choose_lens(UNKNOWN, stated, undistorted=None).lens.distorts
-    with raises(NotReadyError, "not_ready.camera_undistorted"):
-        choose_lens(UNKNOWN, StatedLens(PINHOLE, COEFFICIENTS_LENS_CHOICE), undistorted=None)
