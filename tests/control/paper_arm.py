@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from tests.rigs.people import People
 from toolee_robot.control.motion.path_stop import stop_on_path
 from toolee_robot.errors import DeviceError, MotionFaultError, StaleDataError
 from toolee_robot.frames import Array
@@ -105,37 +106,17 @@ class PaperArm:
         self.resets += 1
 
 
-class Bystander:
-    """A person who is where a test puts them."""
+class Bystander(People):
+    """A person who is where a test puts them, with the hold-to-run switch in the hand."""
 
     def __init__(self) -> None:
-        self.here, self.holds, self.confirms, self.late = False, True, True, False
-        self.asked = 0
-
-    def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        return True
-
-    def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        return True
-
-    def take_tool(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        return True
-
-    def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        self.asked += 1
-        return self.confirms
-
-    def confirm_inspection(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        return True
-
-    def hold_switch(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        return self.holds
+        super().__init__()
+        self.here, self.holds, self.late = False, True, False
 
     def zone_occupied(self) -> bool:
         return self.here or self.late
 
     def readings_certain(self) -> bool:
-        """See `hal.Person`."""
         return not self.late
 
     def hold_to_run_held(self) -> bool:

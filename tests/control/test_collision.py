@@ -83,13 +83,6 @@ def test_closest_pair_is_the_exact_one(world: CollisionWorld, home: Array) -> No
     assert near >= 3
 
 
-def test_home_is_free_with_and_without_a_tool(
-    robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array
-) -> None:
-    assert world.closest(home).distance > 0.02
-    assert CollisionWorld(robot, config, robot.description.hand_open).closest(home).distance > 0.02
-
-
 def test_a_block_in_the_way_is_named(
     robot: RobotModel, config: StationConfig, q_hand: Array, X_hand_ee: Array, home: Array
 ) -> None:
@@ -99,13 +92,6 @@ def test_a_block_in_the_way_is_named(
     with pytest.raises(CollisionError, match="crate"):
         world.check(home, 0.01, "standing here")
     assert world.free(home, 0.01, frozenset((part, "crate") for part in ("tool head", "tool claw", "tool handle")))
-
-
-def test_the_row_of_the_batch_is_reported(world: CollisionWorld, home: Array) -> None:
-    into_the_table = home + np.array([0, 0.6, 0, 0, 0, 0])
-    closest = world.closest(np.stack([home, home, into_the_table]))
-    assert "table" in closest.pair
-    assert closest.distance < 0
 
 
 @pytest.mark.parametrize("model", list(ArmModel))

@@ -28,10 +28,8 @@ from toolee_robot.control import (
 from toolee_robot.control.arm_dynamics import ArmDynamics
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT
 from toolee_robot.control.collision_shapes import box_body
-from toolee_robot.control.correction import candidates, flange_targets
 from toolee_robot.control.limits import carried_speed
 from toolee_robot.control.planning.swing_problem import HEIGHT_ERROR
-from toolee_robot.control.planning.swing_spline import Spline
 from toolee_robot.control.supervisor_checks import check_limits, check_speed
 from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, transform
@@ -169,15 +167,6 @@ def test_a_deeper_turn_is_faster_and_the_stations_speed_ends_it(
     assert speeds[-1] > 1.35
 
 
-def test_a_speed_that_is_asked_for_is_met(
-    robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array, q_hand: Array, X_hand_ee: Array
-) -> None:
-    nail = config.work.X_base_nail()
-    plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, nail, tool=TOOL, speed=0.5)
-    assert plan.speed == pytest.approx(0.5, rel=0.02)
-    assert plan.wanted_speed == 0.5
-
-
 @pytest.mark.parametrize(
     ("xy", "mass", "deepest", "error", "code"),
     [
@@ -235,24 +224,6 @@ def test_a_wall_in_the_way_and_a_broken_pose_are_refused(
         plan_strike(robot, config, world, home, q_hand, X_hand_ee * np.nan, nail, tool=TOOL)
 
 
-@given(x=st.lists(st.floats(-1, 1), min_size=10, max_size=10), u=st.floats(0, 1))
-@examples(50)
-def test_a_spline_rests_at_its_ends_passes_the_contact_and_moves_as_it_says(x: list[float], u: float) -> None:
-    spline = Spline.build(0.03, 7, 5)
-    assert spline.size == len(x)
-    ends, at = np.array([0.0, 12 * 0.03]), np.array([0.005 + u * 0.35])
-    for order in (1, 2):
-        assert np.allclose(spline.at(ends, order) @ x, 0.0, atol=1e-9)
-    assert np.allclose(spline.at(np.array([spline.contact_time])) @ x, 0.0, atol=1e-12)
-    h = 1e-5
-    for order in (0, 1):
-        slope = (spline.at(at + h, order) - spline.at(at - h, order)) @ x / (2 * h)
-        assert np.allclose(slope, spline.at(at, order + 1) @ x, rtol=1e-3, atol=1e-2 * 30**order)
-    middle = 0.03 * np.arange(0.5, 12.0)
-    jerk = (spline.at(middle + h, 2) - spline.at(middle - h, 2)) @ x / (2 * h)
-    assert np.allclose(jerk, spline.jerk() @ x, rtol=1e-3, atol=1.0)
-
-
 def offset(along: float, about_deg: float, tilt_deg: float) -> Array:
     """A slip of the tool in the hand: along the handle [m], about it, and a tilt about both other axes [deg]."""
     return transform(Rotation.from_euler("ZYX", [about_deg, tilt_deg, -tilt_deg], degrees=True), [0, 0, along])
@@ -276,26 +247,6 @@ def faces(robot: RobotModel, q: Array, q_hand: Array, X_hand_ee: Array) -> Array
     return np.stack([robot.X_base_ee(row, q_hand, X_hand_ee) for row in q])
 
 
-@given(along=st.floats(-0.03, 0.03), about=st.floats(-25, 25), tilt=st.floats(-12, 12), theta=st.floats(-3.1, 3.1))
-@examples(50)
-def test_any_spin_puts_the_face_onto_the_nail(
-    robot: RobotModel, q_hand: Array, X_tool_ee: Array, along: float, about: float, tilt: float, theta: float
-) -> None:
-    X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ offset(along, about, tilt) @ X_tool_ee
-    X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
-    X_base_nail = sim_station().work.X_base_nail()
-    X_base_ee = flange_targets(X_base_nail, X_flange_ee, np.array(theta)) @ X_flange_ee
-    assert np.allclose(X_base_ee[:3, 3], X_base_nail[:3, 3], atol=1e-12)
-    assert np.allclose(X_base_ee[:3, 2], X_base_nail[:3, 2], atol=1e-12)
-    spun = Rotation.from_matrix(X_base_nail[:3, :3].T @ X_base_ee[:3, :3]).as_rotvec()
-    assert spun[2] == pytest.approx(theta, abs=1e-9)
-
-
-def test_nothing_but_the_tool_meets_the_block(world: CollisionWorld, config: StationConfig, plan: StrikePlan) -> None:
-    closest = world.closest(plan.strike.q, 0.05, BRAKE_EXEMPT)
-    assert closest.distance >= config.strike.clearance, closest
-
-
 @pytest.mark.nightly
 def test_offsets_of_the_whole_range_are_planned(
     robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_tool_ee: Array
@@ -312,28 +263,6 @@ def test_offsets_of_the_whole_range_are_planned(
         assert np.allclose(plan.X_base_ee_contact[:3, 2:], X_base_nail[:3, 2:], atol=1e-6)
         speeds.append(plan.speed)
     assert np.min(speeds) >= 0.8
-
-
-def hand_jacobian(robot: RobotModel, q_arm: Array, q_hand: Array) -> Array:
-    """(6, 6): the palm's velocity [m/s] over its angular velocity [rad/s], base axes, for the arm's joints."""
-    model = robot.model
-    q, palm = robot.configuration(q_arm, q_hand), model.getFrameId(SHADOW_HAND.frame)
-    J = pin.computeFrameJacobian(model, model.createData(), q, palm, pin.LOCAL_WORLD_ALIGNED)
-    return np.asarray(J[:, [model.joints[model.getJointId(name)].idx_v for name in robot.description.arm_joints]])
-
-
-def test_attainable_speed_saturates_one_joint(
-    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array
-) -> None:
-    X_base_nail = config.work.X_base_nail()
-    X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
-    found = candidates(robot.ik, X_base_nail, X_flange_ee, config.arm, home)
-    assert len(np.unique(found.theta)) > 20
-    assert len(np.unique(found.branch)) >= 4
-    for i in range(0, len(found.q), 15):
-        J = hand_jacobian(robot, found.q[i], q_hand)
-        qd = np.linalg.solve(J, np.append(X_base_nail[:3, 2], np.zeros(3))) * found.attainable_speed[i]
-        assert np.max(np.abs(qd) / config.arm.velocity) == pytest.approx(1.0, rel=1e-6)
 
 
 def test_touch_is_slow_straight_and_measures_the_protrusion(

@@ -135,14 +135,6 @@ def test_values_that_are_not_finite_latch(desk: Desk, change: Callable[[Trajecto
     desk.supervisor.execute(desk.slow())
 
 
-def test_the_workspace_ends_somewhere(
-    robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array
-) -> None:
-    low = replace(config, scene=replace(config.scene, workspace_upper=(1.2, 1.2, 0.3)))
-    desk = Desk(robot, low, world, home)
-    refused(desk, LimitError, lambda: desk.supervisor.execute(desk.slow()), "limit.flange_position")
-
-
 def test_hand_and_tool_stay_within_the_workspace(
     robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array
 ) -> None:

@@ -28,13 +28,6 @@ def test_it_bounces_into_being_made() -> None:
     assert door.made
 
 
-def test_one_reading_ends_it_at_once() -> None:
-    door = Contact("door", 0, 1, GAP)
-    fed(door, (MADE, 0.2), (UNPLUGGED, 0.01))
-    assert not door.made
-    assert not door.broken
-
-
 def test_contacts_that_disagree_are_a_fault_until_the_door_was_opened() -> None:
     for bits, expected in ((UNPLUGGED, "unplugged"), (STUCK, "stuck")):
         door = Contact("door", 0, 1, GAP)
@@ -55,13 +48,6 @@ def test_a_single_contact_that_is_unplugged_is_broken() -> None:
     assert door.made
     fed(door, (UNPLUGGED, 0.2), start=0.2)
     assert door.broken
-
-
-def test_readings_with_a_gap_do_not_add_up() -> None:
-    door = Contact("door", 0, 1, GAP)
-    now = fed(door, (MADE, 0.2))
-    door.update(MADE, now + 1.0)
-    assert not door.made
 
 
 def test_what_cannot_be_read_is_neither() -> None:

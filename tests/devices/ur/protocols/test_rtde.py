@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import socket
 import time
 from itertools import pairwise
@@ -167,16 +166,6 @@ def test_a_slow_or_chatty_controller_does_not_hold_us_up(
 def test_what_is_wrong_is_said(chunks: tuple[bytes, ...], code: str) -> None:
     with raises(ProtocolError, code=code):
         _talk(chunks)
-
-
-def test_values_that_are_no_numbers_pass_as_such() -> None:
-    types = ["DOUBLE"]
-    with peer_sends(setup_reply(types), data(types, [math.nan])) as sock:
-        reader = RtdeReader(sock)
-        reader.subscribe(["timestamp"], 125.0, soon())
-        stamp = reader.read(soon()).values["timestamp"]
-        assert isinstance(stamp, float)
-        assert math.isnan(stamp)
 
 
 _HELLO = b"Connected: Universal Robots Dashboard Server\n"
