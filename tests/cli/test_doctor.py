@@ -113,22 +113,6 @@ def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
     assert f"toolee doctor --config {path} --inputs" in found["person"]["remedy"]
 
 
-@pytest.mark.nightly
-@pytest.mark.sim(seconds=40)
-@pytest.mark.parametrize(("turned", "level"), [pytest.param(False, "ok", marks=pytest.mark.nightly), (True, "fail")])
-def test_a_point_that_was_read_in_the_other_frame_is_found(
-    robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str], turned: bool, level: str
-) -> None:
-    """A station that is entered so lies on the far side of the robot, and all its other checks pass."""
-    x, y, z = 1e3 * DhParameters.of(sim_station().arm.model).fk(np.array(robot.state()["q"]))[:3, 3]
-    point = [f"{-x:.1f}", f"{-y:.1f}", f"{z:.1f}"] if turned else [f"{x:.1f}", f"{y:.1f}", f"{z:.1f}"]
-    args = ("--robot-host", _HOST, "--config", lab, "--jogged-point", *point)
-    code, record, said = _doctor(capsys, *args)
-    found = {f["name"]: f for f in record["findings"]}["jogged point"]
-    assert (found["level"], code) == (level, int(turned)), said
-    assert ("half a turn" in found["message"]) is turned
-
-
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch, keyboard: int) -> int:
     """A person at a terminal, who sees what is printed and may type."""
@@ -232,24 +216,6 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     assert "✗  safety              robot emergency stop" in said
     assert "release the emergency stop, and confirm it at the teach pendant" in said
     assert "Not ready:" in said
-
-
-@pytest.mark.nightly
-@pytest.mark.sim(seconds=40)
-def test_a_base_that_does_not_stand_as_the_file_says_is_felt(
-    robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It hangs on a wall, and neither the file nor the installation says so."""
-    robot.fault("mounting", up=[9.82, 0.0, 0.0])
-    try:
-        code, record, said = _doctor(capsys, "--config", lab)
-    finally:
-        robot.fault("mounting", up=[0.0, 0.0, 9.82])
-    found = {f["name"]: f for f in record["findings"]}["mounting"]
-    assert (code, found["level"]) == (1, "fail"), said
-    assert "(-1.00, 0.00, 0.00) in base_link, (1.00, 0.00, 0.00) in pendant_base" in found["message"]
-    assert "arm.up is 90.0° off" in found["message"]
-    assert "correct arm.up" in found["remedy"]
 
 
 @pytest.mark.nightly

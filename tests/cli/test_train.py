@@ -6,21 +6,18 @@ import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 from tests.errors import raises
 from tests.perception.data_sets import frames
-from tests.perception.toy_scenes import toy_scenes
+from tests.perception.toy_scenes import toy_scenes, write_toys
 from toolee_robot.cli.app import run
 from toolee_robot.errors import UserError
 from toolee_robot.perception.detection.refiner import MaskRefinement
-from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH, EeTable, Example
-from toolee_robot.perception.offline.dataset.scenes import write_scene
+from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.offline.training.options import remember
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
-from toolee_robot.types import CameraIntrinsics
 
 pytestmark = pytest.mark.sim(seconds=15)
 
@@ -28,16 +25,7 @@ pytestmark = pytest.mark.sim(seconds=15)
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("train")
-    scenes = toy_scenes(3, height=HEIGHT, width=WIDTH)
-    camera = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, WIDTH, HEIGHT)
-    examples = []
-    for i in range(3):
-        table = EeTable.empty()
-        table.category[0], table.obj_id[0] = scenes.categories[i, 0], 1
-        table.visible[0] = np.count_nonzero(scenes.ee[i])
-        depth = np.full((HEIGHT, WIDTH), 800, np.uint16)
-        examples.append(Example(scenes.rgb[i], depth, scenes.ee[i], scenes.tool[i], table, camera, 0, scenes.ee[i]))
-    write_scene(folder / "000000", examples)
+    write_toys(folder / "000000", toy_scenes(3, height=HEIGHT, width=WIDTH))
     return folder
 
 

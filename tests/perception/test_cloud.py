@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.errors import raises
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import UserError
 from toolee_robot.perception.cloud import (
     back_project,
     check_depth_unit,
@@ -60,20 +57,6 @@ def test_unknown_depth_gives_no_points() -> None:
     points = back_project(depth, mask, CAMERA)
     assert len(points) == mask.sum() - 4
     assert np.isfinite(points).all()
-
-
-@pytest.mark.parametrize(
-    ("depth", "code", "remedy"),
-    [
-        (np.full((4, 4), 800.0), "user.depth_unit", "--depth-scale 0.001"),
-        (np.full((4, 4), 8e-4), "user.depth_unit", "--depth-scale"),
-        (-np.ones((4, 4)), "user.depth_negative", "metres"),
-    ],
-)
-def test_depth_in_the_wrong_unit_says_what_to_pass(depth: np.ndarray, code: str, remedy: str) -> None:
-    with raises(UserError, code=code) as refused:
-        check_depth_unit(depth)
-    assert remedy in str(refused.value)
 
 
 def test_depth_in_metres_or_unknown_passes() -> None:

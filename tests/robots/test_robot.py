@@ -27,7 +27,7 @@ from toolee_robot.robots import (
     write_urdf,
 )
 from toolee_robot.robots.description import arm_tree
-from toolee_robot.robots.tree import Inertial, Tree, combined, fuse_links
+from toolee_robot.robots.tree import Tree, fuse_links
 from toolee_robot.sim_backend.ur_controller.robot.collision_detection import UPRIGHT
 from toolee_robot.sim_backend.ur_controller.robot.collision_detection import ArmDynamics as ControllerDynamics
 from toolee_robot.sim_backend.ur_controller.robot.plant import MODELS
@@ -105,17 +105,6 @@ def test_every_collision_shape_reaches_pinocchio() -> None:
     assert len(geometry.geometryObjects) == sum(len(link.collisions) for link in robot.tree.links)
 
 
-def test_hand_poses_are_relative_to_the_palm() -> None:
-    robot = load_robot()
-    q = _configurations(1)[0]
-    base = robot.link_poses(q[:6], q[6:])
-    hand = SHADOW_HAND.link_poses(q[6:])
-    np.testing.assert_allclose(hand[SHADOW_HAND.frame], np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(base[SHADOW_HAND.frame] @ hand["rh_thdistal"], base["rh_thdistal"], atol=1e-9)
-    X_flange_hand = inverse(base["tool0"]) @ base[SHADOW_HAND.frame]
-    np.testing.assert_allclose(robot.X_flange_hand(q[6:]), X_flange_hand, atol=1e-9)
-
-
 def test_meshes_are_metric_and_light() -> None:
     for meshes, limit in ((SHADOW_HAND.meshes, 8500), (arm_meshes(), 8500)):
         assert sum(len(mesh.faces) for mesh in meshes.values()) < limit
@@ -172,29 +161,6 @@ def robot() -> RobotDescription:
     return description("")
 
 
-@st.composite
-def bodies(draw: st.DrawFn) -> Inertial:
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    X = np.eye(4)
-    X[:3, :3] = pin.exp3(rng.normal(size=3))
-    X[:3, 3] = rng.normal(size=3)
-    a, b, c = rng.uniform(1e-3, 1.0, 3)  # principal moments fulfil the triangle inequality
-    return Inertial(float(rng.uniform(0.001, 5.0)), X, (a + b, b + c, c + a))
-
-
-def spatial(body: Inertial) -> pin.Inertia:
-    R = body.X_link_com[:3, :3]
-    return pin.Inertia(body.mass, body.X_link_com[:3, 3], R @ np.diag(body.moments) @ R.T)
-
-
-@given(st.lists(bodies(), min_size=1, max_size=5))
-def test_the_inertia_of_several_bodies_is_the_sum_of_theirs(parts: list[Inertial]) -> None:
-    whole = combined(parts)
-    expected = sum((spatial(part) for part in parts[1:]), spatial(parts[0]))
-    np.testing.assert_allclose(spatial(whole).matrix(), expected.matrix(), rtol=1e-9, atol=1e-9)
-    assert np.linalg.det(whole.X_link_com[:3, :3]) == pytest.approx(1.0)
-
-
 def shapes(tree: Tree, poses: dict[str, Array], kind: str) -> list[tuple[str, tuple[float, ...]]]:
     """What the shapes of a tree are and where, in an order of their own."""
     return sorted(
@@ -231,18 +197,6 @@ def test_a_robot_with_fused_fingers_has_the_same_dynamics_and_shapes(station: st
         for a, b in zip(shapes(fused.tree, poses, kind), shapes(fixed, expected, kind), strict=True):
             assert a[0] == b[0]
             np.testing.assert_allclose(a[1], b[1], atol=2e-6)
-
-
-def test_what_a_fused_link_carries_is_carried_by_its_parent_and_joints_that_move_stay(robot: RobotDescription) -> None:
-    fused = fuse_links(robot.tree, robot.finger_links)  # nothing is fixed: nothing to fuse
-    assert [link.name for link in fused.tree.links] == [link.name for link in robot.tree.links]
-    assert not fused.places
-    fused = fuse_links(robot.tree, {"tool0"})
-    assert fused.tree.by_name["rh_forearm"].parent == "wrist_3_link"
-    q = np.concatenate([HOME, robot.hand_closed])
-    np.testing.assert_allclose(
-        fused.tree.link_poses(q)["rh_thdistal"], robot.tree.link_poses(q)["rh_thdistal"], atol=1e-12
-    )
 
 
 ANGLES = st.lists(st.floats(-np.pi, np.pi), min_size=6, max_size=6).map(np.array)

@@ -16,7 +16,6 @@ from pathlib import Path
 import pytest
 
 from benchmarks.servo import cpu_time
-from tests.examples import seldom
 from toolee_robot.devices.ur.protocols import tcp
 from toolee_robot.errors import NoAnswerError
 from toolee_robot.runtime.clock import readable
@@ -149,19 +148,31 @@ def test_it_measures_until_the_end() -> None:
     assert not alive(monitor.pid)
 
 
-@pytest.mark.parametrize("sign", seldom(signal.SIGKILL, signal.SIGTERM))
-def test_it_ends_with_a_user_that_is_killed(sign: signal.Signals) -> None:
-    program = "import time\nfrom toolee_robot.runtime.latency_monitor import LatencyMonitor\n"
-    program += "with LatencyMonitor() as a:\n    print(a.pid, flush=True)\n    time.sleep(60)"
+@pytest.mark.parametrize(
+    ("name", "sign"),
+    [
+        ("LatencyMonitor", signal.SIGKILL),
+        *(
+            pytest.param(name, sign, marks=pytest.mark.nightly)
+            for name, sign in (("LatencyMonitor", signal.SIGTERM), ("CpuKeepalive", signal.SIGKILL))
+        ),
+    ],
+)
+def test_it_ends_with_a_user_that_is_killed(name: str, sign: signal.Signals) -> None:
+    if name == "CpuKeepalive" and not is_virtual():
+        pytest.skip("a machine of one's own needs none of it")
+    program = f"import time\nfrom toolee_robot.runtime.latency_monitor import {name}\nwith {name}() as a:\n"
+    program += "    print(*getattr(a, 'pids', None) or [a.pid], flush=True)\n    time.sleep(60)"
     user = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     assert user.stdout is not None
-    pid = int(user.stdout.readline())
-    assert alive(pid)
+    pids = [int(word) for word in user.stdout.readline().split()]
+    assert pids
+    assert all(alive(pid) for pid in pids)
     user.send_signal(sign)
     user.wait()
     deadline = time.monotonic() + 20.0
-    while alive(pid):
-        assert time.monotonic() < deadline, "it outlives its user"
+    while any(alive(pid) for pid in pids):
+        assert time.monotonic() < deadline, "they outlive their user"
         time.sleep(0.05)
 
 
@@ -197,21 +208,3 @@ def test_they_leave_the_cores_to_whatever_else_runs() -> None:
             for process in work:
                 process.kill()
                 process.wait()
-
-
-@pytest.mark.nightly
-@pytest.mark.skipif(not is_virtual(), reason="a machine of one's own needs none of it")
-def test_they_end_with_a_user_that_is_killed() -> None:
-    program = "import time\nfrom toolee_robot.runtime.latency_monitor import CpuKeepalive\nwith CpuKeepalive() as a:\n"
-    program += "    print(*a.pids, flush=True)\n    time.sleep(60)"
-    user = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-    assert user.stdout is not None
-    pids = [int(word) for word in user.stdout.readline().split()]
-    assert pids
-    assert all(alive(pid) for pid in pids)
-    user.send_signal(signal.SIGKILL)
-    user.wait()
-    deadline = time.monotonic() + 20.0
-    while any(alive(pid) for pid in pids):
-        assert time.monotonic() < deadline, "they outlive their user"
-        time.sleep(0.05)

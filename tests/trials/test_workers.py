@@ -9,60 +9,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import closing
-from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tests.errors import raises
 from tests.trials.test_trials import PLAN, job
-from toolee_robot.errors import TooleeError
 from toolee_robot.trials import load_plan, run_trials
 from toolee_robot.trials.report import FIGURES
 from toolee_robot.trials.results import RESULTS, Record, read_results
-from toolee_robot.trials.run import on_threads
 
 OF_THE_RUN = frozenset({"seconds", "stage_seconds", "run_folder"})
 """Figures of a job that are no outcome: times of this machine, and where its folder lies."""
-
-
-def _square(x: int) -> int:
-    return x * x
-
-
-def _busy(folder: Path, x: int) -> int:
-    """The number of calls that are under way."""
-    mark = folder / str(x)
-    mark.touch()
-    time.sleep(0.05)
-    count = len(list(folder.iterdir()))
-    mark.unlink()
-    return count
-
-
-def _breaks(x: int) -> int:
-    if x == 2:
-        raise TooleeError(f"{x} broke", code="trials.crashed")
-    return x
-
-
-def test_every_item_has_its_result_once() -> None:
-    assert sorted(on_threads(_square, range(7), 2)) == [x * x for x in range(7)]
-    assert list(on_threads(_square, [], 2)) == []
-    assert sorted(on_threads(_square, range(3), None)) == [0, 1, 4]
-
-
-def test_no_more_run_at_a_time_than_was_said(tmp_path: Path) -> None:
-    assert max(on_threads(partial(_busy, tmp_path), range(6), 1)) == 1
-
-
-def test_an_error_of_the_project_comes_back_as_it_is_after_what_was_finished() -> None:
-    seen = []
-    with raises(TooleeError, code="trials.crashed"), closing(on_threads(_breaks, range(4), 1)) as results:
-        for result in results:
-            seen.append(result)
-    assert seen == [0, 1]
 
 
 def test_the_same_plan_has_the_same_results_anywhere(tmp_path: Path) -> None:

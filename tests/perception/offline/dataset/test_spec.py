@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -23,6 +21,7 @@ from PIL import Image
 from tests.errors import raises
 from tests.examples import examples
 from tests.perception.folders import assert_same
+from tests.perception.offline.synthesis.test_custom_tools import bring
 from toolee_robot.cli.app import parse, run
 from toolee_robot.cli.dataset import Generate
 from toolee_robot.depth_noise import KINDS, SensorKind
@@ -248,20 +247,9 @@ def asked_again(spec: DatasetSpec, folder: Path) -> DatasetSpec:
 
 @pytest.fixture(scope="module")
 def brought(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a tool of one's own, and with a panorama."""
+    """A folder with a tool of one's own."""
     folder = tmp_path_factory.mktemp("brought")
-    bars = ([[0, 0, 0], [0, 0, 250]], [[-50, 0, 250], [60, 0, 250]])
-    mesh: Any = trimesh.util.concatenate([trimesh.creation.cylinder(14.0, segment=np.array(bar)) for bar in bars])
-    (folder / "mallet").mkdir()
-    mesh.export(folder / "mallet/mallet.stl")
-    description = {
-        "mesh": "mallet.stl",
-        "scale": 0.001,
-        "handle": {"butt": [0, 0, 0], "end": [0, 0, 230]},
-        "ees": [{"category": "hammer_head", "position": [60, 0, 250], "z": [1, 0, 0]}],
-        "materials": {"handle": "wood", "head": "rubber"},
-    }
-    (folder / "mallet/tool.yaml").write_text(yaml.safe_dump(description))
+    bring(folder / "mallet")
     return folder
 
 

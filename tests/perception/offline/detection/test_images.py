@@ -14,36 +14,25 @@ import torch
 from torch import Tensor
 
 from tests.errors import raises
-from tests.perception.toy_scenes import toy_scenes
+from tests.perception.toy_scenes import toy_scenes, write_toys
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.detection.detector import TOOL
 from toolee_robot.perception.detection.inputs import STRIDE
-from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH, EeTable, Example
-from toolee_robot.perception.offline.dataset.scenes import load, write_scene
+from toolee_robot.perception.offline.dataset.records import HEIGHT, WIDTH
+from toolee_robot.perception.offline.dataset.scenes import load
 from toolee_robot.perception.offline.evaluation.segmentation import true_instances
 from toolee_robot.perception.offline.training import images as camera_effects
 from toolee_robot.perception.offline.training.backgrounds import Backgrounds, stickers, wear
 from toolee_robot.perception.offline.training.detector_training import SegmentationTraining, instances_from_maps
 from toolee_robot.perception.offline.training.image_training import SceneStream
 from toolee_robot.perception.offline.training.images import DeviceImages, ImageSample, augment
-from toolee_robot.types import CameraIntrinsics
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    scenes = toy_scenes(3, height=HEIGHT, width=WIDTH)
-    examples = []
-    for i in range(3):
-        table = EeTable.empty()
-        category = table.category.copy()
-        category[0] = scenes.categories[i, 0]
-        depth = np.full((HEIGHT, WIDTH), 800, np.uint16)
-        camera = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, WIDTH, HEIGHT)
-        table = replace(table, category=category)
-        table.obj_id[0] = 1
-        table.visible[0] = np.count_nonzero(scenes.ee[i])
-        examples.append(Example(scenes.rgb[i], depth, scenes.ee[i], scenes.tool[i], table, camera, 0, scenes.ee[i]))
-    write_scene(tmp_path / "000000", examples)
+    depth, camera = np.full((3, HEIGHT, WIDTH), 800, np.uint16), np.tile([365.5, 365.5, 254.9, 205.4], (3, 1))
+    toys = replace(toy_scenes(3, height=HEIGHT, width=WIDTH), depth_mm=depth, intrinsics=camera)
+    write_toys(tmp_path / "000000", toys)
     return tmp_path
 
 
