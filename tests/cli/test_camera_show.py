@@ -10,13 +10,9 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.rigs.camera_rig import plug_in
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
-from toolee_robot.devices.cameras.realsense import RealSenseStream
-from toolee_robot.devices.cameras.stream import CameraMode
-from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import COEFFICIENTS, COLOR, SERIAL, SoftwareRealSense
-from toolee_robot.station import CameraConfig, CameraDevice
-from toolee_robot.stations import camera
 
 rs: Any = pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
@@ -29,12 +25,7 @@ OTHER = [-0.06, *COEFFICIENTS[1:]]
 def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A RealSense whose lens has OpenCV's model."""
     with SoftwareRealSense(rs, rs.distortion.brown_conrady) as emulated:
-
-        def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
-            mode = CameraMode(config.width, config.height, device.fps, device.exposure)
-            return RealSenseStream(device.serial, mode, emulated.devices)
-
-        monkeypatch.setitem(camera._DRIVERS, "realsense", driver)
+        plug_in(monkeypatch, emulated.devices)
         yield
 
 

@@ -73,17 +73,3 @@ def test_a_run_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     assert place.name.endswith("-seed3")
     assert [p.name for p in place.iterdir()] == ["summary.json"]
     assert list(out.iterdir()) == [place]
-
-
-def test_runs_that_end_in_the_same_second_do_not_meet(tmp_path: Path) -> None:
-    places = []
-    for _ in range(2):
-        with run_folder(tmp_path, "seed3") as folder:
-            places.append(folder.keep())
-    assert len(set(places)) == 2
-
-
-def test_a_place_for_runs_that_is_a_file_is_the_users_fault(tmp_path: Path) -> None:
-    (tmp_path / "runs").write_text("")
-    with raises(UserError, says="cannot write runs to"), run_folder(tmp_path / "runs", "seed0"):
-        pass

@@ -16,13 +16,10 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.rigs.camera_rig import plug_in
 from toolee_robot.cli.app import run
-from toolee_robot.devices.cameras.realsense import RealSenseStream
-from toolee_robot.devices.cameras.stream import CameraMode
-from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
-from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
-from toolee_robot.stations import camera
+from toolee_robot.station import load_lab_station
 from toolee_robot.stations.template import INTRINSICS, get, open_questions, put, template
 from toolee_robot.viewer.station_view import named_frames
 
@@ -153,12 +150,7 @@ def test_enter_gives_the_answer_that_is_offered_and_an_answer_can_be_taken_back(
 def realsense(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A RealSense as software, with one mode, which the driver finds."""
     with SoftwareRealSense(pytest.importorskip("pyrealsense2", exc_type=ImportError)) as found:
-
-        def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
-            mode = CameraMode(config.width, config.height, device.fps)
-            return RealSenseStream(device.serial, mode, found.devices)
-
-        monkeypatch.setitem(camera._DRIVERS, "realsense", driver)
+        plug_in(monkeypatch, found.devices)
         yield
 
 

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from scripts.check_language import ROOT, Term, findings, load_terms, long_sentences, mean_sentence, too_long
+from scripts.check_language import Term, findings, long_sentences, mean_sentence, too_long
 
 TERMS = [
     Term(re.compile(r"\bmagic box\b", re.IGNORECASE), "robot", documents_only=False),
@@ -44,10 +44,6 @@ def test_code_and_history_are_left_alone(path: str, text: str) -> None:
 def test_a_finding_says_where_and_what_to_write() -> None:
     found = list(findings("docs/a.md", "One.\n\nTwo\nmagic box.", TERMS))
     assert found == ["docs/a.md:3: 'magic box': write robot"]
-
-
-def test_the_projects_own_terms_load() -> None:
-    assert len(load_terms(ROOT / "scripts/terms.toml")) > 10
 
 
 LIMITS: dict[str, float] = {"sentence": 6, "mean": 5, "page": 20, "site": 30}

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from tests.rigs import orbbec_recording
@@ -27,10 +28,12 @@ from toolee_robot.devices.cameras.realsense import RealSenseStream
 from toolee_robot.devices.cameras.recording import RecordedStream, RecordingWriter
 from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.errors import UserError
+from toolee_robot.hal import Clock
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.software_realsense import SoftwareRealSense
 from toolee_robot.station import CameraConfig, CameraDevice, sim_station
+from toolee_robot.stations import camera
 from toolee_robot.stations.camera import ORBBEC, REALSENSE, RECORDED, open_camera
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
@@ -108,6 +111,16 @@ class RealSenseDevice:
         emulated.delay = LATE if event is CameraEvent.LATE else 0.0
         millimetres = {CameraEvent.BLIND: 0.0, CameraEvent.UNIT: TOO_NEAR}.get(event, DISTANCE)
         emulated.depth = np.full_like(emulated.depth, millimetres)
+
+
+def plug_in(patch: pytest.MonkeyPatch, devices: Callable[[], list[Any]]) -> None:
+    """Let the RealSense's driver find these devices alone."""
+
+    def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
+        mode = CameraMode(config.width, config.height, device.fps, device.exposure)
+        return RealSenseStream(device.serial, mode, devices)
+
+    patch.setitem(camera._DRIVERS, "realsense", driver)
 
 
 class OrbbecDevice:

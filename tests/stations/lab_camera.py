@@ -10,19 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from tests.rigs.camera_rig import plug_in
 from toolee_robot.cli import main
-from toolee_robot.devices.cameras.realsense import RealSenseStream, sdk
-from toolee_robot.devices.cameras.stream import CameraMode
+from toolee_robot.devices.cameras.realsense import sdk
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import frame_from_axes, inverse, transform
-from toolee_robot.hal import Clock
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, SoftwareRealSense
 from toolee_robot.sim_backend.visuals import SceneVisuals, scene_state
-from toolee_robot.station import CameraConfig, CameraDevice, load_lab_station
-from toolee_robot.stations import camera
+from toolee_robot.station import load_lab_station
 from toolee_robot.stations.rehearsal.camera import ColorAndDepth
 
 ROOT = Path(__file__).parents[2]
@@ -43,7 +42,7 @@ def toolee() -> None:
 @contextmanager
 def plugged_in() -> Iterator[None]:
     """Context in which the driver finds the camera; what it sees is built once the camera is looked for."""
-    with ExitStack() as stack:
+    with ExitStack() as stack, pytest.MonkeyPatch.context() as patch:
         found: list[SoftwareRealSense] = []
 
         def devices() -> list[Any]:
@@ -51,13 +50,7 @@ def plugged_in() -> Iterator[None]:
                 found.append(stack.enter_context(_realsense()))
             return found[0].devices()
 
-        def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
-            mode = CameraMode(config.width, config.height, device.fps, device.exposure)
-            return RealSenseStream(device.serial, mode, devices)
-
-        theirs = camera._DRIVERS["realsense"]
-        stack.callback(camera._DRIVERS.__setitem__, "realsense", theirs)
-        camera._DRIVERS["realsense"] = driver
+        plug_in(patch, devices)
         yield
 
 

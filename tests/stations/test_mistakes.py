@@ -20,19 +20,16 @@ import yaml
 
 from tests.calibration.pictures import BOARD, CAMERA, draw_session
 from tests.devices.cameras.test_recording import toy_recording
+from tests.rigs.camera_rig import plug_in
 from toolee_robot.app.calibrate_camera import CameraJob, PlateViews
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.session import read_session
 from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
-from toolee_robot.devices.cameras.realsense import RealSenseStream
-from toolee_robot.devices.cameras.stream import CameraMode
 from toolee_robot.devices.hands import ports as port
-from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.devices.software_realsense import SERIAL, SoftwareRealSense
 from toolee_robot.sim_backend.hands import emulated_hand
 from toolee_robot.sim_backend.hands.inspire import InspireEmulator
-from toolee_robot.station import CameraConfig, CameraDevice, sim_station
-from toolee_robot.stations import camera
+from toolee_robot.station import sim_station
 from toolee_robot.stations.rehearsal import emulated_lab
 from toolee_robot.stations.simulated import simulated_board
 from toolee_robot.tasks.calibration.collect import UNSEEN
@@ -212,11 +209,7 @@ def realsense(monkeypatch: pytest.MonkeyPatch) -> SoftwareRealSense:
     k = replace(sim_station().camera, fx=383.2, fy=383.2, cx=319.1, cy=241.6, width=640, height=480).intrinsics
     rs = pytest.importorskip("pyrealsense2", exc_type=ImportError)
     found = SoftwareRealSense(rs, rs.distortion.none, k, k)
-
-    def driver(config: CameraConfig, device: CameraDevice, _: Clock) -> RealSenseStream:
-        return RealSenseStream(device.serial, CameraMode(config.width, config.height, device.fps), found.devices)
-
-    monkeypatch.setitem(camera._DRIVERS, "realsense", driver)
+    plug_in(monkeypatch, found.devices)
     return found
 
 
