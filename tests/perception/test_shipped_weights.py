@@ -180,11 +180,3 @@ def _average_precision(score: Array, correct: NDArray[np.bool_], targets: int) -
     precision = np.cumsum(hits) / np.arange(1, len(hits) + 1)
     envelope = np.maximum.accumulate(precision[::-1])[::-1]
     return float((envelope * hits).sum() / targets)
-
-
-def test_average_precision_by_hand() -> None:
-    # Ranked: right, wrong, right; three to find. Precision at the hits: 1 and 2/3, each a third of the recall.
-    score, right = np.array([0.5, 0.9, 0.7]), np.array([True, True, False])
-    assert _average_precision(score, right, 3) == pytest.approx((1 + 2 / 3) / 3)
-    assert _average_precision(np.zeros(0), np.zeros(0, bool), 2) == 0.0
-    assert np.isnan(_average_precision(score, right, 0))

@@ -119,20 +119,3 @@ def test_depth_counts_from_what_the_mask_shows_though_it_leaks() -> None:
     torch.testing.assert_close(behind, torch.full_like(behind, 0.04 / UNIT), atol=1e-4, rtol=0)
     assert (z[column >= 50] == 3).all()
     assert (seen[0, MASK] > 0).equal((column >= 30) & (column < 60))
-
-
-def test_what_lies_beyond_the_image_is_no_pixel_and_unknown() -> None:
-    scene = images()
-    scene = Images(scene.rgb.clamp(min=1), scene.depth, scene.focal)
-    corner = square(5.0, 4.0, 48.0)
-    u, v = corner.places()
-    inside = (u >= 0) & (v >= 0)
-    seen, pixels = sample_squares(scene, FIRST, corner, everywhere)
-    assert 0 < inside.sum() < inside.numel() / 2
-    assert (pixels[:, 0][inside] == u[inside].floor()).all()
-    assert (pixels[:, 1][inside] == v[inside].floor()).all()
-    assert (pixels[~inside[:, None].expand_as(pixels)] == -1).all()
-    assert (seen[:, :3].amin(1)[inside] > 0).all()
-    for channel in (0, 1, 2, KNOWN, MASK):
-        assert not seen[:, channel][~inside].any()
-    assert (seen[:, MASK][inside] == 1).all()

@@ -18,7 +18,6 @@ from toolee_robot.perception.pose import PoseEstimator, PoseResult, canonical
 from toolee_robot.perception.pose.canonical import (
     PATCHES,
     POINTS,
-    REST_PATCHES,
     CanonicalCloud,
     canonicalize,
     canonicalize_one,
@@ -173,28 +172,6 @@ def test_one_cloud_becomes_what_it_becomes_in_a_batch(seen: int, guesses: int | 
     for field in fields(CanonicalCloud):
         of_one, of_batch = getattr(one, field.name), getattr(batch, field.name)[:1]
         torch.testing.assert_close(of_one, of_batch, atol=1e-6, rtol=0, msg=f"{field.name}: {{}}".format)
-
-
-def test_the_rest_of_the_tool_lies_in_the_same_frame_and_far_background_is_left_out() -> None:
-    rng = np.random.default_rng(0)
-    head = torch.as_tensor(rng.uniform(-0.02, 0.02, (300, 3)) + np.array([0.1, 0.0, 0.5]), dtype=torch.float32)[None]
-    along = rng.uniform(0.03, 0.25, (400, 1))
-    handle = along * [0.6, 0.0, 0.8] + rng.normal(0, 0.003, (400, 3)) + [0.1, 0.0, 0.5]
-    wall = rng.uniform(-0.1, 0.1, (200, 3)) + np.array([0.1, 0.0, 1.6])
-    points = torch.as_tensor(np.concatenate([handle, wall]), dtype=torch.float32)[None]
-    generator = torch.Generator().manual_seed(0)
-    bare = canonicalize(head, torch.ones(1, 300, dtype=torch.bool), torch.tensor([0.04]), generator)
-    assert not bool(bare.rest_known[0])
-    cloud = with_rest(bare, points, torch.ones(1, 600, dtype=torch.bool), generator)
-    assert bool(cloud.rest_known[0])
-    back = cloud.rest[0] @ cloud.R[0] + cloud.centre[0]
-    nearest = (back[:, None] - points[0, None, :400]).norm(dim=-1).min(1).values
-    assert float(nearest.max()) < 1e-5
-    # The first points reach from end to end.
-    assert float(torch.cdist(cloud.rest[0, :REST_PATCHES], cloud.rest[0, :REST_PATCHES]).max()) > 0.2
-    few = with_rest(bare, points, torch.arange(600)[None] % 50 == 0, generator)
-    assert not bool(few.rest_known[0])
-    assert float(few.rest.abs().max()) == 0
 
 
 SIZE = 24

@@ -10,7 +10,7 @@ import pytest
 
 from toolee_robot.cli.app import run
 from toolee_robot.perception.offline.dataset.records import INSTANCES
-from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, TEST_SEEDS, DatasetSpec
+from toolee_robot.perception.offline.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.offline.evaluation import ledger
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.runtime.files import sha256
@@ -87,13 +87,6 @@ def test_other_data_sets_enter_nothing(described: Path, entries: Path, tmp_path:
     (tmp_path / DESCRIPTION).write_text(json.dumps(spec.to_json()))
     assert ledger.Ledger.of(tmp_path) is None
     assert entries.read_text() == ""
-
-
-@pytest.mark.parametrize("seed", sorted(TEST_SEEDS))
-def test_the_test_sets_of_before_are_test_sets(seed: int) -> None:
-    spec = DatasetSpec("hard", 10, seed)
-    assert spec.is_test_set
-    assert "test_set" not in spec.to_json(), "their bytes stay as they are"
 
 
 def test_validation_and_test_tools_are_held_out_and_share_no_instance() -> None:
