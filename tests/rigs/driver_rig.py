@@ -98,6 +98,8 @@ class Rig:
             error = raised
             report = raised.report if isinstance(raised, MotionFaultError) else None
         thread.join()
+        if isinstance(answer[0], MissedMomentError):
+            raise answer[0]
         time.sleep(SETTLE_TIME)
         stop = stop_after(self.controller.trace(before), path, at[0])
         if stop.speed < fast:

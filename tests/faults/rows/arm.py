@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from tests.faults.record import FaultRow, Measurement, Phase
+from tests.faults.record import FaultRow, Measurement, MissedMomentError, Phase
 from tests.rigs.driver_rig import Happening, Rig, StopKind
 from tests.rigs.joints_path import CLOSE, MOVING, PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
 from toolee_robot.errors import (
@@ -62,12 +62,17 @@ def _seconds(time: float) -> Callable[[Rig], float]:
     return lambda rig: time + rig.period
 
 
-def _hold_up(rig: Rig, seconds: float) -> None:
-    """Suspend the servo process for some seconds."""
-    pid = rig.arm.servo_pid
+def _hold_up(rig: Rig, seconds: float) -> float:
+    """Suspend the servo process for some seconds; by how much it became longer [s]."""
+    pid, began = rig.arm.servo_pid, time.monotonic()
     os.kill(pid, signal.SIGSTOP)
     time.sleep(seconds)
     os.kill(pid, signal.SIGCONT)
+    longer = time.monotonic() - began - seconds
+    time.sleep(WATCHDOG)
+    if rig.controller.state()["program_state"] != "PLAYING":
+        raise MissedMomentError("the servo process was held up for so long that the robot's watchdog came first")
+    return longer
 
 
 def push_off(rig: Rig, angle: float) -> None:
@@ -158,23 +163,25 @@ ARM_FAULTS = (
 )  # fmt: skip
 
 
-def arm_rows(rig: Rig) -> Iterator[Measurement]:
-    """Yield every fault of the arm in mid-swing and, where applicable, at rest."""
+def arm_rows(rig: Rig, *, timed: bool = True) -> Iterator[Measurement]:
+    """Yield every fault of the arm in mid-swing and, where applicable, at rest; when and where it stands if timed."""
     for fault in ARM_FAULTS:
-        for phase, run in ((Phase.SWING, _in_swing), (Phase.REST, _at_rest)):
+        for phase, run in ((Phase.SWING, partial(_in_swing, timed)), (Phase.REST, _at_rest)):
             if phase is Phase.SWING or fault.at_rest is not None:
                 yield Measurement(fault.number, fault.fault, phase, rig.name, fault.expected, partial(run, fault, rig))
     yield Measurement(7, SLIDER, Phase.REST, rig.name, REFUSED, partial(slider_at_rest, rig))
 
 
-def _in_swing(fault: ArmFault, rig: Rig) -> FaultRow:
+def _in_swing(timed: bool, fault: ArmFault, rig: Rig) -> FaultRow:
     happened = rig.inject(partial(fault.inject, rig), watch=fault.watch)
+    if timed and isinstance(happened.answer, float) and happened.answer > rig.period:
+        raise MissedMomentError(f"the servo process was held up for {happened.answer:.3f} s more than meant")
     stop, latched = happened.stop, rig.is_latched()
     allowed = fault.notice(rig) + _braking(fault, rig, happened) + 2 * rig.period
     wrong = _wrong(fault, happened, latched)
-    if stop.standstill > allowed:
+    if timed and stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
-    if stop.off_path > rig.off_path(stop.path_time, fault.by_robot, fault.notice(rig)):
+    if timed and stop.off_path > rig.off_path(stop.path_time, fault.by_robot, fault.notice(rig)):
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
     got = type(happened.error).__name__ if happened.error else str(happened.report and happened.report.outcome)
     return FaultRow(
