@@ -254,12 +254,7 @@ class Releases:
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[Course, float]] = {}  # forces, and the stiffness of each by itself [N/m]
-        self._count = 0
-
-    @property
-    def stiffness(self) -> float | None:
-        """Stiffness that the releases have told [N/m]; None without any."""
-        return float(np.median([stiffness for _, stiffness in self._known.values()])) if self._known else None
+        self._last = 0
 
     def add(self, course: Course, stiffness: float) -> int:
         """Add a release.
@@ -271,9 +266,9 @@ class Releases:
         Returns:
             Its number.
         """
-        self._count += 1
-        self._known[self._count] = course, stiffness
-        return self._count
+        self._last += 1
+        self._known[self._last] = course, stiffness
+        return self._last
 
     def drop(self, number: int) -> None:
         """Forget a release that was none.
@@ -292,10 +287,20 @@ class Releases:
         Returns:
             The height [m].
         """
-        others = [stiffness for other, (_, stiffness) in self._known.items() if other != number]
-        belief = UNKNOWN
-        if others:
-            belief = Belief(float(np.median(others)), float(np.hypot(SPREAD, ALONE / np.sqrt(len(others)))))
-        rise = onset(self._known[number][0], belief)
+        rise = onset(self._known[number][0], self.belief(number))
         assert rise is not None, "it rose when it was added"
         return rise.height
+
+    def belief(self, but: int = 0) -> Belief:
+        """What the releases tell of the stiffness.
+
+        Args:
+            but: Number of a release that does not count; 0 for none.
+
+        Returns:
+            What they tell; `UNKNOWN` without any.
+        """
+        told = [stiffness for number, (_, stiffness) in self._known.items() if number != but]
+        if not told:
+            return UNKNOWN
+        return Belief(float(np.median(told)), float(np.hypot(SPREAD, ALONE / np.sqrt(len(told)))))

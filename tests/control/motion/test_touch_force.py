@@ -193,7 +193,7 @@ def test_a_release_that_was_none_tells_nothing() -> None:
     first = releases.add(good, 5e3)
     alone = releases.height(first)
     releases.drop(releases.add(bad, 2e4))
-    assert releases.stiffness == 5e3
+    assert releases.belief().stiffness == 5e3
     assert releases.height(first) == alone
 
 

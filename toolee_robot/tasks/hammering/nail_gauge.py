@@ -289,7 +289,7 @@ class NailGauge:
             JobEnded: The face met nothing, or the tool something else.
         """
         motions = self._motions
-        if not self._touch.prepare():
+        if not self._touch.prepare(keep=what == "wood"):
             motions.straight("up", self._out, CLEAR, held)
             message = f"the arm felt a force before it touched the {what}: the tool leans against something"
             raise JobEnded(missed, message)

@@ -46,12 +46,13 @@ the force differs from its zero by the threshold, and the zero was taken within 
 away the offset itself may have changed. A tool that swings comes to rest meanwhile."""
 ZERO_SHARE = 0.1
 """A zero is kept when the force at rest differs from it by at most this share of the threshold; a force so noisy that
-the face is released slowly is zeroed before every touch."""
+the face is released slowly is zeroed before every measurement."""
 FREE = 0.0015
 """Way of a release beyond the place where the force should be gone [m]."""
 UNSURE = 0.0003
-"""Standard deviation of a height, as its release alone tells it, above which the thing is touched again [m]: of 6,000
-drawn releases of 12 to 23 N with a CB3's noise 3 % are above it, and nine that are off by over 1 mm, all of them."""
+"""Standard deviation of a height, as its release and those before tell it, above which the thing is touched again [m]:
+of 6,000 drawn first releases of 12 to 23 N with a CB3's noise 3 % are above it, and nine that are off by over 1 mm, all
+of them. Of later ones, see `FASTER`, 2 %."""
 
 
 class SidewaysContactError(Exception):
@@ -129,8 +130,12 @@ class Touch:
         """Whether the force is so noisy that a touch tells a height to some tenths of a millimetre only."""
         return self._settings is not None and self._settings.release is not None
 
-    def prepare(self) -> bool:
+    def prepare(self, *, keep: bool = False) -> bool:
         """Zero the force at rest, before a touch, unless it still is zero; the first time, measure its noise.
+
+        Args:
+            keep: Whether a noisy force keeps its zero, too, of the other touch of the same measurement: what that zero
+                is off by then counts for neither.
 
         Returns:
             Whether the face is free; if the arm feels a force, nothing is zeroed.
@@ -145,7 +150,8 @@ class Touch:
             for looked in range(1, LEAN_TIMES + 1):
                 rest = float(np.linalg.norm(np.mean(motions.forces(duration), axis=0)))
                 # A noisy force does not show that it still is zero.
-                if settings.release is None and rest <= ZERO_SHARE * settings.force:
+                share = ZERO_SHARE if settings.release is None else CONFIRM_SHARE if keep else 0.0
+                if rest <= share * settings.force:
                     return True
                 # To wait for a tool that swings is shorter than to zero.
                 if rest <= settings.force and (settings.release is not None or looked * duration >= ZERO_TIME):
@@ -258,17 +264,23 @@ class Touch:
         motions, settings, releases = self._motions, self._settings, self._releases
         assert settings is not None, "prepare() comes first"
         # A release tells the stiffness far better than the way down does.
-        known = releases.stiffness
-        pressed = force / known if known else max(force / down.stiffness, down.height - self._height(X_flange_ee))
-        pressed, speed = min(pressed, SLOPE_RANGE - FREE), settings.release_speed(known or down.stiffness)
-        world, way = motions.world(held), pressed + FREE
+        belief = releases.belief()
+        if belief is UNKNOWN:
+            pressed = max(force / down.stiffness, down.height - self._height(X_flange_ee))
+            speed = settings.release_speed(down.stiffness)
+        else:
+            pressed = force / belief.stiffness
+            speed = settings.release_speed(belief.stiffness, belief.deviation)
+        world, way = motions.world(held), min(pressed, SLOPE_RANGE - FREE) + FREE
         up = plan_straight(self._robot, self._config, world, motions.q, way, self._up, speed)
         report = motions.execute(f"release the {what}", up, held, at_work=True)
         course = self._course(report, np.inf, X_flange_ee)
         rise = onset(course)
         if rise is None or rise.stiffness * (rise.height - np.min(course.heights)) < CONFIRM_SHARE * settings.force:
             return None
-        return Contact(rise.height, rise.deviation, releases, releases.add(course, rise.stiffness))
+        told = onset(course, belief)
+        assert told is not None, "it rises"
+        return Contact(told.height, told.deviation, releases, releases.add(course, rise.stiffness))
 
     def _course(self, report: MotionReport, until: float, X_flange_ee: Array) -> Course:
         """The forces in a motion up to a time [s], over the height of the face above the wood."""
