@@ -299,6 +299,7 @@ def expected_robot(config: StationConfig) -> UrExpected:
         calibration=config.arm.calibration,
         payload=model.hand_payload(model.hand_open),
         tcp=np.zeros(6),
+        velocity=config.arm.velocity,
     )
 
 

@@ -88,7 +88,9 @@ SKIP_BACKLOG = 65536  # [bytes] unread by the client above which messages are om
 _ROBOT_STATE, _ROBOT_MESSAGE = 16, 20
 _VERSION_MESSAGE, _TEXT_MESSAGE, _ERROR_MESSAGE = 3, 0, 6
 _REPORT_VIOLATION = 3  # report level of an error that stops the arm
-_MODE, _JOINTS, _CARTESIAN, _KINEMATICS = 0, 1, 4, 5
+_MODE, _JOINTS, _CARTESIAN, _KINEMATICS, _CONFIGURATION = 0, 1, 4, 5, 6
+_MOVE_DEFAULTS = 1.05, 1.4, 0.25, 1.2, 0.0  # of movej [rad/s, rad/s^2] and movel [m/s, m/s^2]; radius
+_MAX_ACCELERATION = 40.0  # [rad/s^2]: assumed, not published
 _JOINT_RUNNING, _JOINT_OFF = 253, 239
 
 
@@ -168,7 +170,7 @@ def robot_state(robot: Robot, kinematics: bool) -> bytes:
     """
     packages = _mode(robot) + _joints(robot) + _cartesian(robot)
     if kinematics:
-        packages += _kinematics(robot)
+        packages += _kinematics(robot) + _configuration(robot)
     return struct.pack(">iB", 5 + len(packages), _ROBOT_STATE) + packages
 
 
@@ -221,3 +223,12 @@ def _kinematics(robot: Robot) -> bytes:
     identity = robot.identity
     numbers = (*identity.theta, *identity.a, *identity.d, *identity.alpha)
     return _package(_KINEMATICS, struct.pack(">6I24dI", *identity.checksum, *numbers, 1))
+
+
+def _configuration(robot: Robot) -> bytes:
+    """Limits of the joints. The defaults of moves are URScript's; arm and box are told as zeros, which nobody reads."""
+    limits, model = robot.safety.detection.limits, robot.model
+    most = [share * position for share, position in zip(limits.joint_position, model.position, strict=True)]
+    body = [number for position in most for number in (-position, position)]
+    body += [number for speed in model.velocity for number in (limits.joint_speed * speed, _MAX_ACCELERATION)]
+    return _package(_CONFIGURATION, struct.pack(">53d4i", *body, *_MOVE_DEFAULTS, *[0.0] * 24, *[0] * 4))

@@ -18,6 +18,7 @@ from toolee_robot.devices.ur.setup_checks import calibration_of
 from toolee_robot.findings import Finding, Level
 from toolee_robot.robots.urdf import DhParameters
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.station import sim_station
 from toolee_robot.types import ArmModel, Payload
 
 pytestmark = pytest.mark.sim
@@ -283,3 +284,20 @@ def test_a_silent_host_does_not_hold_us_up() -> None:
     assert findings["RTDE"].level is Level.FAIL
     assert "no answer in time" in findings["RTDE"].message
     assert findings["dashboard"].level is Level.WARN
+
+
+def test_joints_that_the_robot_restricts_more_than_the_plan_are_named(robot: ControllerProcess) -> None:
+    velocity = sim_station().arm.velocity
+    assert _found(robot, velocity=velocity)["joint limits"].level is Level.OK
+    report = probe(robot.host, listen=_LISTEN)
+    assert report.kinematics is not None
+    ranges = report.kinematics.ranges
+    assert ranges is not None
+    np.testing.assert_allclose(ranges.speed, 1.1 * np.array(velocity), rtol=0.01)
+    np.testing.assert_allclose([-ranges.lower, ranges.upper], 2.0 * np.pi)
+    restricted = replace(ranges, speed=ranges.speed * [1, 1, 0.5, 1, 1, 1], lower=ranges.lower * [1, 1, 1, 0.25, 1, 1])
+    report = replace(report, kinematics=replace(report.kinematics, ranges=restricted))
+    found = {f.name: f for f in check(report, _expected(robot, velocity=velocity))}["joint limits"]
+    assert found.level is Level.WARN
+    assert "the elbow 99°/s, arm.velocity has 180°/s" in found.message
+    assert "wrist 1 -90° to 360°" in found.message

@@ -14,7 +14,7 @@ import numpy as np
 from toolee_robot.devices.ur.config import UrArmConfig
 from toolee_robot.devices.ur.probe import RtdeQuality, UrReport, UrState, probe
 from toolee_robot.devices.ur.protocols.rtde import RTDE_PORT
-from toolee_robot.devices.ur.setup_checks import UrExpected, check_kinematics, check_payload, check_tcp
+from toolee_robot.devices.ur.setup_checks import UrExpected, check_kinematics, check_payload, check_ranges, check_tcp
 from toolee_robot.devices.ur.status import RUNTIME_PAUSED
 from toolee_robot.errors import NotReadyError
 from toolee_robot.findings import Finding, Level, fail, ok, warn
@@ -106,6 +106,7 @@ def check(report: UrReport, expected: UrExpected) -> list[Finding]:
         check_payload(state, expected),
         check_tcp(state, expected),
         check_kinematics(report, state, expected),
+        *check_ranges(report, expected),
     ]
     if quality is None:
         why = "too few readings came to judge the rate"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.devices.ur.probe import UrReport, UrState
+from toolee_robot.devices.ur.status import JOINTS
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import Array, transform
 from toolee_robot.robots.urdf import DhParameters
@@ -104,6 +106,7 @@ def calibration_of(dh: DhParameters, model: ArmModel) -> DhCalibration:
 
 MASS_TOLERANCE, COG_TOLERANCE = 0.1, 0.02  # [kg], [m]
 TCP_TOLERANCE, TCP_ANGLE_TOLERANCE = 1e-3, np.deg2rad(0.5)  # [m], [rad]
+SPEED_TOLERANCE, RANGE = 0.01, 2.0 * np.pi - 0.01  # [rad/s], [rad]: half the range of a joint
 KINEMATICS_TOLERANCE, NOMINAL_TOLERANCE = 1e-3, 0.02
 """[m] Agreement of two kinematics, and of an arm with its nominal model. UR10 and UR10e differ by 50 mm."""
 
@@ -118,6 +121,7 @@ class UrExpected:
         payload: Payload in the installation, in the flange frame.
         tcp: TCP in the installation, (6,): position [m], rotation vector [rad], flange frame.
         serial: Serial number.
+        velocity: Largest velocity of each joint that is planned with, (6,) [rad/s].
     """
 
     model: ArmModel
@@ -125,6 +129,7 @@ class UrExpected:
     payload: Payload | None = None
     tcp: Array | None = None
     serial: str | None = None
+    velocity: Sequence[float] | None = None
 
 
 def check_payload(state: UrState, expected: UrExpected) -> Finding:
@@ -179,6 +184,33 @@ def check_tcp(state: UrState, expected: UrExpected) -> Finding:
         message = f"{_tcp_text(tcp)}, the configuration says {_tcp_text(wanted)}"
         return fail("TCP", message, "set it in the installation's TCP page")
     return ok("TCP", _tcp_text(tcp))
+
+
+def check_ranges(report: UrReport, expected: UrExpected) -> list[Finding]:
+    """Compare what the robot permits its joints with what motions are planned with; nothing where it does not tell.
+
+    Args:
+        report: What a probe has read from the robot.
+        expected: What the configuration requires.
+
+    Returns:
+        At most one finding.
+    """
+    ranges = None if report.kinematics is None else report.kinematics.ranges
+    if ranges is None or expected.velocity is None:
+        return []
+    name, less = "joint limits", []
+    for joint, low, high, most, planned in zip(
+        JOINTS, ranges.lower, ranges.upper, ranges.speed, expected.velocity, strict=True
+    ):
+        if planned > most + SPEED_TOLERANCE:
+            less.append(f"{joint} {np.rad2deg(most):.0f}°/s, arm.velocity has {np.rad2deg(planned):.0f}°/s")
+        if low > -RANGE or high < RANGE:
+            less.append(f"{joint} {np.rad2deg(low):.0f}° to {np.rad2deg(high):.0f}°, planned is ±360°")
+    if not less:
+        return [ok(name, "the robot permits what motions are planned with")]
+    hint = "it would stop itself: lower arm.velocity, or widen the limits of the safety configuration"
+    return [warn(name, f"the robot permits {'; '.join(less)}", hint)]
 
 
 def check_kinematics(report: UrReport, state: UrState, expected: UrExpected) -> Finding:

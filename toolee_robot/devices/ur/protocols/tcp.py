@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from toolee_robot.errors import NoAnswerError, ProtocolError, words_of
+from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import readable
 
 if TYPE_CHECKING:
@@ -245,14 +246,33 @@ def ask_all(host: str, questions: Sequence[Question], deadline: float) -> dict[Q
 
 PRIMARY_PORT = 30001
 
-_ROBOT_STATE, _KINEMATICS_INFO = 16, 5
+_ROBOT_STATE, _KINEMATICS_INFO, _CONFIGURATION_DATA = 16, 5, 6
 _ROBOT_MESSAGE, _ERROR_CODE = 20, 6
 _HEADER = struct.Struct(">iB")
 _ERROR = struct.Struct(">QbBiiiII")  # time stamp, source, kind; code, argument, report level, type and value of data
 _WARNING, _FOR_DEVELOPERS = 2, 128  # report levels: debug 0, info 1, warning 2, violation 3, fault 4, critical fault 5
 _CONTENT = struct.Struct(">6I24dI")
+_LIMITS = struct.Struct(">24d")  # of each joint the least and largest position, then of each speed and acceleration
 _IMPLAUSIBLE = 1e4  # [m, rad]; joints 2 to 4 are parallel, so a calibration may shift them by metres
 _MAX_MESSAGE = 1 << 20  # [bytes]; a robot state message has about 1,500
+
+
+@dataclass(frozen=True)
+class JointRanges:
+    """What the controller permits its joints, beyond which it stops the arm.
+
+    The layout is published (Client Interfaces 3.14 and 5.9, Configuration Data). That the values are those of the
+    safety configuration is what UR's forum says (thread 1919), not the manual.
+
+    Attributes:
+        lower: Least position of each joint, (6,) [rad].
+        upper: Largest position, (6,) [rad].
+        speed: Largest speed, (6,) [rad/s].
+    """
+
+    lower: Array
+    upper: Array
+    speed: Array
 
 
 @dataclass(frozen=True)
@@ -262,10 +282,12 @@ class UrKinematics:
     Attributes:
         checksum: Checksum of each joint's calibration, six values; identifies the arm.
         dh: Denavit-Hartenberg parameters, nominal values plus corrections.
+        ranges: What the joints may do; None if the controller does not tell.
     """
 
     checksum: tuple[int, ...]
     dh: DhParameters
+    ranges: JointRanges | None = None
 
 
 @dataclass(frozen=True)
@@ -329,9 +351,9 @@ def kinematics_from(sock: socket.socket, deadline: float) -> UrKinematics:
         for kind, content in _messages(buffer):
             if kind != _ROBOT_STATE:
                 continue
-            info = next((part for sub, part in _messages(bytearray(content)) if sub == _KINEMATICS_INFO), None)
-            if info is not None:
-                return _parse(info)
+            parts = dict(_messages(bytearray(content)))
+            if _KINEMATICS_INFO in parts:
+                return _parse(parts[_KINEMATICS_INFO], parts.get(_CONFIGURATION_DATA, b""))
 
 
 def errors_in(buffer: bytearray) -> list[ControllerError]:
@@ -371,7 +393,7 @@ def _messages(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
         yield kind, content
 
 
-def _parse(content: bytes) -> UrKinematics:
+def _parse(content: bytes, configuration: bytes) -> UrKinematics:
     if len(content) < _CONTENT.size:  # newer versions may append fields
         message = f"kinematics info of {len(content)} bytes, expected {_CONTENT.size}"
         raise ProtocolError(message, code="protocol.message_size")
@@ -381,4 +403,15 @@ def _parse(content: bytes) -> UrKinematics:
         raise ProtocolError("the controller's kinematics are not finite, or implausible", code="protocol.implausible")
     from toolee_robot.robots.urdf import DhParameters  # loads meshes: not in the servo process, nor in its watch
 
-    return UrKinematics(tuple(values[:6]), DhParameters(d=d, a=a, alpha=alpha, theta=theta))
+    return UrKinematics(tuple(values[:6]), DhParameters(d=d, a=a, alpha=alpha, theta=theta), _ranges(configuration))
+
+
+def _ranges(content: bytes) -> JointRanges | None:
+    if len(content) < _LIMITS.size:
+        return None
+    (lower, upper), (speed, _) = np.moveaxis(np.reshape(_LIMITS.unpack_from(content), (2, 6, 2)), 1, 2)
+    plausible = np.all(np.abs([lower, upper, speed]) < _IMPLAUSIBLE) and np.all(lower < upper) and np.all(speed > 0.0)
+    if not plausible:
+        message = "the limits of the controller's joints are not finite, or implausible"
+        raise ProtocolError(message, code="protocol.implausible")
+    return JointRanges(lower, upper, speed)
