@@ -7,6 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from toolee_robot.arm_data import JOINTS
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.collision_shapes import TOOL_JOINT
 from toolee_robot.control.kinematics import ArmKinematics
@@ -209,7 +210,7 @@ def _within(
         return
     lower, upper = np.broadcast_to(lower, x.shape), np.broadcast_to(upper, x.shape)
     row, column = np.argwhere(bad)[0]
-    name = axes[column] if axes else f"joint {column + 1}"
+    name = axes[column] if axes else f"joint {column + 1} ({JOINTS[column]})"
     raise LimitError(
         f"{what} of {name} is {x[row, column]:.5g} {unit} at {t[row]:.3f} s, outside "
         f"[{lower[row, column]:.3g}, {upper[row, column]:.3g}]: nothing is sent; slow down or move the target",

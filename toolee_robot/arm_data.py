@@ -13,6 +13,8 @@ from toolee_robot.types import ArmModel, Six
 
 CB3_RATE = 125.0
 """Rate of a CB3 controller's real-time data and of its servoj [Hz]."""
+JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
+"""Universal Robots' names of the joints, which people count from 1."""
 E_SERIES_RATE = 500.0
 """Rate of an e-Series controller's real-time data and of its servoj [Hz]."""
 

@@ -68,9 +68,11 @@ def _doctor(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, dict[s
 def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, record, said = _doctor(capsys, "--out", str(tmp_path / "runs"))
     assert code == 0, said
-    assert "Ready for the job" in said
+    assert "Ready for the job in simulation" in said
     assert record["worst"] in ("ok", "warn")
-    assert {f["section"] for f in record["findings"]} == {"Station file", "Calibration", "This computer"}
+    assert {f["section"] for f in record["findings"]} == {
+        "Simulated station (no --config)", "Calibration", "This computer",
+    }  # fmt: skip
     assert not (tmp_path / "runs").exists(), "a look leaves nothing behind"
 
 

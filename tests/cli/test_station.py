@@ -136,7 +136,7 @@ def test_enter_gives_the_answer_that_is_offered_and_an_answer_can_be_taken_back(
     del said["scene"]["obstacles"], said["work"]["block_xy"], said["arm"]["host"], said["strike"]
     path.write_text(template(said))
     back = interview(path, ["192.168.1.10", "<"])
-    assert "Nothing new" in back.out
+    assert "Saved in" in back.out
     assert path.read_text() == template(said)
     told = interview(path, ["192.168.1.10", "", "", ""])
     assert told.code == 0, told.out

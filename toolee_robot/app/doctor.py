@@ -73,7 +73,7 @@ class DoctorReport:
                 findings.append(check_range(config))
             if self.host is not None:
                 findings.insert(0, check_measured(self.path, is_loopback(self.host)))
-        yield "Station file", findings
+        yield "Simulated station (no --config)" if self.path is None else "Station file", findings
         serials: tuple[str | None, str | None] = SIMULATED, SIMULATED
         if self.host is not None:
             yield from self._controller(self.host)
@@ -120,7 +120,7 @@ class DoctorReport:
         """Check the station's own hand and camera; nothing moves."""
         unchecked = {
             "config.hand_driver": ("has no driver here: nothing was checked", "check it yourself"),
-            "config.hand_port": ("the station file names no port: nothing was checked", "give hand.port"),
+            "config.hand_port": ("the station file names no port: no job", "give hand.port"),
         }
         try:
             hand = open_hand(self.config.hand, HostClock())
@@ -135,7 +135,7 @@ class DoctorReport:
 
     def _own_camera(self) -> Iterator[Finding]:
         if self.config.camera.device is None:
-            yield warn("camera", "the station file names none: nothing was checked", "give camera.device")
+            yield warn("camera", "the station file names none: no job", "give camera.device")
             return
         clock = HostClock()
         try:

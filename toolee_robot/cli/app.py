@@ -13,6 +13,7 @@ import errno
 import json
 import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from math import isfinite
@@ -23,6 +24,8 @@ from toolee_robot.cli import EXIT_INTERRUPTED, INTERRUPTED_LINE
 from toolee_robot.errors import TooleeError, UserError, words_of
 
 EXIT_FAILED, EXIT_USER = 1, 2
+WIDEST = 100
+"""Longest line of prose in a help [characters]."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 _OF_EXTRA = {"isal": "train", "faster_coco_eval": "train", "rerun": "viewer", "rerun_cli": "viewer", "viser": "viewer"}
@@ -114,7 +117,7 @@ def parse(words: Sequence[str]) -> Command:
         return _parse_options(commands, (name,), rest)
     if not rest or rest[0] in ("-h", "--help"):
         summaries = {name: _joined(command.__doc__).split("\n")[0] for name, command in commands.items()}
-        _list((name,), _joined(_module(name).__doc__), summaries, asked=bool(rest))
+        _list((name,), _module(name).__doc__ or "", summaries, asked=bool(rest))
     if rest[0] not in commands:
         raise _unknown(rest[0], commands, (name,))
     return _parse_options(commands[rest[0]], (name, rest[0]), rest[1:])
@@ -142,10 +145,11 @@ def _module(group: str) -> ModuleType:
 def _parse_options(command: type[Command], path: tuple[str, ...], words: Sequence[str]) -> Command:
     import tyro
 
-    # Of a docstring's line ends tyro keeps those before a digit, a dash or a bracket.
-    tyro._strings.remove_single_line_breaks = _joined
-    config = (tyro.conf.FlagCreatePairsOff,)
-    parsed: Command = tyro.cli(command, prog=" ".join(("toolee", *path)), args=words, config=config)
+    described, config = _wrapped(command.__doc__), (tyro.conf.FlagCreatePairsOff,)
+    # Of a docstring's line ends tyro keeps those before a digit, a dash or a bracket, and it wraps no description.
+    tyro._strings.remove_single_line_breaks = lambda text: text if text == described else _joined(text)
+    prog = " ".join(("toolee", *path))
+    parsed: Command = tyro.cli(command, prog=prog, description=described, args=words, config=config)
     for name, value in vars(parsed).items():
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, float) and not isfinite(number):
@@ -161,17 +165,23 @@ def _joined(helptext: str | None) -> str:
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs).strip()
 
 
+def _wrapped(helptext: str | None) -> str:
+    """A docstring in lines that fit the terminal, but for examples, which are copied."""
+    columns = min(shutil.get_terminal_size().columns, WIDEST)
+    return "\n\n".join(
+        paragraph if paragraph.startswith("Example: ") else textwrap.fill(paragraph, columns, break_on_hyphens=False)
+        for paragraph in _joined(helptext).split("\n\n")
+    )
+
+
 def _list(path: tuple[str, ...], description: str, summaries: Mapping[str, str], *, asked: bool) -> None:
     """Print one line for each command of a group and exit."""
-    import textwrap
-
     stream = sys.stdout if asked else sys.stderr
     columns = shutil.get_terminal_size().columns
     call = " ".join(("toolee", *path, "COMMAND"))
     indent = max(map(len, summaries)) + 4
     print(f"usage: {call}     `{call} --help` says more", end="\n\n", file=stream)
-    for paragraph in description.split("\n\n"):
-        print(textwrap.fill(paragraph, columns, break_on_hyphens=False), end="\n\n", file=stream)
+    print(_wrapped(description), end="\n\n", file=stream)
     for name, summary in summaries.items():
         print(f"  {name:{indent - 4}}  {textwrap.shorten(summary, columns - indent, placeholder=' …')}", file=stream)
     raise SystemExit(0 if asked else EXIT_USER)

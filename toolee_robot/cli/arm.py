@@ -22,6 +22,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from toolee_robot.arm_data import JOINTS
 from toolee_robot.cli.output import Flag, JsonOption, TerminalPerson
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import is_loopback
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from toolee_robot.tasks.bring_up.slow_motions import Caps, SlowStation
     from toolee_robot.types import Trajectory
 
-_JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 _SEEN = 5e-4
 """Speed below which a joint is not listed [rad/s]."""
 _PERIOD = 0.1
@@ -389,7 +389,7 @@ def _show(console: Console, slow: SlowStation, what: str, trajectory: Trajectory
     for column in ("joint", "from, rad", "to, rad", "by, rad", "at most, rad/s"):
         table.add_column(column, justify="left" if column == "joint" else "right")
     first, last, fastest = trajectory.q[0], trajectory.q[-1], np.max(np.abs(trajectory.qd), axis=0)
-    for i, name in enumerate(_JOINTS):
+    for i, name in enumerate(JOINTS):
         if fastest[i] > _SEEN:
             values = (f"{first[i]:.4f}", f"{last[i]:.4f}", f"{last[i] - first[i]:+.4f}", f"{fastest[i]:.3f}")
             table.add_row(f"{i + 1} {name}", *values)
@@ -440,4 +440,4 @@ def _acceleration_row(trial: AccelerationTrial) -> str:
     told += [] if trial.ratio is None else [f"ratio {trial.ratio:.2f}, "]
     told[:0] = [] if trial.reached is None else [f"reached {trial.reached:.1f}, "]
     sign = f"[red]{escape(trial.sign)}[/red]" if trial.sign else "borne"
-    return f"joint {trial.joint}, {trial.acceleration:g} rad/s²: {''.join(told)}{sign}"
+    return f"joint {trial.joint} ({JOINTS[trial.joint - 1]}), {trial.acceleration:g} rad/s²: {''.join(told)}{sign}"

@@ -112,7 +112,7 @@ class Doctor(JsonOption):
         told = f", {_count(warnings, 'warning')}" if warnings else ""
         if fails:
             return f"[bold red]Not ready: {_count(fails, 'fault')} to fix{told}.[/bold red]"
-        ready = "the job" if host is None else "slow, attended motions"
+        ready = "the job in simulation" if host is None else "slow, attended motions"
         return f"[bold green]Ready for {ready}[/bold green]{told}."
 
 

@@ -47,6 +47,7 @@ class ConsoleObserver(JobObserver):
     Args:
         console: The console.
         nails: Number of nails that are to be driven.
+        flush: Largest height of a nail's head over the wood that counts as flush [m].
         ask: Asks the person at the terminal; None where nobody is there.
         page: The page in the browser that shows the job, too; None for none.
     """
@@ -54,13 +55,14 @@ class ConsoleObserver(JobObserver):
     def __init__(
         self,
         console: Console,
-        nails: int = 1,
-        ask: Callable[[str], str] | None = None,
-        page: LivePage | None = None,
+        nails: int,
+        flush: float,
+        ask: Callable[[str], str] | None,
+        page: LivePage | None,
     ) -> None:
         self._console, self._ask, self._page = console, ask, page
         self._start = self._last = 0.0
-        self._nails, self._nail = nails, 0
+        self._nails, self._nail, self._flush = nails, 0, flush
         self._status = console.status("starting")
         self._phase, self._phase_seconds, self._plan_shown = "", 0.0, False
 
@@ -155,7 +157,14 @@ class ConsoleObserver(JobObserver):
     def planned(self, stamp: float, plan: StrikePlan) -> None:
         if not self._plan_shown:
             self._plan_shown = True
-            self._console.print(f"  plan: {plan_text(plan)}")
+            lowered = f" (wanted {plan.wanted_speed:.1f})" if plan.speed < 0.99 * plan.wanted_speed else ""
+            self._console.print(
+                f"  plan: {plan.speed:.2f} m/s{lowered} at the contact, found in {plan.planning_time * 1e3:.0f} ms\n"
+                f"    [dim]the tool turned by {np.rad2deg(plan.theta):.0f}° about the nail, everything else at least "
+                f"{plan.clearance.distance * 1e3:.0f} mm away[/dim]"
+            )
+        if self._last <= self._flush:
+            self._console.print("  measured as flush; another strike confirms it")
 
     def ended(self, result: HammerResult) -> None:
         self._close_phase()
@@ -167,15 +176,6 @@ def load_text(load: StrikeLoad) -> str:
     ratios = {"deviation": load.position_deviation_ratio, "collision": load.collision_ratio}
     known = "".join(f", {name} {ratio:.2f}" for name, ratio in ratios.items() if ratio is not None)
     return f"{load.impulse:.1f} N s, {100 * load.torque_share:.0f} % torque{known}"
-
-
-def plan_text(plan: StrikePlan) -> str:
-    """Format a plan in one line."""
-    lowered = f" (wanted {plan.wanted_speed:.1f})" if plan.speed < 0.99 * plan.wanted_speed else ""
-    return (
-        f"{plan.speed:.2f} m/s{lowered} at contact, spin {np.rad2deg(plan.theta):+.0f}°, "
-        f"clearance {plan.clearance.distance * 1e3:.0f} mm  [dim]({plan.planning_time * 1e3:.0f} ms)[/dim]"
-    )
 
 
 Rows = list[tuple[str, str]]
@@ -224,7 +224,7 @@ def _load(f: Mapping[str, Any]) -> Rows:
     return [
         ("load at the flange", f"at most {_figure(f['largest_impulse'], ' N s')}, {f['largest_flange_force']:.0f} N"),
         ("load of a joint", f"at most {100 * f['largest_torque_share']:.0f} % of its largest torque"),
-        ("deepest command", f"{f['deepest_mm']:.0f} mm behind the contact"),
+        ("deepest command", f"{f['deepest_mm']:.0f} mm beyond the contact, where a strike turns back"),
     ]
 
 

@@ -1,12 +1,6 @@
-"""Do a job: in simulation, with your station file on emulated devices, or with the real robot.
+"""Do a job: `sim` in simulation, `rehearse` with your station file on emulated devices, `run` with the real robot.
 
-Only `toolee run` moves a real arm. Each task, such as `hammer`, is a sub-command.
-
-Example: toolee sim hammer --seed 100
-
-Example: toolee rehearse hammer lab.yaml
-
-Example: toolee run hammer lab.yaml
+Only `toolee run` moves a real arm. Each task, such as `hammer`, is a sub-command; its help has examples.
 """
 
 from __future__ import annotations
@@ -121,7 +115,8 @@ def console_observer(spec: JobSpec, console: Console, page: LivePage | None = No
     from toolee_robot.cli.job_console import ConsoleObserver  # takes seconds to import
 
     ask = (lambda question: console.input(question, markup=False)) if asked else None
-    return ConsoleObserver(console, len(spec.nails or spec.source.config.work.names), ask, page)
+    config = spec.source.config
+    return ConsoleObserver(console, len(spec.nails or config.work.names), config.task.flush_protrusion, ask, page)
 
 
 @contextmanager

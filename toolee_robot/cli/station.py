@@ -1,6 +1,6 @@
 """Write, check, look at and upgrade the station file of a lab.
 
-Example: toolee station new lab.yaml --arm UR10e --hand inspire --camera realsense
+Example: toolee station new lab.yaml --arm UR10e --hand mount --camera orbbec
 """
 
 from __future__ import annotations
@@ -94,7 +94,6 @@ def _ask_all(file: Path, data: dict[str, Any], console: Console) -> int:
     from toolee_robot.station.station import to_station
     from toolee_robot.stations.template import UNASKED, get, open_fields, open_questions, told
 
-    before = copy.deepcopy(data)
     console.print(
         'Press Enter to accept the offered answer, or to leave the field open. Type "<" to go back to the previous '
         "answer. Give lengths in metres, angles in radians, masses in kilograms. Use decimal points.\n",
@@ -104,7 +103,7 @@ def _ask_all(file: Path, data: dict[str, Any], console: Console) -> int:
         _interview(file, data, console)
     except (EOFError, KeyboardInterrupt):
         console.print()
-    console.print(f"{'Nothing new for' if data == before else 'Written to'} {escape(str(file))}.", soft_wrap=True)
+    console.print(f"Saved in {escape(str(file))}.", soft_wrap=True)
     if fields := open_fields(data, file):
         console.print(f"\n[bold]Still open[/bold]\n{escape(told(fields))}", soft_wrap=True)
     if open_questions(data):
@@ -131,16 +130,17 @@ def _interview(file: Path, data: dict[str, Any], console: Console) -> None:
     skipped: set[str] = set()
     answered: list[dict[str, Any]] = []  # what the file said before each answer
     section, asked_camera = "", False
-    while field := next((q for q in open_questions(data) if q.name not in skipped), None):
+    while left := [question for question in open_questions(data) if question.name not in skipped]:
+        field = left[0]
         if field.path[0] != section:
             section = field.path[0]
-            console.print(f"[bold]{section}[/bold]  [dim]{len(open_questions(data))} fields left[/dim]")
+            console.print(f"[bold]{section}[/bold]  [dim]{len(left)} questions left[/dim]")
         if field.name == "camera.fx" and not asked_camera:
             asked_camera = True
             if _told_by_the_camera(data, console):
                 write_atomic(file, template(data).encode())
                 continue
-        answer = _ask(field, str(data.get("frame", "base")), console) or OFFERED.get(field.name, "")
+        answer = _ask(field, str(data.get("frame") or "the frame above"), console) or OFFERED.get(field.name, "")
         if not answer:
             skipped.add(field.name)
             continue
@@ -173,7 +173,7 @@ def _ask(field: StationField, frame: str, console: Console) -> str:
     none = " [dim](or: none)[/dim]" if nullable(field) else ""
     offer = f" [dim](Enter: {OFFERED[field.name]})[/dim]" if field.name in OFFERED else ""
     text = escape(field.text.replace("in `base`", f"in {frame}"))
-    console.print(f"  [cyan]{field.name}[/cyan]  {text} [dim]({escape(form)})[/dim]{none}{offer}", soft_wrap=True)
+    console.print(f"  [cyan]{field.name}[/cyan]  {text} [dim]({escape(form)})[/dim]{none}{offer}")
     if not sys.stdin.isatty():  # no echo: show what was read
         line = sys.stdin.readline()
         if not line:

@@ -18,7 +18,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PlanningError
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import Array, angle_between, inverse
-from toolee_robot.station import MEASURED, StationConfig, unmeasured
+from toolee_robot.station import MEASURED, SIMULATED, StationConfig, unmeasured
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_tool
 from toolee_robot.types import Payload
 
@@ -182,7 +182,8 @@ def check_calibration(
         others = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return fail("calibration", f"{message}{others}", remedy)
     unknown = [what for what, serial in (("robot", robot_serial), ("camera", camera_serial)) if serial is None]
-    message = f"of {calibration.measured_on}, residual {calibration.residual * 1e3:.1f} mm"
+    whose = "of the simulated camera, " if camera_serial == SIMULATED else ""
+    message = f"{whose}of {calibration.measured_on}, residual {calibration.residual * 1e3:.1f} mm"
     if unknown:
         message += f"; not compared with the {' and the '.join(unknown)}"
         return warn("calibration", message, "make sure that it is of these devices")

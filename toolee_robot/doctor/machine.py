@@ -34,6 +34,8 @@ CPUS = 4
 """Recommended number of cores: servo process, task with planner, perception, and the rest of the system."""
 DISK_FULL, DISK_LOW = 200 << 20, 5 << 30
 """Free space below which the check fails and warns [bytes]; a job's recording takes some tens of megabytes."""
+STOPS = "blocks nothing, but the arm may stop in a motion"
+"""Of warnings of this computer."""
 LATE = 1e-3
 """Tolerated lateness of a command [s]."""
 _GOVERNORS = "cpu*/cpufreq/scaling_governor"
@@ -49,7 +51,7 @@ def check_processor(cpus: Path = Path("/sys/devices/system/cpu")) -> Iterator[Fi
     if n < 2:
         yield fail("cores", f"{n}", "the servo loop needs its own core: use a computer with 4")
     elif n < CPUS:
-        yield warn("cores", f"{n}", f"with {CPUS}, perception and planning cannot delay the servo loop")
+        yield warn("cores", f"{n}", f"{STOPS}: use a computer with {CPUS}")
     else:
         yield ok("cores", f"{n}")
     governors = set()
@@ -57,47 +59,34 @@ def check_processor(cpus: Path = Path("/sys/devices/system/cpu")) -> Iterator[Fi
         with suppress(OSError):
             governors.add(path.read_text().strip())
     if not governors:
-        yield ok("frequency", "cannot be set on this computer")
+        yield ok("frequency", "no governor to set")
     elif governors <= {"performance"}:
         yield ok("frequency", "governor performance")
     else:
         yield warn(
             "frequency",
             f"governor {', '.join(sorted(governors))}",
-            "sleeping cores wake late: sudo cpupower frequency-set -g performance",
+            f"{STOPS}, as sleeping cores wake late: sudo cpupower frequency-set -g performance",
         )
 
 
 def check_real_time(rate: float) -> Iterator[Finding]:
     """Check kernel, permissions and timing for a servo loop at `rate` [Hz]; timing is measured for 0.5 s."""
     kernel = "PREEMPT_RT" in platform.version() or _flag("/sys/kernel/realtime")
-    if kernel:
-        yield ok("kernel", "real-time (PREEMPT_RT)")
-    else:
-        yield warn("kernel", "not a real-time one", "install one with PREEMPT_RT: see docs/how-to/first_nail.md")
-    if _may_schedule():
-        yield ok("priority", "SCHED_FIFO is allowed")
-    else:
-        yield warn(
-            "priority",
-            "SCHED_FIFO is not allowed",
-            "other programs can delay the servo loop: set rtprio in /etc/security/limits.conf",
-        )
-    if _may_lock():
-        yield ok("memory", "may be locked")
-    else:
-        yield warn(
-            "memory",
-            "may not be locked",
-            "it can be paged out in mid-swing: set memlock to unlimited in /etc/security/limits.conf",
-        )
+    limits = "in /etc/security/limits.conf"
+    for name, good, fine, wrong, remedy in (
+        ("kernel", kernel, "real-time (PREEMPT_RT)", "not a real-time one", "see docs/how-to/first_nail.md"),
+        ("priority", _may_schedule(), "SCHED_FIFO is allowed", "SCHED_FIFO is not allowed", f"set rtprio {limits}"),
+        ("memory", _may_lock(), "may be locked", "may not be locked", f"set memlock to unlimited {limits}"),
+    ):
+        yield ok(name, fine) if good else warn(name, wrong, f"{STOPS}: {remedy}")
     late = wake_up_lateness(rate, 0.5)
     p99 = float(np.percentile(late, 99))
     message = (
         f"{rate:.0f} Hz: 99 % of the cycles less than {p99 * 1e3:.2f} ms late, the worst {late.max() * 1e3:.2f} ms"
     )
     if p99 > LATE:
-        yield warn("schedule", message, "stop other programs. Commands later than half a cycle count as overruns")
+        yield warn("schedule", message, f"{STOPS}: end other programs. Later than half a cycle is an overrun")
     else:
         yield ok("schedule", message)
 

@@ -215,7 +215,9 @@ class SceneConfig:
     person_size: tuple[Extent, Extent, Extent]
     """Size of the person's box."""
     home: JointAngles
-    """Joint positions where the arm waits and parks, base to wrist 3."""
+    """Joint positions where the arm waits and parks, base to wrist 3. The pendant shows degrees: multiply them by
+    0.0174533.
+    """
     handover_position: Point
     """Position of the palm's origin at the handover, in `base`."""
     handover_facing: Direction

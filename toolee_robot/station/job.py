@@ -34,7 +34,9 @@ class StrikeConfig:
 
     __pydantic_config__ = STRICT
     speed: Annotated[float, MetresPerSecond(0.05, 3.0, "hammers of a UR10 reach 2")]
-    """Wanted speed of the face at the contact. A strike is slower if a limit requires it."""
+    """Wanted speed of the face at the contact. A strike is slower if a limit requires it. Give 0.4 for the first
+    strikes on a robot.
+    """
     deepest: Annotated[float, Metres(0.001, 0.15)] = 0.020
     """Largest distance of the commanded face beyond the contact, where every strike turns back. A lagging servo reaches
     it, too. Give 0.01 for the first strikes on a robot. A compliant wrist bears up to 0.1, and the strike is faster.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -148,13 +148,9 @@ class HandConfig:
             raise ValueError("weighed is for a hand: for a mount give mount.mass and mount.center_of_mass")
         if any(given is not None for given in (self.mounting, self.port, self.strap_force, self.efforts)):
             raise ValueError(f"mounting, port, efforts and strap_force are for hands, not for the model {MOUNT!r}")
-        missing = []
-        if self.yield_torque is None:
-            missing.append("hand.yield_torque")
-        if self.mount is None:
-            missing.extend(f"hand.mount.{field.name}" for field in fields(ToolMount))
-        if missing:
-            raise ValueError(f"a mount has no defaults: measure yours and give {', '.join(missing)}")
+        needed = {"hand.yield_torque": self.yield_torque, "every field of hand.mount": self.mount}
+        if missing := [name for name, value in needed.items() if value is None]:
+            raise ValueError(f"a mount has no defaults: measure yours and give {' and '.join(missing)}")
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,8 @@ _SOURCES = {
     "arm": "its name plate, the network",
     "arm.up": "spirit level on the base; or set_gravity in the script of a program that the pendant has saved",
     "hand": "its name plate, scales, spring balance",
+    "hand.mount": "ruler, scales, spring balance; docs/how-to/begin_with_a_mount.md",
+    "hand.mounting": "ruler",
     "hand.efforts": "`toolee hand efforts`, spring balance; docs/how-to/shadow_hand.md",
     "camera.device": "its label and data sheet",
     "camera": "tape measure",
@@ -72,8 +74,9 @@ class OpenFields:
 
     @property
     def fields(self) -> str:
-        """The fields in few words, such as `camera: fx, fy`."""
-        return f"{self.section}: {', '.join(self.names)}" if self.section else ", ".join(self.names)
+        """The fields in few words, such as `camera: fx, fy`, with the note."""
+        names = ", ".join(self.names) + (f" ({self.note})" if self.note else "")
+        return f"{self.section}: {names}" if self.section else names
 
 
 def open_fields(data: dict[str, Any], path: Path) -> list[OpenFields]:
@@ -112,24 +115,12 @@ def told(fields: list[OpenFields]) -> str:
     Returns:
         A line each, those that are typed in before those that a command measures.
     """
-    lines = []
-    for typed, head in (
-        (True, "Type in:"),
-        (False, "Measure, each by its command, in this order (docs/how-to/first_nail.md):"),
-    ):
-        group = [entry for entry in fields if entry.typed is typed]
-        if not group:
-            continue
-        if typed:
-            lines += [head, *(f"  {_marked(entry)}  ({entry.source})" for entry in group)]
-        else:
-            width = max(len(_marked(entry)) for entry in group)
-            lines += [head, *(f"  {_marked(entry):<{width}}  {entry.source}" for entry in group)]
-    return "\n".join(lines)
-
-
-def _marked(entry: OpenFields) -> str:
-    return f"{entry.fields} ({entry.note})" if entry.note else entry.fields
+    typed = [f"  {entry.fields}  ({entry.source})" for entry in fields if entry.typed]
+    measured = [entry for entry in fields if not entry.typed]
+    width = max((len(entry.fields) for entry in measured), default=0)
+    lines = ["Type in:", *typed] if typed else []
+    lines += ["Measure, each by its command, in this order (docs/how-to/first_nail.md):"] if measured else []
+    return "\n".join([*lines, *(f"  {entry.fields:<{width}}  {entry.source}" for entry in measured)])
 
 
 def _source(field: str) -> str:
@@ -181,6 +172,11 @@ OFFERED: Mapping[str, str] = {
 """The answer that Enter gives, of fields of which most labs have the same."""
 UNASKED = ("scene.obstacles", "arm.acceleration", "supervisor.unattended_speed")
 """What a lab may have to say and no question asks for: lists of records, and limits that grow step by step."""
+SLOW: Mapping[str, str] = {
+    "arm.host": "  # Slow first motions: delete this # and the two at the end.\n  #acceleration: 4.0  # rad/s^2",
+    "strike.deepest": "\n# Slow first motions\n#supervisor: {unattended_speed: 0.6}  # m/s\n#task: {max_strikes: 400}",
+}
+"""Comments of the template, each after a field: limits that a lab begins with, and raises step by step."""
 HEAD = (
     "# Station file of a lab, docs/reference/station_file.md. Metres, radians, kilograms, seconds.\n# Fill in the "
     f"empty fields. `toolee station check` lists what is missing and how to measure it.\nversion: {VERSION}\n"
@@ -404,4 +400,5 @@ def template(data: dict[str, Any]) -> str:
         blank = value is None and not _said_none(data, field)
         shown = "" if blank else yaml.safe_dump(value, default_flow_style=True, width=200).removesuffix("\n...\n")
         lines.append(f"{indent}{'#' if blank and nullable(field) else ''}{name}: {shown}".rstrip())
+        lines += [SLOW[field.name]] if field.name in SLOW else []
     return "\n".join(lines) + "\n"

@@ -57,6 +57,11 @@ def serve(port: int, data_port: int) -> None:
             if self.headers.get("Host") not in names:
                 self.send_error(403)
                 return
+            if self.path == "/":  # a short address for people
+                self.send_response(302)
+                self.send_header("Location", f"/?url=rerun%2Bhttp://{HOST}:{data_port}/proxy")
+                self.end_headers()
+                return
             with urllib.request.urlopen(f"http://{HOST}:{inner}{self.path}") as answer:
                 content = answer.read()
             self.send_response(200)
@@ -114,12 +119,11 @@ class RerunPage:
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=self._said, stderr=subprocess.STDOUT, start_new_session=True
         )
-        proxy = f"{HOST}:{data}/proxy"
-        self.address = f"http://{HOST}:{web}/?url=rerun%2Bhttp://{proxy}"
+        self.address = f"http://{HOST}:{web}"
         try:
             self._wait_for(web)
             self.stream = rerun.RecordingStream(name)
-            self.stream.connect_grpc(f"rerun+http://{proxy}", default_blueprint=blueprint)
+            self.stream.connect_grpc(f"rerun+http://{HOST}:{data}/proxy", default_blueprint=blueprint)
         except BaseException:
             self._process.kill()
             raise

@@ -160,7 +160,7 @@ def fault(
         message = f"commands were sent late{late} and the arm was stopped: reduce the load on this machine"
         return OverrunError(message, report)
     if cause is Cause.TASK_STALLED:
-        message = "the task's process stalled and the arm was stopped: find out what blocked it"
+        message = "the task's process stood still and the arm was stopped: close other programs, then try again"
         return MotionFaultError(message, report, code="motion_fault.task_stalled")
     return MotionFaultError(
         "the robot's program has ended (the pendant, its watchdog, another program): see the robot's log, then reset",
