@@ -183,7 +183,7 @@ def test_freedrive_tells_where_the_arm_is_and_leaves_it_there(
     ("words", "expected_text"),
     [
         (["move", "--robot-host", "192.0.2.7", "--joint", "1", "--by", "0.1", "--yes"], "2.7 may be a real robot"),
-        (["transfer", "--to", "home", "--robot-host", "192.0.2.7"], "--config"),
+        (["transfer", "--to", "home", "--robot-host", "192.0.2.7"], "--station"),
         (["transfer", "--to", "home", "--robot-host", HOST], "standard input"),
         (["move", "--robot-host", HOST, "--joint", "1", "--yes"], "--joint together with --by"),
         (["move", "--robot-host", HOST, "--along", "0", "0", "0.1", "--yes"], "--along together with --frame"),
@@ -193,7 +193,7 @@ def test_freedrive_tells_where_the_arm_is_and_leaves_it_there(
             "the speed limit is",
         ),
         (["freedrive", "--robot-host", HOST, "--yes"], "--seconds"),
-        (["lag", "--robot-host", HOST, "--write", "--yes"], "--config"),
+        (["lag", "--robot-host", HOST, "--write", "--yes"], "--station"),
     ],
 )
 def test_what_nobody_attends_or_nobody_can_mean_is_exit_2(

@@ -71,7 +71,7 @@ def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_
     assert "Ready for the job in simulation" in said
     assert record["worst"] in ("ok", "warn")
     assert {f["section"] for f in record["findings"]} == {
-        "Simulated station (no --config)", "Calibration", "This computer",
+        "Simulated station (no --station)", "Calibration", "This computer",
     }  # fmt: skip
     assert not (tmp_path / "runs").exists(), "a look leaves nothing behind"
 
@@ -112,7 +112,7 @@ def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
     assert (record["robot_serial"], found["calibration"]["level"]) == (_SERIAL, "warn")
     assert "no job" in found["calibration"]["message"]
     assert found["person"]["level"] == "warn"
-    assert f"toolee doctor --config {path} --inputs" in found["person"]["remedy"]
+    assert f"toolee doctor --station {path} --inputs" in found["person"]["remedy"]
 
 
 @pytest.fixture

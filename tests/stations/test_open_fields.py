@@ -33,7 +33,7 @@ def test_an_empty_file_lacks_everything_once_what_is_typed_first() -> None:
     assert defaults == offered - {"strike.speed"}, "no default of which is a first strike's on a robot"
     commands = [entry.source.split()[:3] for entry in found if not entry.typed]
     assert [" ".join(words[1:]) for words in commands] == [
-        "camera show", "doctor --config", "arm lag", "calibrate camera", "calibrate nail",
+        "camera show", "doctor --station", "arm lag", "calibrate camera", "calibrate nail",
     ]  # fmt: skip
 
 

@@ -73,7 +73,7 @@ class DoctorReport:
                 findings.append(check_range(config))
             if self.host is not None:
                 findings.insert(0, check_measured(self.path, is_loopback(self.host)))
-        yield "Simulated station (no --config)" if self.path is None else "Station file", findings
+        yield "Simulated station (no --station)" if self.path is None else "Station file", findings
         serials: tuple[str | None, str | None] = SIMULATED, SIMULATED
         if self.host is not None:
             yield from self._controller(self.host)
@@ -106,7 +106,7 @@ class DoctorReport:
             yield warn(name, message, "give `person`: docs/concepts/safety.md")
         elif self.tell is None:
             address = "" if host == config.arm.host else f" --robot-host {host}"
-            remedy = f"before a handover: `toolee doctor --config {self.path}{address} --inputs`"
+            remedy = f"before a handover: `toolee doctor --station {self.path}{address} --inputs`"
             yield warn(name, "door and hold-to-run switch were not seen to change", remedy)
         else:
             clock = HostClock()

@@ -23,7 +23,7 @@ from rich.table import Table
 from rich.text import Text
 
 from toolee_robot.arm_data import JOINTS
-from toolee_robot.cli.output import Flag, JsonOption, TerminalPerson
+from toolee_robot.cli.output import STATION, Flag, JsonOption, TerminalPerson
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import is_loopback
 
@@ -54,7 +54,7 @@ class ArmOptions(JsonOption):
         str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: arm.host of the station file)")
     ] = None
     """Address of the UR controller: a robot's, or the loopback address of `toolee emulate ur`."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    config: Annotated[Path | None, STATION] = None
     """The station file, which sets the limits. An emulated robot does not need it."""
     yes: Flag = False
     """Do not ask, and ignore keys: for scripts, and only with an emulated robot on a loopback address."""
@@ -66,13 +66,13 @@ class ArmOptions(JsonOption):
         station = sim_station() if self.config is None else load_station(self.config)
         host = self.robot_host or station.arm.host
         if host is None:
-            raise UserError("no robot: give --config with a station file that names arm.host, or --robot-host")
+            raise UserError("no robot: give --station with a station file that names arm.host, or --robot-host")
         if is_loopback(host):
             return station, host
         if self.yes:
             raise UserError(f"leave --yes out: {host} may be a real robot, and a person confirms its motions")
         if self.config is None:
-            raise UserError(f"--robot-host {host} also needs --config, the station file of the robot")
+            raise UserError(f"--robot-host {host} also needs --station, the station file of the robot")
         return load_lab_station(self.config), host
 
     def caps(self) -> Caps:
@@ -126,7 +126,7 @@ class MotionOptions(ArmOptions):
 class Move(MotionOptions):
     """Turn joints, or move the flange along a straight line.
 
-    Example: toolee arm move --robot-host 192.168.1.10 --config lab.yaml --joint 3 --by 0.05
+    Example: toolee arm move --robot-host 192.168.1.10 --station lab.yaml --joint 3 --by 0.05
 
     Example: toolee arm move --robot-host 127.0.0.2 --along 0 0 0.05 --frame pendant_base
 
@@ -170,7 +170,7 @@ class Move(MotionOptions):
 class Transfer(MotionOptions):
     """Move to a place of the station, around what is in the way.
 
-    Example: toolee arm transfer --robot-host 192.168.1.10 --config lab.yaml --to handover
+    Example: toolee arm transfer --robot-host 192.168.1.10 --station lab.yaml --to handover
 
     A person confirms the motion first. The hand is open and empty. Any key stops the arm on its path, and so does
     Ctrl-C.
@@ -196,7 +196,7 @@ class Transfer(MotionOptions):
 class Touch(MotionOptions):
     """Move straight on until the arm feels a force, and back.
 
-    Example: toolee arm touch --robot-host 192.168.1.10 --config lab.yaml --along 0 0 -0.1 --frame pendant_base
+    Example: toolee arm touch --robot-host 192.168.1.10 --station lab.yaml --along 0 0 -0.1 --frame pendant_base
 
     Touch something soft, such as a block of foam. It must not be in the station file, or the motion is
     refused. Any key stops the arm on its path, and so does Ctrl-C. Exit code 1: no contact.
@@ -243,7 +243,7 @@ class Touch(MotionOptions):
 class Lag(MotionOptions):
     """Measure the servo's lag, and recommend its settings.
 
-    Example: toolee arm lag --robot-host 192.168.1.10 --config lab.yaml --joint 1 --write
+    Example: toolee arm lag --robot-host 192.168.1.10 --station lab.yaml --joint 1 --write
 
     One joint moves in sines and steps of rising speed, first with gentle settings, then with sharper ones. The command
     ends at the first sign of vibration. Listen to the arm, and press a key if it hums. Exit code 1: even the gentlest
@@ -257,7 +257,7 @@ class Lag(MotionOptions):
 
     def run(self) -> int:
         if self.write and self.config is None:
-            raise UserError("--write needs --config: the station file to write to")
+            raise UserError("--write needs --station: the station file to write to")
         console = self.console
         station, host = self.load()
         from toolee_robot.app.bring_up import tune_servo
@@ -295,7 +295,7 @@ class Lag(MotionOptions):
 class Freedrive(ArmOptions):
     """Let a person move the arm by hand, and show where it is.
 
-    Example: toolee arm freedrive --robot-host 192.168.1.10 --config lab.yaml
+    Example: toolee arm freedrive --robot-host 192.168.1.10 --station lab.yaml
 
     Any key ends it, and the arm then holds its position. With a wrong payload the arm sinks or rises when you let go.
     """
@@ -327,7 +327,7 @@ class Freedrive(ArmOptions):
 class Acceleration(ArmOptions):
     """Find the acceleration that each joint bears.
 
-    Example: toolee arm acceleration --config lab.yaml --most 8
+    Example: toolee arm acceleration --station lab.yaml --most 8
 
     Enter the result as arm.acceleration in the station file. The motions are fast: keep everybody out of reach.
 

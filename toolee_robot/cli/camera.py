@@ -15,7 +15,7 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from toolee_robot.cli.output import JsonOption
+from toolee_robot.cli.output import STATION, JsonOption
 from toolee_robot.errors import TooleeError, UserError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _UNKNOWN_RANGE = 1e-3
 class CameraOptions(JsonOption):
     """Which camera: a station file's, a recording, or one by driver and serial number."""
 
-    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    config: Annotated[Path | None, STATION] = None
     """The station file, whose camera.device is opened."""
     recording: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Instead: a recording of `toolee camera record`, played."""
@@ -53,7 +53,7 @@ class CameraOptions(JsonOption):
 
         given = [self.config is not None, self.recording is not None, self.driver is not None]
         if sum(given) != 1:
-            message = "which camera? Give one of --config YAML, --recording DIR, or --driver NAME with --serial NUMBER"
+            message = "which camera? Give one of --station YAML, --recording DIR, or --driver NAME with --serial NUMBER"
             raise UserError(message)
         if self.config is not None:
             return load_station(self.config).camera
@@ -196,7 +196,7 @@ class Show(CameraOptions):
 class Record(CameraOptions):
     """Record the frames of a camera, as a job would get them.
 
-    Example: toolee camera record --config lab.yaml --out frames --seconds 5
+    Example: toolee camera record --station lab.yaml --out frames --seconds 5
 
     Frames are undistorted, registered and time-stamped. The folder can be played (`--recording frames`, or the driver
     `recorded` in a station file), and `toolee estimate --bop frames` finds the tools in it. Ctrl-C ends the recording,

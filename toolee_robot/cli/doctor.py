@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from toolee_robot.cli.output import Flag, JsonOption
+from toolee_robot.cli.output import STATION, Flag, JsonOption
 from toolee_robot.errors import UserError
 from toolee_robot.findings import Finding, Level, worst
 
@@ -32,9 +32,9 @@ class Doctor(JsonOption):
 
     Example: toolee doctor
 
-    Example: toolee doctor --config lab.yaml
+    Example: toolee doctor --station lab.yaml
 
-    Example: toolee doctor --config lab.yaml --inputs
+    Example: toolee doctor --station lab.yaml --inputs
 
     Exit code 0: ready, or warnings only; 1: a fault must be repaired first; 2: invalid input.
     """
@@ -43,7 +43,7 @@ class Doctor(JsonOption):
         str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="(default: arm.host of the station file)")
     ] = None
     """Address of the UR controller: a robot's, or that of `toolee emulate ur`. If there is none, no device is asked."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    config: Annotated[Path | None, STATION] = None
     """A station: any subset of the fields in docs/reference/station_file.md."""
     jogged_point: Annotated[
         tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from toolee_robot.app.variant import Variant
 from toolee_robot.cli import EXIT_INTERRUPTED
-from toolee_robot.cli.output import Flag, JsonOption
+from toolee_robot.cli.output import STATION, Flag, JsonOption
 from toolee_robot.depth_noise import KINDS, SensorKind
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.latency_monitor import gc_spared
@@ -142,7 +142,7 @@ class SimHammer(JobOptions):
 
     Example: toolee sim hammer --seed 100
 
-    Example: toolee sim hammer --config examples/nails.yaml --nail left
+    Example: toolee sim hammer --station examples/nails.yaml --nail left
 
     Several nails of the station are driven in their order, with the same tool. If one bends, sticks or is missed, the
     job goes on with the next.
@@ -152,7 +152,7 @@ class SimHammer(JobOptions):
 
     seed: Annotated[int, SEED] = 0
     """Seed of the hammer (none was used in training), the grasp and the noise."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    config: Annotated[Path | None, STATION] = None
     """Changes to the simulated station: any of the fields in docs/reference/station_file.md."""
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Model of the arm, instead of the configured one."""

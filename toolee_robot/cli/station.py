@@ -96,8 +96,7 @@ def _ask_all(file: Path, data: dict[str, Any], console: Console) -> int:
 
     console.print(
         'Press Enter to accept the offered answer, or to leave the field open. Type "<" to go back to the previous '
-        "answer. Give lengths in metres, angles in radians, masses in kilograms. Use decimal points.\n",
-        soft_wrap=True,
+        "answer. Give lengths in metres, angles in radians, masses in kilograms. Use decimal points.\n"
     )
     try:
         _interview(file, data, console)

@@ -1,6 +1,6 @@
 """Train the detector, its masks' refiner or the pose network, or fit the trust in their poses.
 
-Example: toolee train segmentation --data data/hard/train --out runs/segmentation
+Example: toolee train segmentation --data data/hard/train --out runs/seg
 """
 
 from __future__ import annotations

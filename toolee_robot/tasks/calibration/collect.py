@@ -104,7 +104,7 @@ class Collector:
             shown.append(taken.X_camera_board is not None)
             if len(shown) == UNSEEN and not any(shown):
                 raise UserError(
-                    f"none of the first {UNSEEN} images shows the board. Look with `toolee camera show --config "
+                    f"none of the first {UNSEEN} images shows the board. Look with `toolee camera show --station "
                     "FILE --picture seen.png`. Compare the camera with camera.position and camera.target: x and y "
                     "swapped, or half a turn of the base, are the usual mistakes. The print must face away from "
                     "the flange, and --sheet must be its size"
