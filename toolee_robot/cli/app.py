@@ -147,7 +147,7 @@ def _parse_options(command: type[Command], path: tuple[str, ...], words: Sequenc
 
     described, config = _wrapped(command.__doc__), (tyro.conf.FlagCreatePairsOff,)
     # Of a docstring's line ends tyro keeps those before a digit, a dash or a bracket, and it wraps no description.
-    tyro._strings.remove_single_line_breaks = lambda text: text if text == described else _joined(text)
+    tyro._strings.remove_single_line_breaks = lambda helptext: helptext if helptext == described else _joined(helptext)
     prog = " ".join(("toolee", *path))
     parsed: Command = tyro.cli(command, prog=prog, description=described, args=words, config=config)
     for name, value in vars(parsed).items():
