@@ -184,7 +184,7 @@ class Job(Long):
     """`toolee sim hammer`: the result of each job is kept, whenever the interrupt comes."""
 
     words: tuple[str, ...] = ("sim", "hammer", "--seed", "101", "--variant", "perfect_perception", "--errors", "exact",
-             "--config", "short.yaml", "--out", "runs", "--json")  # fmt: skip
+             "--station", "short.yaml", "--out", "runs", "--json")  # fmt: skip
     resumes = False
     codes = 0, 1
 

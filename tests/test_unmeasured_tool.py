@@ -226,7 +226,7 @@ def test_no_simulated_world_is_built_around_a_tilted_base() -> None:
     "command",
     [
         ["rehearse", "hammer", "lab.yaml"],
-        ["sim", "hammer", "--config", "lab.yaml"],
+        ["sim", "hammer", "--station", "lab.yaml"],
         ["station", "check", "lab.yaml"],
         ["calibrate", "camera", "--station", "lab.yaml", "--rehearse"],
         ["calibrate", "nail", "--station", "lab.yaml", "--rehearse"],

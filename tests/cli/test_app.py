@@ -72,8 +72,8 @@ def _frame_args(
         (["sim", "hammer", "--sed", "3"], "--seed"),
         (["sim", "hammer", "--seed", "three"], "--seed"),
         (["sim", "hammer", "--seed", "-1"], "--seed -1"),
-        (["sim", "hammer", "--config", "none.yaml"], "none.yaml"),
-        (["sim", "hammer", "--config", "lab.yaml"], "work.nail_diametre"),
+        (["sim", "hammer", "--station", "none.yaml"], "none.yaml"),
+        (["sim", "hammer", "--station", "lab.yaml"], "work.nail_diametre"),
         (["sim", "hammer", "--out", "rgb.png"], "--out"),
         (["sim", "hammer", "--variant", "paper"], "toolee train paper"),
         (["sim", "hammer", "--paper-weights", "scene"], "--paper-weights DIR together"),
@@ -176,7 +176,7 @@ def test_a_number_that_is_none_is_refused_before_anything_is_done(
     words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    needed = {"camera record": ["--out", "x", "--config", "x.yaml"], "calibrate camera": ["--station", "x.yaml"]}
+    needed = {"camera record": ["--out", "x", "--station", "x.yaml"], "calibrate camera": ["--station", "x.yaml"]}
     assert run([*words.split(), *needed.get(" ".join(words.split()[:2]), []), "--json"]) == 2
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "user"
     assert not list(tmp_path.iterdir())

@@ -51,7 +51,7 @@ def lab(tmp_path: Path) -> Path:
 
 
 def _arm(capsys: pytest.CaptureFixture[str], lab: Path, *words: str, host: str = HOST) -> tuple[int, dict[str, Any]]:
-    code = run(["arm", *words, "--robot-host", host, "--config", str(lab), "--yes", "--json"])
+    code = run(["arm", *words, "--robot-host", host, "--station", str(lab), "--yes", "--json"])
     out = capsys.readouterr()
     return code, json.loads(out.out.splitlines()[-1]) if out.out else {"said": out.err}
 
@@ -214,7 +214,7 @@ def test_a_robots_station_file_that_leaves_out_what_is_measured_moves_nothing(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Otherwise the simulated camera, nail and person would be taken for the lab's."""
-    assert run(["arm", "transfer", "--to", "home", "--robot-host", "192.0.2.7", "--config", str(lab)]) == 2
+    assert run(["arm", "transfer", "--to", "home", "--robot-host", "192.0.2.7", "--station", str(lab)]) == 2
     assert "camera.position" in capsys.readouterr().err
 
 
@@ -328,7 +328,7 @@ def test_a_stop_ends_all_joints_and_recommends_nothing_for_those_that_were_not_t
 def test_nothing_is_fast_without_a_door_that_tells_who_is_in_reach(
     lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(["arm", "acceleration", "--robot-host", HOST, "--config", str(lab)]) == 2
+    assert run(["arm", "acceleration", "--robot-host", HOST, "--station", str(lab)]) == 2
     assert "`person`" in capsys.readouterr().err
 
 
@@ -366,7 +366,7 @@ def test_the_arm_is_fast_once_the_door_was_seen_to_change_and_stops_raising_near
                 switch(client, held=held)
                 time.sleep(0.5)
 
-        words = ["arm", "acceleration", "--robot-host", host, "--config", str(lab), "--joint", "6", "--json"]
+        words = ["arm", "acceleration", "--robot-host", host, "--station", str(lab), "--joint", "6", "--json"]
         with FaultClient(host) as client:
             door(client, opened=False)
             switch(client, held=False)

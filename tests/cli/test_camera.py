@@ -56,7 +56,7 @@ def test_show_prints_what_the_station_file_needs(folder: Path, capsys: pytest.Ca
 def test_record_writes_what_can_be_played(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder.parent / "again"
     config = station(folder.parent / "lab.yaml", folder)
-    command = ["camera", "record", "--config", str(config), "--out", str(out), "--seconds", "0.7", "--json"]
+    command = ["camera", "record", "--station", str(config), "--out", str(out), "--seconds", "0.7", "--json"]
     assert run(command) == 0
     told = json.loads(capsys.readouterr().out)
     recording = open_recording(out)
@@ -85,7 +85,7 @@ def test_a_lens_that_nobody_knows_is_said_until_the_file_states_it(
     """As of a driver that does not tell it: a recording of a camera whose lens was not known."""
     say_undistorted(folder, False)
     config = station(folder.parent / "lab.yaml", folder)
-    show = ["camera", "show", "--config", str(config)]
+    show = ["camera", "show", "--station", str(config)]
     lens = lens_of(config)
     assert lens.level is Level.WARN
     assert "camera.distortion" in lens.remedy
@@ -132,10 +132,10 @@ def test_a_lens_that_is_refused_keeps_nobody_from_looking_and_what_show_prints_i
 ) -> None:
     config, picture = station(folder.parent / "lab.yaml", folder), folder.parent / "seen.png"
     reason = refused(state, config, folder)
-    record = ["camera", "record", "--config", str(config), "--seconds", "0.3", "--out"]
+    record = ["camera", "record", "--station", str(config), "--seconds", "0.3", "--out"]
     assert run([*record, str(folder.parent / "refused")]) in (EXIT_FAILED, EXIT_USER)
     assert reason in " ".join(capsys.readouterr().err.split())
-    assert run(["camera", "show", "--config", str(config), "--picture", str(picture)]) == 0
+    assert run(["camera", "show", "--station", str(config), "--picture", str(picture)]) == 0
     out = capsys.readouterr().out
     assert reason in " ".join(out.split())
     assert picture.is_file()
@@ -155,11 +155,11 @@ def test_a_recording_is_not_undistorted_again_by_the_lens_of_then(
     said = yaml.safe_load(config.read_text())
     said["camera"]["distortion"] = list(LENS)
     config.write_text(yaml.safe_dump(said))
-    assert run(["camera", "show", "--config", str(config)]) == 0
+    assert run(["camera", "show", "--station", str(config)]) == 0
     shown = capsys.readouterr().out
     assert "undistorted when it was recorded" in shown
     assert yaml.safe_load(shown[shown.index("camera:") :])["camera"]["distortion"] == list(LENS)
-    assert run(["camera", "record", "--config", str(config), "--out", str(out), "--seconds", "0.5"]) == 0
+    assert run(["camera", "record", "--station", str(config), "--out", str(out), "--seconds", "0.5"]) == 0
     played, again = open_recording(folder), open_recording(out)
     assert again.undistorted is True
     originals = {played.read(n)[0].tobytes() for n in range(len(played.stamps))}
@@ -176,12 +176,12 @@ def test_a_recording_that_does_not_say_whether_it_is_undistorted_takes_no_lens(
     lens = lens_of(config)
     assert lens.level is Level.WARN
     assert "recording.json" in lens.remedy
-    assert run(["camera", "record", "--config", str(config), "--out", str(out), "--seconds", "0.5"]) == 0
+    assert run(["camera", "record", "--station", str(config), "--out", str(out), "--seconds", "0.5"]) == 0
     assert open_recording(out).undistorted is None, "recorded again it does not say, either"
     said = yaml.safe_load(config.read_text())
     said["camera"]["distortion"] = [-0.2, 0.0, 0.0, 0.0]
     config.write_text(yaml.safe_dump(said))
-    show = ["camera", "show", "--config", str(config)]
+    show = ["camera", "show", "--station", str(config)]
     capsys.readouterr()
     for undistorted, words in (
         (True, "undistorted when it was recorded"),
@@ -195,7 +195,7 @@ def test_a_recording_that_does_not_say_whether_it_is_undistorted_takes_no_lens(
 @pytest.mark.realtime
 def test_the_stations_doctor_asks_the_camera_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = station(folder.parent / "lab.yaml", folder)
-    run(["doctor", "--config", str(config), "--robot-host", "127.0.0.77", "--json"])
+    run(["doctor", "--station", str(config), "--robot-host", "127.0.0.77", "--json"])
     told = json.loads(capsys.readouterr().out)
     levels = {f["name"]: f["level"] for f in told["findings"] if f["section"] != "Station file"}
     assert levels["camera"] == levels["exposure"] == levels["lens"] == "ok"

@@ -88,7 +88,7 @@ def test_a_distortion_that_is_not_the_cameras_own_is_refused_and_the_cameras_own
     name: str, lens: dict[str, object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = station(tmp_path / "lab.yaml", lens)
-    told, people = shown(capsys, "--config", str(path))
+    told, people = shown(capsys, "--station", str(path))
     words = (
         "the camera's intrinsics are" if name == "far" else "camera.distortion of the station file is not the camera's"
     )
@@ -101,11 +101,11 @@ def test_a_distortion_that_is_not_the_cameras_own_is_refused_and_the_cameras_own
     section = entered(people)
     assert "distortion" not in section
     del section["device"]
-    again, _ = shown(capsys, "--config", str(station(path, section)))
+    again, _ = shown(capsys, "--station", str(station(path, section)))
     assert again["refused_lens"] is None, "what it prints opens the camera"
     # Nothing but `show` looks past it.
     station(path, lens)
-    record = ["camera", "record", "--config", str(path), "--out", str(tmp_path / "r"), "--seconds", "0.2"]
+    record = ["camera", "record", "--station", str(path), "--out", str(tmp_path / "r"), "--seconds", "0.2"]
     assert run(record) == EXIT_FAILED
     assert words in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "r").exists()
@@ -115,7 +115,7 @@ def test_a_distortion_that_is_the_cameras_own_is_not_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rounded = [round(value, 5) for value in COEFFICIENTS]
-    told, people = shown(capsys, "--config", str(station(tmp_path / "lab.yaml", {"distortion": rounded})))
+    told, people = shown(capsys, "--station", str(station(tmp_path / "lab.yaml", {"distortion": rounded})))
     assert told["refused_lens"] is None
     assert told["distortion"]["from"] == "the camera's own"
     assert entered(people)["distortion"] == rounded, "what the file has and holds stays"
@@ -123,16 +123,16 @@ def test_a_distortion_that_is_the_cameras_own_is_not_refused(
 
 def test_coefficients_that_are_no_lenss_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = station(tmp_path / "lab.yaml", {"distortion": [-9.0, 40.0, 0.0, 0.0]})
-    told, _ = shown(capsys, "--config", str(path))
+    told, _ = shown(capsys, "--station", str(path))
     assert "the distortion coefficients are wrong" in told["refused_lens"]
     assert told["distortion"]["from"] == "the camera's own"
 
 
 def test_what_is_no_refused_lens_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = station(tmp_path / "lab.yaml", {"distortion": OTHER}, serial="1")
-    assert run(["camera", "show", "--config", str(other), "--json"]) == EXIT_FAILED
+    assert run(["camera", "show", "--station", str(other), "--json"]) == EXIT_FAILED
     out, err = capsys.readouterr()
     assert json.loads(out)["error"]["code"] == "no_answer.camera_missing"
     assert "no RealSense with serial number 1" in " ".join(err.split())
     mistyped = station(tmp_path / "lab.yaml", {"distortion": [0.1]})
-    assert run(["camera", "show", "--config", str(mistyped), "--json"]) == EXIT_USER
+    assert run(["camera", "show", "--station", str(mistyped), "--json"]) == EXIT_USER

@@ -82,7 +82,7 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = robot.state()
-    code, record, said = _doctor(capsys, "--robot-host", _HOST, "--config", lab)
+    code, record, said = _doctor(capsys, "--robot-host", _HOST, "--station", lab)
     assert code == 0, said
     assert "Ready for slow, attended motions" in said
     assert record["robot_serial"] == _SERIAL
@@ -106,7 +106,7 @@ def test_a_lab_without_a_calibration_moves_slowly_and_is_told_what_waits(
     """LAB.md, defect 4: no lab has the simulation's calibration; and the arm is brought up before the camera."""
     path = tmp_path / "lab.yaml"
     path.write_text(f"version: 3\narm: {{host: {_HOST}}}{_WIRED}")
-    code, record, said = _doctor(capsys, "--config", str(path))
+    code, record, said = _doctor(capsys, "--station", str(path))
     assert code == 0, said
     found = {f["name"]: f for f in record["findings"]}
     assert (record["robot_serial"], found["calibration"]["level"]) == (_SERIAL, "warn")
@@ -148,7 +148,7 @@ def test_at_a_terminal_the_jogged_point_is_asked_for_and_compared(
     x, y, z = 1e3 * DhParameters.of(sim_station().arm.model).fk(np.array(robot.state()["q"]))[:3, 3]
     sign = -1.0 if turned else 1.0
     os.write(terminal, f"home\n{sign * x:.1f} {sign * y:.1f} {z:.1f}\n".encode())
-    assert run(["doctor", "--config", lab]) == code
+    assert run(["doctor", "--station", lab]) == code
     said = capsys.readouterr().out
     assert said.count("Which X Y Z of the TCP does the Move screen show with the feature Base") == 1, said
     assert "give three numbers" in said, "home is none"
@@ -163,7 +163,7 @@ def test_who_skips_the_question_has_the_yellow_line(
     lab: str, capsys: pytest.CaptureFixture[str], terminal: int, answer: bytes
 ) -> None:
     os.write(terminal, answer)
-    assert run(["doctor", "--config", lab]) == 0
+    assert run(["doctor", "--station", lab]) == 0
     said = capsys.readouterr().out
     assert said.count("feature Base, in millimetres?") == 1, said
     assert "the frames were not compared with the pendant" in said
@@ -183,7 +183,7 @@ def test_who_skips_the_question_has_the_yellow_line(
 )
 def test_nobody_is_asked_without_need(lab: str, capsys: pytest.CaptureFixture[str], args: list[str]) -> None:
     """Neither by a program, nor of a point that is given, nor of a robot that does not answer: it would wait."""
-    run(["doctor", "--config", lab, *args])
+    run(["doctor", "--station", lab, *args])
     captured = capsys.readouterr()
     assert "in millimetres?" not in captured.out + captured.err
 
@@ -195,11 +195,11 @@ def test_nobody_is_asked_where_the_question_is_not_seen_or_there_is_no_keyboard(
     lab: str, capsys: pytest.CaptureFixture[str], keyboard: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert keyboard
-    assert run(["doctor", "--config", lab]) == 0
+    assert run(["doctor", "--station", lab]) == 0
     assert "in millimetres?" not in capsys.readouterr().out, "standard output is a pipe"
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     monkeypatch.setattr(sys, "stdin", io.StringIO("1 2 3\n"))
-    assert run(["doctor", "--config", lab]) == 0
+    assert run(["doctor", "--station", lab]) == 0
     assert "in millimetres?" not in capsys.readouterr().out
 
 
@@ -210,7 +210,7 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     monkeypatch.setenv("COLUMNS", "160")
     robot.fault("emergency_stop")
     try:
-        code = run(["doctor", "--config", lab])
+        code = run(["doctor", "--station", lab])
     finally:
         robot.fault("reset")
     said = capsys.readouterr().out
@@ -229,7 +229,7 @@ def test_a_tilted_base_is_looked_at_without_what_needs_an_upright_one(
     path.write_text(f"version: 3\nframe: pendant_base\narm: {{host: {_HOST}, up: [0, 9.82, 0]}}\n")
     robot.fault("mounting", up=[0.0, 9.82, 0.0])
     try:
-        code, record, said = _doctor(capsys, "--config", str(path))
+        code, record, said = _doctor(capsys, "--station", str(path))
     finally:
         robot.fault("mounting", up=[0.0, 0.0, 9.82])
     found = {f["name"]: f for f in record["findings"]}
@@ -282,7 +282,7 @@ def test_door_and_switch_are_seen_changing_and_nothing_moves(
         _obey(robot, "close the door")
         if stuck is not None:
             robot.fault("stuck_input", index=stuck)
-        command = [*_TOOLEE, "doctor", "--config", str(path), "--inputs", "--json"]
+        command = [*_TOOLEE, "doctor", "--station", str(path), "--inputs", "--json"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as doctor:
             assert doctor.stderr is not None
             assert doctor.stdout is not None
@@ -308,7 +308,7 @@ def test_door_and_switch_are_seen_changing_and_nothing_moves(
         (["--inputs"], "--inputs needs the controller's address"),
         (["--inputs", "--robot-host", "127.0.0.49"], "the station file has no `person`"),
         (["--jogged-point", "1", "2", "3"], "--jogged-point needs the controller's address"),
-        (["--config", "none.yaml"], "none.yaml"),
+        (["--station", "none.yaml"], "none.yaml"),
         (["--arm", "ur-rtde"], "--arm"),
     ],
 )
@@ -329,7 +329,7 @@ def test_the_stations_own_hand_is_asked(tmp_path: Path, capsys: pytest.CaptureFi
     text = (Path(__file__).parents[2] / "examples" / "inspire.yaml").read_text()
     with InspireEmulator() as emulator:
         (tmp_path / "lab.yaml").write_text(text.replace("/dev/ttyUSB0", emulator.port))
-        options = ("--robot-host", "127.0.0.49", "--config", str(tmp_path / "lab.yaml"))
+        options = ("--robot-host", "127.0.0.49", "--station", str(tmp_path / "lab.yaml"))
         found = [f for f in _doctor(capsys, *options)[1]["findings"] if f["name"] == "hand"]
     assert [f["level"] for f in found] == ["ok"], found
     found = [f for f in _doctor(capsys, *options)[1]["findings"] if f["name"] == "hand"]

@@ -197,7 +197,7 @@ def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
 @pytest.mark.nightly
 def test_a_job_that_is_told_what_a_person_measures_drives_the_nail(tmp_path: Path) -> None:
     (tmp_path / "short.yaml").write_text("work: {nail_protrusion: 0.006}")
-    job = _whole_job(tmp_path, "--variant", "perfect_perception", "--config", "short.yaml")
+    job = _whole_job(tmp_path, "--variant", "perfect_perception", "--station", "short.yaml")
     assert job.returncode == 0, job.err
     assert job.record["outcome"] == "flush"
     errors = job.record["errors"]
@@ -269,7 +269,7 @@ def test_a_nail_of_fifty_millimetres_needs_no_pilot_hole(tmp_path: Path, model: 
     """The example's nail takes 21 J, more than five times the default one."""
     example = str(EXAMPLES / "long_nail.yaml")
     job = _whole_job(
-        tmp_path, "--variant", "perfect_perception", "--errors", "exact", "--config", example, "--robot", model
+        tmp_path, "--variant", "perfect_perception", "--errors", "exact", "--station", example, "--robot", model
     )
     assert job.returncode == 0, job.err
     assert (job.record["outcome"], job.record["nail"], job.record["off_face_strikes"]) == ("flush", "flush", 0)

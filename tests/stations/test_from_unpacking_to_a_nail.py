@@ -111,7 +111,7 @@ def test_from_an_empty_folder_to_a_driven_nail(tmp_path: Path, monkeypatch: pyte
     with ControllerProcess(model="UR10", host=HOST) as robot:
         robot.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
         told = person.runs(
-            f"toolee doctor --config lab.yaml --robot-host {HOST}", {"in millimetres?": pendant_shows(robot)}
+            f"toolee doctor --station lab.yaml --robot-host {HOST}", {"in millimetres?": pendant_shows(robot)}
         )
     for line in ("✓ sides", "✓ range", "✓ strike", "✓ jogged point", "✓ hand", "! calibration none"):
         assert line in told, told

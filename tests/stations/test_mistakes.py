@@ -216,7 +216,7 @@ def realsense(monkeypatch: pytest.MonkeyPatch) -> SoftwareRealSense:
 @pytest.mark.usefixtures("realsense")
 def test_another_serial_number_of_the_camera_is_told_with_those_there_are(tmp_path: Path, said: Say) -> None:
     device = {"driver": "realsense", "serial": "832112070999", "least_range": 0.28}
-    command = ["camera", "show", "--config", lab(tmp_path, camera={"device": device})]
+    command = ["camera", "show", "--station", lab(tmp_path, camera={"device": device})]
     assert run(command) == EXIT_FAILED
     told = said()
     assert f"no RealSense with serial number 832112070999 is connected (there are: {SERIAL})" in told

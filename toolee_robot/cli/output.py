@@ -33,8 +33,8 @@ from toolee_robot.runtime.files import json_line
 
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 """A flag, off by default."""
-STATION = tyro.conf.arg(aliases=("--station",), metavar="YAML", help_behavior_hint="")
-"""The station file, where a command can do without: --station, or --config as once."""
+STATION = tyro.conf.arg(name="station", metavar="YAML", help_behavior_hint="")
+"""The station file, where a command can do without."""
 
 
 @dataclass(frozen=True, kw_only=True)

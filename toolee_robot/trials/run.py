@@ -106,7 +106,7 @@ def _command(where: Where) -> tuple[str, ...]:
     """The command of a plan's jobs, with what is the same in all of them."""
     match where:
         case InSimulation(config, robot):
-            own = ("--config", config) if config else ()
+            own = ("--station", config) if config else ()
             return ("sim", "hammer", *own, *(("--robot", robot) if robot else ()))
         case InRehearsal(station, factor, profile):
             slow = () if factor is None else ("--real-time-factor", f"{factor:g}")
