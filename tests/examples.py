@@ -27,3 +27,7 @@ def seldom(first: object, *others: object) -> list[Any]:
     """Cases of a parametrized test: the first is asked in every run, the others nightly."""
     rows = [case if isinstance(case, tuple) else (case,) for case in others]
     return [first, *(pytest.param(*row, marks=pytest.mark.nightly) for row in rows)]
+
+
+timed = pytest.mark.parametrize("timed", seldom(False, True), ids=["untimed", "timed"])
+"""A test that bounds durations nightly only: in every run a busy machine may be late."""

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from toolee_robot.devices.person import CONFIRM
+from toolee_robot.devices.person import CONFIRM, PERIOD
 from toolee_robot.errors import StaleDataError
 from toolee_robot.station import PersonConfig
 from toolee_robot.tasks.common.motions import HOLD_SWITCH
@@ -26,21 +26,28 @@ class Panel:
 
     def __init__(self) -> None:
         self.closed = self.held = self.dead = False
-        self.high = self.low = 0
+        self.high = self.low = self.reads = 0
 
     def read(self, max_age: float) -> int:
         """Read the inputs, as `DigitalInputPerson` asks for them."""
+        self.reads += 1
         if self.dead:
             raise StaleDataError(f"no reading for {max_age} s: look at the link")
         bits = self.closed << 0 | (not self.closed) << 1 | self.held << 2 | (not self.held) << 3
         return (bits | self.high) & ~self.low
 
-    def press(self, duration: float = 0.12) -> None:
-        """Press the switch and release it."""
-        time.sleep(0.08)
+    def press(self) -> None:
+        """Press the switch and release it, each for as long as a reader of the inputs takes to be sure."""
+        self._stay(0.08)
         self.held = True
-        time.sleep(duration)
+        self._stay(0.12)
         self.held = False
+
+    def _stay(self, duration: float) -> None:
+        """Leave all as it is for this time [s], and for as many readings as are due in it, at most for two seconds."""
+        last, began = self.reads + round(duration / PERIOD), time.monotonic()
+        while (passed := time.monotonic() - began) < duration or (self.reads < last and passed < 2.0):
+            time.sleep(PERIOD)
 
     def step_back(self) -> None:
         """Leave, close the door, and confirm it."""
@@ -50,7 +57,7 @@ class Panel:
     def hold(self) -> None:
         """Release the switch and hold it from then on."""
         self.held = False
-        time.sleep(0.1)
+        self._stay(0.1)
         self.held = True
 
     def hand_over(self) -> None:

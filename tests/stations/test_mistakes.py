@@ -21,6 +21,7 @@ import yaml
 from tests.calibration.pictures import BOARD, CAMERA, draw_session
 from tests.devices.cameras.test_recording import toy_recording
 from tests.rigs.camera_rig import plug_in
+from tests.rigs.wired_hands import eventually
 from toolee_robot.app.calibrate_camera import CameraJob, PlateViews
 from toolee_robot.calibration.board import SHEETS
 from toolee_robot.calibration.session import read_session
@@ -302,7 +303,12 @@ def test_a_hand_that_is_not_plugged_in_ends_a_job_before_the_arm_is_connected(
 @pytest.mark.realtime(light=True)
 def test_a_hand_that_is_unplugged_while_it_closes_is_told(said: Say) -> None:
     with InspireEmulator() as emulator:
-        pulled = threading.Timer(1.5, emulator.unplug)
+
+        def pull() -> None:
+            eventually(lambda: min(emulator.angles) < 900, 60.0)
+            emulator.unplug()
+
+        pulled = threading.Thread(target=pull)
         pulled.start()
         command = ["hand", "close", "--station", str(INSPIRE), "--port", emulator.port, "--yes"]
         assert run(command) == EXIT_FAILED

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
+from tests.examples import timed
 from toolee_robot import Category, HammeringTask, ToolPerception, nominal_grasp
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.devices.cameras import CameraProfile, Lens, LensModel, StreamedCamera
@@ -155,8 +156,9 @@ def test_an_unknown_lens_is_refused() -> None:
         stream(device).open()
 
 
+@timed
 @pytest.mark.realtime(light=True)
-def test_unplugged_it_says_so_and_can_be_opened_again(device: SoftwareRealSense) -> None:
+def test_unplugged_it_says_so_and_can_be_opened_again(device: SoftwareRealSense, timed: bool) -> None:
     camera = StreamedCamera(stream(device), HostClock())
     with camera:
         camera.read()
@@ -166,7 +168,7 @@ def test_unplugged_it_says_so_and_can_be_opened_again(device: SoftwareRealSense)
         begin = time.monotonic()
         with raises(NoAnswerError, "no_answer.camera_unplugged"):
             camera.read(max_age=3.0)
-        assert time.monotonic() - begin < 0.5, "at once, once it is known"
+        assert not timed or time.monotonic() - begin < 0.5, "at once, once it is known"
     with raises(NoAnswerError, "no_answer.camera_missing"), camera:
         pass
     device.plugged = True

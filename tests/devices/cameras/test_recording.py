@@ -124,6 +124,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, damage: str) -> None:
         open_recording(folder).read(1)
 
 
+@pytest.mark.nightly
 @pytest.mark.realtime(light=True)
 def test_it_is_played_once_as_fast_as_it_was_recorded(tmp_path: Path) -> None:
     frames = toy_recording(tmp_path / "r", 20)

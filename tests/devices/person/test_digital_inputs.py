@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from tests.errors import raises
+from tests.examples import timed
 from tests.rigs.panel import ALL, DOOR_CLOSED, ONE_CONTACT, SWITCH_HELD, TWO_CONTACTS, Panel, later
 from toolee_robot.devices.person import DigitalInputPerson, check_inputs, open_person
 from toolee_robot.errors import ConfigError, PersonNearError
@@ -43,8 +44,9 @@ def eventually(condition: Callable[[], bool], within: float = 1.5) -> bool:
     return condition()
 
 
+@timed
 @pytest.mark.parametrize("config", [ONE_CONTACT, TWO_CONTACTS])
-def test_door_and_switch_read_as_they_are(config: PersonConfig) -> None:
+def test_door_and_switch_read_as_they_are(config: PersonConfig, timed: bool) -> None:
     panel = Panel()
     with at(panel, config) as person:
         assert person.zone_occupied(), "nothing was read yet"
@@ -54,11 +56,12 @@ def test_door_and_switch_read_as_they_are(config: PersonConfig) -> None:
         panel.held = True
         assert eventually(person.hold_to_run_held)
         panel.closed = panel.held = False
-        assert eventually(person.zone_occupied, 0.2)
-        assert eventually(lambda: not person.hold_to_run_held(), 0.2)
+        assert eventually(person.zone_occupied, 0.2 if timed else 1.5)
+        assert eventually(lambda: not person.hold_to_run_held(), 0.2 if timed else 1.5)
     assert person.zone_occupied()
 
 
+@timed
 @pytest.mark.parametrize(
     ("break_it", "fault"),
     [
@@ -68,13 +71,15 @@ def test_door_and_switch_read_as_they_are(config: PersonConfig) -> None:
     ],
     ids=["unplugged", "short circuit", "no data"],
 )
-def test_broken_wiring_reads_as_occupied_and_not_held(break_it: Callable[[Panel], None], fault: str) -> None:
+def test_broken_wiring_reads_as_occupied_and_not_held(
+    break_it: Callable[[Panel], None], fault: str, timed: bool
+) -> None:
     panel = Panel()
     panel.closed = panel.held = True
     with at(panel) as person:
         assert eventually(lambda: person.hold_to_run_held() and not person.zone_occupied())
         break_it(panel)
-        assert eventually(lambda: person.zone_occupied() and not person.hold_to_run_held(), 0.3)
+        assert eventually(lambda: person.zone_occupied() and not person.hold_to_run_held(), 0.3 if timed else 1.5)
         assert eventually(lambda: len(person.faults) == (2 if fault else 0))
         assert all(fault in text for text in person.faults)
         panel.high = panel.low = 0

@@ -76,9 +76,9 @@ def stop_after(trace: Trace, trajectory: Trajectory, event: float) -> Stop:
     )
 
 
-def braked(stop: Stop, limits: ArmLimits, extra: float = 0.0) -> None:
-    """On the path, and as soon as the joints' limits allow, the servo's lag and `extra` [s] besides."""
-    assert stop.time < shortest_stop(limits, stop.speed) + extra + SLACK
+def braked(stop: Stop, limits: ArmLimits, extra: float = 0.0, *, timed: bool = True) -> None:
+    """On the path, and if timed as soon as the joints' limits allow, the servo's lag and `extra` [s] besides."""
+    assert not timed or stop.time < shortest_stop(limits, stop.speed) + extra + SLACK
     # Where each joint stopped for itself they would be some 0.05 rad apart.
     assert stop.off_path < 0.01
 

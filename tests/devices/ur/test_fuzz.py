@@ -39,7 +39,7 @@ pytestmark = pytest.mark.realtime
 ROBOT, HOST = "127.0.0.61", "127.0.0.62"
 PATIENCE = 0.32
 """[s] by which data and commands may be late on a busy machine."""
-CONFIG = UrArmConfig(HOST, ServoConfig(lag=0.05, watchdog=5.0, hang_timeout=1.0, heartbeat_timeout=0.3))
+CONFIG = UrArmConfig(HOST, ServoConfig(lag=0.05, watchdog=5.0, hang_timeout=1.0, heartbeat_timeout=1.0))
 IN_TIME = 3.0
 """[s] From the first wrong byte to the error."""
 BUSY = 4.0

@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 
 from tests.devices.ur.swings import LONG, braked, stop_after, swing
+from tests.devices.ur.test_driver_faults import plays_in_vain
+from tests.examples import timed
 from tests.stand_in import patient, stand_in
 from toolee_robot.devices.ur.driver import UnsupervisedUrArm
 from toolee_robot.devices.ur.servo.program_watch import ProgramWatch, WatchedProgram
@@ -41,16 +43,6 @@ def shared() -> Iterator[ControllerProcess]:
 def controller(shared: ControllerProcess) -> Iterator[ControllerProcess]:
     yield shared
     shared.fault("reset")
-
-
-def plays_in_vain(controller: ControllerProcess) -> None:
-    """After a protective stop."""
-    assert controller.state()["program_state"] == "STOPPED"
-    before = controller.state()["tick"]
-    controller.fault("unlock")
-    assert not controller.fault("play")["resumed"]
-    time.sleep(0.3)
-    assert np.ptp(controller.trace(before).q, axis=0).max() == 0.0
 
 
 def watching() -> list[int]:
@@ -84,12 +76,12 @@ def test_an_arm_that_is_closed_without_any_link_says_so(controller: ControllerPr
     plays_in_vain(controller)
 
 
-def test_a_servo_process_that_dies_at_rest_unnoticed(controller: ControllerProcess) -> None:
+@timed
+def test_a_servo_process_that_dies_at_rest_unnoticed(controller: ControllerProcess, timed: bool) -> None:
     with UnsupervisedUrArm(patient(HOST), LIMITS) as arm:
         os.kill(arm.servo_pid, signal.SIGKILL)
         controller.fault("protective_stop")
-        time.sleep(2.0 * WATCHDOG + 0.5)  # the task asks nothing meanwhile
-        plays_in_vain(controller)
+        plays_in_vain(controller, within=2.0 * WATCHDOG + 0.5 if timed else 10.0)  # the task asks nothing meanwhile
 
 
 @pytest.mark.nightly
@@ -102,8 +94,7 @@ def test_task_and_servo_process_die_at_once(controller: ControllerProcess) -> No
         task.kill()
         os.kill(int(servo), signal.SIGKILL)
         controller.fault("protective_stop")
-        time.sleep(2.0 * WATCHDOG + 0.8)
-        plays_in_vain(controller)
+        plays_in_vain(controller, within=2.0 * WATCHDOG + 0.8)
     finally:
         task.kill()
         task.wait()
@@ -172,15 +163,16 @@ def controller_of_task_death() -> Iterator[ControllerProcess]:
 
 
 SIGNALS = [
-    pytest.param(signal.SIGKILL, 0.0, "", id="SIGKILL"),
-    pytest.param(signal.SIGSTOP, HEARTBEAT, "", id="SIGSTOP", marks=pytest.mark.nightly),
-    pytest.param(signal.SIGINT, 0.0, "interrupted", id="SIGINT", marks=pytest.mark.nightly),
+    pytest.param(signal.SIGKILL, 0.0, "", False, id="SIGKILL"),
+    pytest.param(signal.SIGKILL, 0.0, "", True, id="SIGKILL, timed", marks=pytest.mark.nightly),
+    pytest.param(signal.SIGSTOP, HEARTBEAT, "", True, id="SIGSTOP", marks=pytest.mark.nightly),
+    pytest.param(signal.SIGINT, 0.0, "interrupted", True, id="SIGINT", marks=pytest.mark.nightly),
 ]
 
 
-@pytest.mark.parametrize(("number", "detection", "last_words"), SIGNALS)
+@pytest.mark.parametrize(("number", "detection", "last_words", "timed"), SIGNALS)
 def test_what_hits_the_task(
-    controller_of_task_death: ControllerProcess, number: int, detection: float, last_words: str
+    controller_of_task_death: ControllerProcess, number: int, detection: float, last_words: str, timed: bool
 ) -> None:
     host = controller_of_task_death.host
     controller_of_task_death.fault("reset")
@@ -198,7 +190,8 @@ def test_what_hits_the_task(
             assert task.stdout.readline().startswith(last_words)
             assert task.wait(5.0) != 0
         time.sleep(1.0 + detection)
-        braked(stop_after(controller_of_task_death.trace(before), trajectory, event), LIMITS_TASK_DEATH, detection)
+        stop = stop_after(controller_of_task_death.trace(before), trajectory, event)
+        braked(stop, LIMITS_TASK_DEATH, detection, timed=timed)
         if number == signal.SIGSTOP:
             task.send_signal(signal.SIGCONT)
             assert task.stdout.readline().strip() == "MotionFaultError"
