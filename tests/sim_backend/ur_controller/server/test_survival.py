@@ -38,7 +38,6 @@ def controller(process: ControllerProcess, request: pytest.FixtureRequest) -> It
     process.fault("reset_statistics")
     yield process
     ticks = process.state()["ticks"]
-    assert ticks["done"] > 0
     assert ticks["worst_late"] < STALL or not request.node.get_closest_marker("nightly")
     process.fault("reset")
 
