@@ -51,7 +51,7 @@ def plan_wrist_turns(
         prior: What is known before.
         count: Largest number of postures.
         first: Postures that come first where they can be reached, (6,) [rad] each: there the empty hand was felt, as in
-            `q_start`. None: it will be felt in `q_start` and in the first posture that is chosen.
+            `q_start`. None: it will be felt in `q_start` and in all that are chosen.
 
     Returns:
         The motions, fewer than `count` where no further posture is free.
@@ -68,9 +68,10 @@ def plan_wrist_turns(
             motions.append(motion)
             here = goal
             Rs.append(robot.arm.fk(goal)[:3, :3])
-    pairs = 2 if first is None else 1 + len(motions)
-    left = {i for i, goal in enumerate(goals) if np.max(np.abs(goal - here)) > STEP}
+    felt = np.array([q_start, *(motion.q[-1] for motion in motions)])
+    left = {i for i, goal in enumerate(goals) if np.max(np.abs(felt - goal), axis=1).min() > STEP}
     while left and len(motions) < count:
+        pairs = len(felt) if first is not None else len(Rs) + 1
         cost = {
             i: (1.0 + TRAVEL * float(np.max(np.abs(goals[i] - here))))
             * float(np.sum(np.diag(expected_covariance([*Rs, Rs_goal[i]], pairs, gravity, noise, prior)) / scale**2))

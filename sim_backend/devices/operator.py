@@ -20,6 +20,8 @@ STEP_BACK = 1.2  # [m] that the person steps back
 STEP_TIME = 0.5  # [s] duration of a step
 GAP = 0.0005  # [m] clearance between tool and hand when it is placed
 TICK = 0.02  # [s]
+ELSEWHERE = (0.0, 0.02, -0.02, 0.04, -0.04)
+"""Shifts along the handle with which the person hands the tool over, until the hand holds it [m]."""
 TURNED = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Shares of the in-hand offset's tilt with which the person tries to place the tool."""
 SAMPLES = 26
@@ -82,7 +84,7 @@ class SimPerson:
         self.visible_arm: tuple[Array, Array] | None = None
         self.confirms, self.holds_switch, self.stays, self.lingers = True, True, False, 0.0
         self._clock = SimClock(world)
-        self._switch_taken = False
+        self._switch_taken, self._asked = False, 0
         self._constraint: int | None = None
         tool = world.tool.tool
         self._X_hand_nominal = world.robot.robot.hand.grasp.X_hand_tool(tool.handle.grip_radius)
@@ -90,7 +92,7 @@ class SimPerson:
         self._grasp(world.X_base_tool())
 
     def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        """Place the tool into the open hand at the palm's current pose.
+        """Place the tool into the open hand at the palm's current pose; asked again, at another place of the handle.
 
         Args:
             prompt: Ignored.
@@ -103,7 +105,9 @@ class SimPerson:
         if not self._comes or timeout < APPROACH_TIME:
             self._world.advance(timeout)
             return False
-        X_base_tool = self._world.X_base_hand() @ self._clear_of_hand()
+        along = self._offset.along + ELSEWHERE[self._asked % len(ELSEWHERE)]
+        self._asked += 1
+        X_base_tool = self._world.X_base_hand() @ self._clear_of_hand(replace(self._offset, along=along))
         way = self._way_out(X_base_tool)
         self._let_go()
         start = transform(p=APPROACH * way) @ X_base_tool
@@ -121,7 +125,7 @@ class SimPerson:
         if self.stays or timeout < self.lingers + STEP_TIME:
             self._world.advance(timeout)
             return False
-        end = self._clock.now() + timeout
+        end, self._asked = self._clock.now() + timeout, 0
         self._let_go()
         self.visible_arm = None
         self._world.advance(self.lingers)
@@ -179,14 +183,13 @@ class SimPerson:
         self.center = center.copy()
         set_body_pose(self._world.client, self.body, transform(p=self.center))
 
-    def _clear_of_hand(self) -> Array:
-        """The intended X_hand_tool, moved along the palm's normal until hand and tool do not overlap.
+    def _clear_of_hand(self, offset: InHandOffset) -> Array:
+        """X_hand_tool with an in-hand offset, moved along the palm's normal until hand and tool do not overlap.
 
         Where they overlap all the same, a finger stands across the handle, and the person turns the tool less. A
         mount's clamp lies around the handle: there it is the intended one.
         """
-        world, offset = self._world, self._offset
-        X = self.intended_X_hand_tool.copy()
+        world, X = self._world, handed_over(self._X_hand_nominal, offset)
         if world.robot.robot.hand.clamps:
             return X
         kept = world.X_base_tool()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -37,7 +38,8 @@ from toolee_robot.tasks.hammering.weighing import (
     LARGEST_SHARE,
     LARGEST_SIGMA,
     PRESSED,
-    SINCE_EMPTY,
+    READ,
+    pull,
     since_empty,
 )
 from toolee_robot.types import ArmModel, Trajectory
@@ -71,14 +73,14 @@ class Cell:
 
     def prior_after(self, age: float, reset: bool) -> WeighingPrior:
         """What a job knows so long after the empty hand was felt [s], and after a reset of the arm."""
-        return replace(self.prior, time=SINCE_EMPTY, aged=since_empty(self.model, age, reset), pressed=PRESSED)
+        return replace(self.prior, time=pull(self.hand_mass), aged=since_empty(self.model, age, reset), pressed=PRESSED)
 
     @property
     def _hand(self) -> tuple[float, Array]:
         return 0.1 * self.hand_mass, np.full(3, 0.0154 * self.hand_mass)
 
     def readings(self, turns: Array = TURNS, push: float = 0.0) -> tuple[list[RestReading], list[RestReading]]:
-        """With the tool, and without it in the first two; in the last posture something pushes with so many newtons."""
+        """With the tool, and without it; in the last posture something pushes with so many newtons."""
         rng = np.random.default_rng([self.seed, 1])
         errors = profile("harsh", self.model.value == "UR10e").force
         offset = np.concatenate([norm * _direction(rng) for norm in errors.offset])
@@ -87,7 +89,7 @@ class Cell:
         hand_mass, hand_moment = self._hand[0] * rng.normal(), self._hand[1] * rng.normal(size=3)
         R_first = Rotation.random(rng=rng)
 
-        def felt(turn: Array, duration: float, tool: bool, pushed: float = 0.0) -> RestReading:
+        def felt(turn: Array, tool: bool, pushed: float = 0.0) -> RestReading:
             R = (R_first * Rotation.from_euler("XYZ", turn)).as_matrix()
             steady = offset + np.repeat(errors.pose_drift, 3) * np.sin(waves @ turn + phase)
             steady += _weight(R, hand_mass, hand_moment)
@@ -96,13 +98,13 @@ class Cell:
             steady[0] += pushed
             rate = ARM_DATA[self.model].rate
             keep = np.exp(-1.0 / (rate * errors.correlation))
-            white = rng.normal(size=(int(duration * rate), 6)) * np.sqrt(1.0 - keep**2)
+            white = rng.normal(size=(int(READ * rate), 6)) * np.sqrt(1.0 - keep**2)
             noise = np.repeat(errors.noise, 3) * lfilter([1.0], [1.0, -keep], white, axis=0)
             return rest_reading(R, ((steady + noise).reshape(-1, 2, 3) @ R.T).reshape(-1, 6))
 
-        empty = [felt(turn, 4.0 if k == 0 else 2.0, tool=False) for k, turn in enumerate(turns[:2])]
-        held = [felt(turn, 4.0 if k == 0 else 2.0, tool=True) for k, turn in enumerate(turns[:-1])]
-        return [*held, felt(turns[-1], 2.0, tool=True, pushed=push)], empty
+        empty = [felt(turn, tool=False) for turn in turns]
+        held = [felt(turn, tool=True) for turn in turns[:-1]]
+        return [*held, felt(turns[-1], tool=True, pushed=push)], empty
 
     def weighed(self, turns: Array = TURNS, push: float = 0.0) -> ToolWeight:
         return weigh(*self.readings(turns, push), G, self.prior)
@@ -130,8 +132,12 @@ models = pytest.mark.parametrize("model", seldom(*ArmModel))
 
 @models
 def test_the_error_is_within_three_of_its_own_standard_deviations(model: ArmModel) -> None:
-    cells = [_drawn(model, seed) for seed in range(400)]
-    weights = [cell.weighed() for cell in cells]
+    cells, weights = list[Cell](), list[ToolWeight]()
+    for seed in range(400):
+        with suppress(WeighingError):  # a good weighing contradicts itself in 1 of 370
+            weights.append(_drawn(model, seed).weighed())
+            cells.append(_drawn(model, seed))
+    assert len(cells) >= 396
     off = np.array(
         [
             [
@@ -180,9 +186,9 @@ def test_what_presses_on_the_arm_in_some_readings_makes_no_certain_mass(model: A
             return weight is None or abs(weight.mass - cell.mass) < 3.0 * weight.mass_sigma
 
         for push in (3.0, -3.0, 5.0, -5.0):
-            single += [good(held, _pressed(empty, push, k)) for k in range(2)]
-            single += [good(_pressed(held, push, k), empty) for k in range(2)]
-        until += [good(held, _pressed(empty, push, 0, 1)) for push in (3.0, -3.0)]
+            single += [good(held, _pressed(empty, push, k)) for k in range(len(empty))]
+            single += [good(_pressed(held, push, k), empty) for k in range(len(empty))]
+        until += [good(held, _pressed(empty, push, *range(len(empty)))) for push in (3.0, -3.0)]
     assert np.mean(single) >= 0.99
     assert np.mean(until) >= 0.99
 
@@ -194,7 +200,7 @@ def test_a_hammer_that_nothing_touches_is_accepted(model: ArmModel, hand_mass: f
     cells = [replace(cell, mass=0.5 + (cell.mass - 0.2) / 2.6, hand_mass=hand_mass) for cell in drawn]
     weights = [(_accepted(cell, *cell.readings()), cell) for cell in cells]
     within = [abs(weight.mass - cell.mass) < 3.0 * weight.mass_sigma for weight, cell in weights if weight is not None]
-    assert len(within) >= (0.95 if hand_mass < 1.0 else 0.85) * len(cells)
+    assert len(within) >= (0.98 if hand_mass < 1.0 else 0.93) * len(cells)
     assert np.mean(within) >= 0.99
 
 
@@ -223,7 +229,7 @@ def test_a_first_reading_that_contradicts_all_others_is_refused(model: ArmModel)
     cell = _drawn(model, 7)
     held, empty = cell.readings()
     with raises(WeighingError, code="weighing.uncertain"):
-        weigh(held, _pressed(empty, 20.0, 0, 1), G, cell.job_prior)
+        weigh(held, _pressed(empty, 20.0, *range(len(empty))), G, cell.job_prior)
 
 
 @models
@@ -287,7 +293,8 @@ def test_what_touches_the_arm_in_one_posture_makes_the_result_uncertain(model: A
 def test_the_uncertainty_is_predicted_before_anything_is_felt() -> None:
     cell = _drawn(ArmModel.UR10, 5)
     held, empty = cell.readings()
-    predicted = expected_covariance([reading.R_base_flange for reading in held], 2, G, empty[0].noise, cell.prior)
+    Rs = [reading.R_base_flange for reading in held]
+    predicted = expected_covariance(Rs, len(empty), G, empty[0].noise, cell.prior)
     assert cell.weighed().mass_sigma == pytest.approx(np.sqrt(predicted[0, 0]), rel=0.4)
 
 

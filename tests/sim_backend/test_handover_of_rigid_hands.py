@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.examples import seldom
+from toolee_robot.app.simulated import Simulated
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.hal import ArmStatus
 from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import load_station
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import Stage
+from toolee_robot.tasks.hammering.task import HammeringTask
 
 pytestmark = pytest.mark.sim(seconds=8)
 
@@ -38,3 +45,45 @@ def test_the_hand_closes_around_it_and_the_arm_does_not_stop(hand: str, seed: in
         assert state.assisted
         assert max(state.contact_forces.values()) <= robot.description.hand.finger_force + 1e-9
         assert station.arm.state().status is ArmStatus.READY
+
+
+def _quiet(_: str) -> None: ...
+
+
+class Looks(Exception):
+    """Ends the job."""
+
+
+class UntilLook(TaskObserver):
+    def stage_started(self, stage: Stage) -> None:
+        if stage is Stage.VIEW:
+            raise Looks
+
+
+def _noting(answer: Callable[[str, float], bool], prompts: list[str]) -> Callable[[str, float], bool]:
+    def ask(prompt: str, timeout: float) -> bool:
+        prompts.append(prompt)
+        return answer(prompt, timeout)
+
+    return ask
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [7462, 7483])
+def test_a_hand_that_closed_on_nothing_is_given_another_place_of_the_handle(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prompts: list[str] = []
+    with Simulated(load_station(EXAMPLES / "ability.yaml"), seed).open(_quiet, _quiet) as opened:
+        person = opened.station.person
+        for name in ("request_handover", "release"):
+            monkeypatch.setattr(person, name, _noting(getattr(person, name), prompts))
+        assert opened.truth is not None
+        perception = PerfectPerception(opened.truth)
+        task = HammeringTask(opened.station, perception, opened.config, opened.grasp, observer=UntilLook())
+        with suppress(Looks):
+            task.run()
+        assert "open hand" in prompts[0]
+        assert "holds nothing" in prompts[1]
+        assert "step back" in prompts[-1], "not before the hand holds it"
+        assert task.holds_tool

@@ -48,6 +48,10 @@ _MOUNT = _Prompts(
     "Fix the hammer's handle in the mount, face towards its working side. Pull at it, then confirm.",
     "Take the hammer out of the mount, then confirm.",
 )
+_ELSEWHERE = "The hand holds nothing. Put the handle in again, 2 to 4 cm nearer to the head or to the butt."
+"""What is said after the hand has closed on nothing."""
+CLOSINGS = 5
+"""How often the hand closes until it holds the tool."""
 UNKNOWN_GIVE = " Its head is then 15 to 28 cm from the middle of the grip."
 """What is said beside the prompt of a tool whose face was not measured."""
 MOUNT_EMPTY = "The mount cannot sense a tool. Is it empty? The arm is about to move to the handover."
@@ -87,7 +91,8 @@ class Handover:
     def take_tool(self) -> HeldTool:
         """Bring the empty hand to the handover, close it around the tool, and see the person out of reach.
 
-        A mount neither closes nor senses the tool: the person fixes it and says so.
+        A hand that closed on nothing opens, and the person puts the handle in at another place. A mount neither closes
+        nor senses the tool: the person fixes it and says so.
 
         Returns:
             The tool as it is nominally held, weighed if nobody has told its weight.
@@ -96,8 +101,7 @@ class Handover:
             JobEnded: No tool was handed over, or the hand does not hold it.
             TooleeError: A motion or a device failed, or the person stays.
         """
-        hand, timeout = self._station.hand, self._config.task.handover_timeout
-        person, grasp = self._motions.person, self._grasp
+        hand, grasp = self._station.hand, self._grasp
         held = HeldTool.nominally(grasp.X_hand_ee, grasp.swung, grasp.ee_off)
         with self._motions.stages(Stage.HANDOVER):
             self._check_reach()
@@ -107,19 +111,29 @@ class Handover:
                 self._go_there()
             if grasp.to_weigh:
                 self._weighing.feel_empty_hand(grasp, held)
-            self.person_clear = False
-            give = self._prompts.give + (UNKNOWN_GIVE if grasp.ee_off else "")
-            if not person.request_handover(give, timeout):
-                raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time. Run the job again")
+            self._ask_for_tool(self._prompts.give + (UNKNOWN_GIVE if grasp.ee_off else ""))
         with self._motions.stages(Stage.GRIP):
             hand.close()
+            for _ in range(CLOSINGS - 1):
+                if hand.state().holding:
+                    break
+                hand.open()
+                self._ask_for_tool(_ELSEWHERE)
+                hand.close()
             if not hand.state().holding:
-                raise JobEnded(Outcome.NO_GRIP, "the hand closed but holds nothing. Hand the tool over again")
+                raise JobEnded(
+                    Outcome.NO_GRIP, f"the hand closed {CLOSINGS} times and holds nothing. Run the job again"
+                )
             self.clear_person("Let go and step back.")
             if not hand.state().holding:
                 raise JobEnded(Outcome.NO_GRIP, "the tool left the hand when it was released. Hand it over again")
             self._motions.carry(held)
         return self.tell_payload(held)
+
+    def _ask_for_tool(self, prompt: str) -> None:
+        self.person_clear = False
+        if not self._motions.person.request_handover(prompt, self._config.task.handover_timeout):
+            raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time. Run the job again")
 
     def tell_payload(self, held: HeldTool) -> HeldTool:
         """Tell the arm that it carries the tool; an arm that was stopped since the person came is reset by a person.

@@ -23,9 +23,8 @@ from toolee_robot.types import ArmModel, Payload, Trajectory
 
 SETTLE = 0.5
 """Time at rest before the wrench is read, so that arm, wrist and tool have stopped swinging [s]."""
-LONG, SHORT = 4.0, 2.0
-"""Time over which it is read [s]: where the tool was handed over, with the empty hand and with the tool; and in the
-other postures."""
+READ = 4.0
+"""Time over which it is read in each posture, with the empty hand and with the tool [s]."""
 SAME_POSTURE = 0.01
 """Difference of the joints' positions that turns no weight by anything that counts [rad]: that of a stop at rest."""
 POSTURES = 5
@@ -36,6 +35,8 @@ SINCE_EMPTY, PRESSED = (0.9, 0.14), (0.65, 0.1)
 """What presses on the arm since the empty hand was felt, beside the tool, in all postures, and what else does in one
 reading [N, Nm]: hand and cables are touched in between, and 3 N in one of the first readings, or in all of those with
 the empty hand, must not pass for a certain mass. Assumed."""
+CABLE = 0.11
+"""The same for each kg of the hand [N/kg]: the more it weighs, the less it shows a pull. Assumed."""
 WARM_UP = 600.0
 """Time in which the wrench's error changes by as much as from posture to posture [s]. Assumed, as the simulated arm."""
 BESIDE = 0.04
@@ -70,7 +71,7 @@ class Weighing:
     def feel_empty_hand(self, grasp: Grasp, expected: HeldTool) -> None:
         """Read what the arm feels with the empty hand: the tool is weighed against it.
 
-        It is felt where the arm stands, and with the wrist turned as the tool will be, where there is a way; the arm
+        It is felt where the arm stands, and with the wrist turned as the tool will be, where there are ways; the arm
         then stands where it stood.
 
         Args:
@@ -84,19 +85,20 @@ class Weighing:
         motions, speed = self._motions, self._config.supervisor.handover_speed
         motions.set_payload(self._robot.description.hand_payload(motions.q_hand))
         self._felt_at, self._readied = self._clock.now(), motions.readied
-        self._qs, self._empty = [motions.q], [self._reading(LONG)]
+        self._qs, self._empty = [motions.q], [self._reading()]
         closed = self._robot.description.hand_closed
         with_tool = CollisionWorld(self._robot, self._config, closed, expected.X_hand_ee, tool_off=expected.off)
         goals, turns = list[Array](), list[Trajectory]()
         with suppress(PlanningError):  # the reading here is enough
-            goals = [turn.q[-1] for turn in self._turns(grasp, 1, with_tool)]
+            goals = [turn.q[-1] for turn in self._turns(grasp, POSTURES, with_tool)]
             turns = self._turns(grasp, 0, motions.world(None), goals)
         if turns:
-            self._observer.message("stay out of reach: the wrist turns twice while the arm weighs the empty hand")
-            motions.transfer("to feel the empty hand", turns[0], None, speed)
+            self._observer.message("stay out of reach: the wrist turns while the arm weighs the empty hand")
+        for turn in turns:
+            motions.transfer("to feel the empty hand", turn, None, speed)
             self._qs.append(motions.q)
-            self._empty.append(self._reading(SHORT))
-            self._to_handover(None)
+            self._empty.append(self._reading())
+        self._to_handover(None)
 
     def weigh(self, grasp: Grasp, held: HeldTool) -> tuple[Grasp, HeldTool]:
         """Weigh the tool in the hand: the wrist turns slowly, and the arm feels the tool at rest in between.
@@ -155,23 +157,21 @@ class Weighing:
         """The tool's weight, and in how many orientations it was felt."""
         motions, config = self._motions, self._config
         self._to_handover(held)  # a resumed job stands elsewhere
-        readings = [self._reading(LONG)]
-        turns = self._turns(grasp, POSTURES, motions.world(held), self._qs[1:])
-        for turn in turns:
+        felt = [(self._reading(), self._empty[:1])]
+        for turn in self._turns(grasp, POSTURES, motions.world(held), self._qs[1:]):
             motions.transfer("to weigh the tool", turn, held, config.supervisor.handover_speed)
-            readings.append(self._reading(SHORT))
-        # Where the tool hinders the turn of the empty hand, only the reading at the handover is one of a pair.
-        paired = len(self._qs) > 1 and bool(turns) and _same(turns[0].q[-1], self._qs[1])
-        empty = self._empty if paired else self._empty[:1]
-        return weigh(readings, empty, config.arm.gravity, self._prior(grasp)), len(readings)
+            empty = [one for q, one in zip(self._qs, self._empty, strict=True) if _same(turn.q[-1], q)]
+            felt.append((self._reading(), empty))
+        felt.sort(key=lambda pair: not pair[1])  # the tool may hinder a turn of the empty hand
+        empties = [one for _, empty in felt for one in empty]
+        return weigh([one for one, _ in felt], empties, config.arm.gravity, self._prior(grasp)), len(felt)
 
     def _turns(
         self, grasp: Grasp, count: int, world: CollisionWorld, first: Sequence[Array] | None = None
     ) -> list[Trajectory]:
         """Motions to postures in which the tool is felt, or will be; see `plan_wrist_turns`."""
-        force, torque = (sigma * (LONG / SHORT) ** 0.5 for sigma in self._empty[0].noise)
-        prior, q = self._prior(grasp), self._motions.q
-        return plan_wrist_turns(self._robot, self._config, world, q, (force, torque), prior, count, first)
+        noise, prior, q = self._empty[0].noise, self._prior(grasp), self._motions.q
+        return plan_wrist_turns(self._robot, self._config, world, q, noise, prior, count, first)
 
     def _told(self, weight: ToolWeight, grasp: Grasp) -> Array:
         """Tell the arm the tool; returns its centre of mass in the nominal tool, (3,) [m]."""
@@ -195,10 +195,10 @@ class Weighing:
             way = plan_transfer(self._robot, config, motions.world(held), motions.q, self._qs[0])
             motions.transfer("to the handover", way, held, config.supervisor.handover_speed)
 
-    def _reading(self, duration: float) -> RestReading:
+    def _reading(self) -> RestReading:
         self._clock.sleep(SETTLE)
         R = self._robot.arm.fk(self._motions.q)[:3, :3]
-        return rest_reading(R, self._motions.wrenches(duration))
+        return rest_reading(R, self._motions.wrenches(READ))
 
     def _prior(self, grasp: Grasp) -> WeighingPrior:
         q_hand = self._motions.q_hand
@@ -208,7 +208,7 @@ class Weighing:
             posture=ARM_DATA[self._config.arm.model].wrench_drift,
             hand_mass=HAND_SHARE * hand.mass,
             hand_moment=hand.mass * np.hypot(HAND_SHARE * hand.center_of_mass, HAND_PLACE),
-            time=SINCE_EMPTY,
+            time=pull(hand.mass),
             aged=since_empty(
                 self._config.arm.model, self._clock.now() - self._felt_at, self._motions.readied != self._readied
             ),
@@ -238,6 +238,18 @@ class Weighing:
 
 def _same(q: Array, other: Array) -> bool:
     return bool(np.max(np.abs(q - other)) < SAME_POSTURE)
+
+
+def pull(hand_mass: float) -> tuple[float, float]:
+    """What may press on the arm since the empty hand was felt, by the hand's mass [kg].
+
+    Args:
+        hand_mass: Mass of the hand [kg].
+
+    Returns:
+        Standard deviation per axis of `base`: force [N] and torque [Nm].
+    """
+    return float(np.hypot(SINCE_EMPTY[0], CABLE * hand_mass)), SINCE_EMPTY[1]
 
 
 def since_empty(model: ArmModel, age: float, reset: bool) -> tuple[float, float]:
