@@ -7,6 +7,7 @@ handle, a cheek or the hand may drive a nail, too, but that is no hit.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from toolee_robot.errors import TooleeError
-from toolee_robot.frames import Array, cross, inverse, transform
+from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.physics.bodies import pb
 from toolee_robot.sim_backend.physics.nail import SLIDE, Nail, NailOutcome
@@ -69,24 +70,23 @@ class Judge:
     def after_step(self) -> None:
         """Record the result of a step."""
         now = self._world.time if self._clock is None else self._clock.now()
-        X_base_ee = self._world.X_base_ee()
         if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
             self._stamps.append(now)
-            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()).dot(X_base_ee))
-        self._watch_strike(now, X_base_ee)
+            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()).dot(self._world.X_base_ee()))
+        self._watch_strike(now)
 
-    def _watch_strike(self, now: float, X_base_ee: Array) -> None:
+    def _watch_strike(self, now: float) -> None:
         nail = self._world.nails[self._strikes[-1].nail] if self._open else self._world.nail
-        away = X_base_ee[:3, 3] - nail.X_world_surface[:3, 3]
-        if away.dot(away) > FAR**2:  # the usual case, kept cheap
+        face = self._world.tool.face()
+        if math.dist(face, nail.entry) > FAR:  # the usual case, kept cheap
             self._armed, self._open = True, False
             return
         X_base_nail = nail.head_pose()
-        gap = float(X_base_nail[:3, 2].dot(X_base_nail[:3, 3] - X_base_ee[:3, 3]))
-        force, struck_by = self._contact(X_base_ee)
+        gap = float(X_base_nail[:3, 2].dot(X_base_nail[:3, 3] - face))
+        force, struck_by = self._contact()
         if gap > REARM_GAP and struck_by is StruckBy.NOTHING:
             self._armed, self._open = True, False
-            self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
+            self._approach_speed = self._speed_along(X_base_nail)
             return
         if self._open:
             last = self._strikes[-1]
@@ -102,12 +102,12 @@ class Judge:
             self._armed = False
             passes = struck_by is StruckBy.NOTHING and self._approach_speed < ALONG * self._face_speed
             if self._approach_speed >= STRIKE_SPEED and not passes:
-                self._begin(now, force, struck_by, X_base_ee, X_base_nail)
+                self._begin(now, force, struck_by, X_base_nail)
         else:
-            self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
+            self._approach_speed = self._speed_along(X_base_nail)
 
-    def _begin(self, now: float, force: float, struck_by: StruckBy, X_base_ee: Array, X_base_nail: Array) -> None:
-        world = self._world
+    def _begin(self, now: float, force: float, struck_by: StruckBy, X_base_nail: Array) -> None:
+        world, X_base_ee = self._world, self._world.X_base_ee()
         mass = float(pb.getDynamicsInfo(world.tool_body, -1, physicsClientId=world.client)[0])
         before = self._protrusion_before * 1e3
         x, y, z = (world.X_base_hand()[:3, :3].T @ X_base_ee[:3, 2]).tolist()
@@ -130,21 +130,21 @@ class Judge:
         )
         self._open = True
 
-    def _speed_along(self, X_base_ee: Array, X_base_nail: Array) -> float:
+    def _speed_along(self, X_base_nail: Array) -> float:
         """Speed [m/s] of the face's centre along the nail's axis; also remembers the protrusion before contact."""
-        world = self._world
-        self._protrusion_before = world.nail.protrusion
-        p_com = pb.getBasePositionAndOrientation(world.tool_body, physicsClientId=world.client)[0]
-        v, w = pb.getBaseVelocity(world.tool_body, physicsClientId=world.client)
-        face = np.array(v) + cross(w, X_base_ee[:3, 3] - np.array(p_com))
-        self._face_speed = float(np.sqrt(face.dot(face)))
-        return float(face.dot(X_base_nail[:3, 2]))
+        self._protrusion_before = self._world.nail.protrusion
+        face = self._world.tool.face_velocity()
+        self._face_speed = math.hypot(*face)
+        return float(X_base_nail[:3, 2].dot(face))
 
-    def _contact(self, X_base_ee: Array) -> tuple[float, StruckBy]:
+    def _contact(self) -> tuple[float, StruckBy]:
         """Sum of the normal forces [N] of tool on nail in the last step, and what met the nail's head."""
         world = self._world
+        if not pb.getContactPoints(bodyA=world.nail.body, physicsClientId=world.client):  # nearly always
+            return 0.0, StruckBy.NOTHING
         contacts = self._contacts(world.tool_body)
         if contacts:
+            X_base_ee = world.X_base_ee()
             force = float(sum(contact[9] for contact in contacts))
             on_face = any(_on_face(X_base_ee, contact) for contact in contacts)
             return force, StruckBy.FACE if on_face else StruckBy.OTHER_PART

@@ -5,6 +5,7 @@ Time is counted in quanta of 1/4000 s: a step normally takes 1 ms, and one quant
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from itertools import chain, repeat
 import numpy as np
 
 from toolee_robot.errors import DeviceError, UserError
-from toolee_robot.frames import Array, cross
+from toolee_robot.frames import Array
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.physics.bodies import IMPACT, Furniture, StepSettings, ToolBody, pb
@@ -70,6 +71,7 @@ class SimWorld:
         grip: The assisted grip, if there is one.
         wrench: Reads the arm's wrench, (6,) [N, Nm]; set by the force sensor.
         wait: Implementation of `advance`: `run`, unless a controller's tick loop advances the time.
+        time_step: Length of the last step [s].
         before_step: Callbacks before each step, with its length [s].
         after_step: Callbacks after each step.
         observers: Callbacks with a `Sample` every 16 ms.
@@ -84,6 +86,7 @@ class SimWorld:
         self._quanta = 0
         self._settings: StepSettings | None = None
         self._window_end = 0
+        self.time_step = 0.0
         self.wrench: Callable[[], Array] = lambda: np.zeros(6)
         self.wait: Callable[[float], None] = self.run
         self.before_step: list[Callable[[float], None]] = []
@@ -170,6 +173,7 @@ class SimWorld:
         for callback in self.before_step:
             callback(dt)
         pb.stepSimulation(physicsClientId=self.client)
+        self.time_step = dt
         before = self._quanta
         self._quanta += round(dt / QUANTUM)
         for after in self.after_step:
@@ -184,15 +188,12 @@ class SimWorld:
 
         A tool that is lowered onto the nail, or turns on it, needs no short steps.
         """
-        p_face = self.tool.ee_pose()[:3, 3]
+        face = self.tool.face()
         if len(self.nails) > 1:
-            self.nail = min(self.nails.values(), key=lambda nail: _squared(p_face - nail.X_world_surface[:3, 3]))
-        if _squared(p_face - self.nail.X_world_surface[:3, 3]) > NEAR_NAIL**2:
+            self.nail = min(self.nails.values(), key=lambda nail: math.dist(face, nail.entry))
+        if math.dist(face, self.nail.entry) > NEAR_NAIL:
             return False
-        v, w = pb.getBaseVelocity(self.tool.body, physicsClientId=self.client)
-        p = pb.getBasePositionAndOrientation(self.tool.body, physicsClientId=self.client)[0]
-        velocity = np.array(v) + cross(w, p_face - np.array(p))
-        if -velocity[2] > STRIKE_SPEED and self.nail.impact_near(self.tool.body):
+        if -self.tool.face_velocity()[2] > STRIKE_SPEED and self.nail.impact_near(self.tool.body):
             self._window_end = self._quanta + WINDOW_QUANTA
         return self._quanta < self._window_end
 
@@ -201,10 +202,6 @@ class SimWorld:
         if self.client >= 0:
             pb.disconnect(physicsClientId=self.client)
             self.client = -1
-
-
-def _squared(v: Array) -> float:
-    return float(v.dot(v))
 
 
 def _connect(gui: bool) -> int:

@@ -405,7 +405,7 @@ class SimArm:
 
     def _fault(self, watch: MotionWatch, log: MotionLog) -> Fault | None:
         """The fault that must end the motion now, if any."""
-        age = self._world.time - self._newest().joints.stamp
+        age = 0.0 if self._last is None else self._world.time - self._last.joints.stamp
         return motion_fault(self._status, age, watch, log, self._stopped_by)
 
     def stop(self) -> None:

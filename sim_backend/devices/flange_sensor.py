@@ -114,23 +114,21 @@ class FlangeSensor:
         inertial = hand.tree.links[0].inertial
         assert inertial is not None, "every hand model has a root link with a mass"
         self._R_flange_com = hand.X_flange_root[:3, :3] @ inertial.X_link_com[:3, :3]
-        self._sum, self._time, self._dt = np.zeros(6), 0.0, 0.0
+        self._impulses: list[list[float]] = []  # of the steps since the last mean, (6,) each
+        self._time = 0.0
         self._velocity = self._payload_velocity()[0]
-        world.before_step.append(self._remember)
         world.after_step.append(self._add)
 
-    def _remember(self, dt: float) -> None:
-        self._dt = dt
-
     def _add(self) -> None:
-        self._sum += self._world.robot.sensor_reaction() * self._dt
-        self._time += self._dt
+        dt = self._world.time_step
+        self._impulses.append([dt * value for value in self._world.robot.sensor_reaction()])
+        self._time += dt
         if self._time > self.period - 1e-9:
             self._finish()
 
     def begin(self) -> None:
         """Start a new mean now, so that it coincides with a control tick."""
-        self._sum, self._time = np.zeros(6), 0.0
+        self._impulses, self._time = [], 0.0
         self._velocity = self._payload_velocity()[0]
 
     def zero(self) -> None:
@@ -151,14 +149,14 @@ class FlangeSensor:
 
     def _finish(self) -> None:
         velocity, lever, R, p_flange_com = self._payload_velocity()
-        mean = self._sum / self._time
+        mean = np.sum(self._impulses, axis=0) / self._time
         inertial = self.payload.mass * ((velocity - self._velocity) / self._time - GRAVITY)
         # pybullet gives the joint's force and torque at the carried link's centre of mass, along its principal axes.
         R_com = R.dot(self._R_flange_com)
         force = R_com.dot(mean[:3])
         carried = np.concatenate([force, R_com.dot(mean[3:]) + cross(p_flange_com, force)])
         self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried - self.offset
-        self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
+        self._impulses, self._time, self._velocity = [], 0.0, velocity
         if self._errors is None and self.watch is None:
             return
         q, qd = self._world.robot.arm_state()

@@ -243,6 +243,7 @@ class ToolBody:
         self._X_tool_ee = (
             tool.ee(Category.HAMMER_HEAD).X_tool_ee if Category.HAMMER_HEAD in tool.categories else np.eye(4)
         )
+        self._p_inertial_ee = (self._X_inertial_tool @ self._X_tool_ee)[:3, 3].tolist()
         self._place: tuple[object, object] | None = None
         self._pose = self._ee_pose = np.eye(4)
         self.body = self._load(self._X_inertial_tool, moments)
@@ -292,6 +293,24 @@ class ToolBody:
         """X_world_ee, 4x4: the pose of a hammer's face; that of the tool if it is none."""
         self._update()
         return self._ee_pose.copy()
+
+    def face(self) -> tuple[float, float, float]:
+        """Position of the end effector in the world [m], asked for in every step."""
+        (x, y, z), q = pb.getBasePositionAndOrientation(self.body, physicsClientId=self._client)
+        ax, ay, az = self._arm(q)
+        return x + ax, y + ay, z + az
+
+    def face_velocity(self) -> tuple[float, float, float]:
+        """Velocity of the end effector [m/s]."""
+        (vx, vy, vz), (wx, wy, wz) = pb.getBaseVelocity(self.body, physicsClientId=self._client)
+        ax, ay, az = self._arm(pb.getBasePositionAndOrientation(self.body, physicsClientId=self._client)[1])
+        return vx + wy * az - wz * ay, vy + wz * ax - wx * az, vz + wx * ay - wy * ax
+
+    def _arm(self, quaternion: tuple[float, ...]) -> tuple[float, float, float]:
+        """From the centre of mass to the end effector, axes of the world [m]."""
+        xx, xy, xz, yx, yy, yz, zx, zy, zz = pb.getMatrixFromQuaternion(quaternion)
+        x, y, z = self._p_inertial_ee
+        return xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
 
     def _update(self) -> None:
         """Compute the poses anew if the body has moved: they are asked for several times per step."""

@@ -21,8 +21,8 @@ The engine integrates applied forces explicitly, so a spring and damper that are
 hammer's inertia about its handle is 1.3e-4 to 9e-4 kg m^2, and 0.5 Nm s/rad with steps of 1 ms diverge below 2.5e-4.
 Stiffness and damping are therefore limited to what explicit steps keep stable for the tool (`GripGains.stable`).
 
-All of this is computed in every step: products of small arrays are written with `dot`, which takes a third of the time
-of `@` for them and gives the same bits.
+All of this is computed in every step, in the world's axes and in Python's floats: numpy takes several times as long for
+three numbers.
 """
 
 from __future__ import annotations
@@ -155,7 +155,8 @@ RELEASE_SLIP = 0.030  # [m]
 RELEASE_ANGLE = np.deg2rad(50.0)
 RELEASE_TILT = np.deg2rad(50.0)
 
-Motion = tuple[Sequence[float], Sequence[float]]
+Vector = Sequence[float]
+Motion = tuple[Vector, Vector]
 """Velocity of a body's centre of mass [m/s], and its angular velocity [rad/s]."""
 
 
@@ -193,10 +194,10 @@ class GripLimits:
         Returns:
             The bounds.
         """
-        n = normal_force
+        n = float(normal_force)  # numpy's scalars are slow
         return cls(friction * n, n, friction * n * handle_radius, (1 + friction) * n * width / 4)
 
-    def bounded(self, force: Array, about: float, handle: Array) -> tuple[Array, float]:
+    def bounded(self, force: Vector, about: float, handle: Vector) -> tuple[Vector, float]:
         """Limit force and torque about the handle to what the grip transmits.
 
         Args:
@@ -207,21 +208,20 @@ class GripLimits:
         Returns:
             The limited ones; the same objects where nothing has to be limited.
         """
-        along = float(force.dot(handle))
+        along = _dot(force, handle)
         share_along, share_about = along / self.along, about / self.about
-        squared = float(force.dot(force)) - along * along  # of the part across
+        squared = _dot(force, force) - along * along  # of the part across
         opens = squared > self.across * self.across
         # The cheap bound decides nearly always.
         if not opens and abs(share_along) + abs(share_about) < 1.0:
             return force, about
-        used = float(np.hypot(share_along, share_about))
+        used = math.hypot(share_along, share_about)
         if not opens and used <= 1.0:
             return force, about
-        across = force - along * handle
-        if opens:
-            across = across * (self.across / math.sqrt(squared))
+        across = _plus(force, -along, handle)
         share = 1.0 / max(used, 1.0)
-        return share * along * handle + across, share * about
+        kept = _times(self.across / math.sqrt(squared), across) if opens else across
+        return _plus(kept, share * along, handle), share * about
 
 
 class AssistedGrip:
@@ -241,8 +241,6 @@ class AssistedGrip:
         limits: Bounds of the force and torque that it transmits.
         holding: Whether it holds the tool; False once released.
         gains: Stiffness and damping.
-        force: Latest force on the tool, (3,) [N], palm's axes.
-        torque: Latest torque on the tool, (3,) [Nm], palm's axes.
     """
 
     def __init__(
@@ -259,34 +257,29 @@ class AssistedGrip:
         self.limits = limits
         self.holding = True
         self._client, self._robot, self._palm, self._tool = client, robot, palm, tool
-        self._R_inertial_tool = X_inertial_tool[:3, :3]
-        p_palm, R_palm, p_tool, R_tool = self._poses()
-        self._anchor = R_tool.T @ (p_palm + R_palm @ p_hand_grip - p_tool)  # in the tool's inertial frame
-        self._p_rest = np.array(p_hand_grip, dtype=float)  # rest position of the anchor, palm frame
-        self._R_rest = R_palm.T @ R_tool @ self._R_inertial_tool  # the tool's axes at rest, palm frame
-        self._p_start, self._R_start = self._p_rest.copy(), self._R_rest.copy()
-        mobility = palm_mobility(client, robot, palm, self._p_rest) + tool_mobility(
-            client, tool, R_palm.T @ R_tool, R_palm.T @ R_tool @ self._anchor
-        )
-        self.gains = GripGains.stable(mobility, self._R_rest[:, 2], time_step)
+        state = pb.getLinkState(robot, palm, physicsClientId=client)
+        p, q = pb.getBasePositionAndOrientation(tool, physicsClientId=client)
+        R_palm, R_tool = rotation_matrix(state[5]), rotation_matrix(q)
+        R = R_palm.T @ R_tool
+        anchor = R_tool.T @ (np.array(state[4]) + R_palm @ p_hand_grip - np.array(p))
+        mobility = palm_mobility(client, robot, palm, p_hand_grip) + tool_mobility(client, tool, R, R @ anchor)
+        self.gains = GripGains.stable(mobility, R @ X_inertial_tool[:3, 2], time_step)
+        self._anchor, self._handle = anchor.tolist(), X_inertial_tool[:3, 2].tolist()  # in the tool's inertial frame
+        self._p_rest: Vector = p_hand_grip.tolist()  # rest position of the anchor, palm frame
+        self._q_rest = _product(_inverse(q), state[5])  # palm in the tool's inertial frame, at rest
+        self._p_start, self._q_start = self._p_rest, self._q_rest
         self._tilt = self._bent = 0.0  # angle [rad] and torque [Nm] against it, of the last step
-        self.force, self.torque = np.zeros(3), np.zeros(3)
-
-    def _poses(self) -> tuple[Array, Array, Array, Array]:
-        state = pb.getLinkState(self._robot, self._palm, physicsClientId=self._client)
-        p, q = pb.getBasePositionAndOrientation(self._tool, physicsClientId=self._client)
-        return np.array(state[4]), rotation_matrix(state[5]), np.array(p), rotation_matrix(q)
 
     @property
     def slip(self) -> float:
         """Accumulated slip of the handle in the hand [m]."""
-        return float(np.linalg.norm(self._p_rest - self._p_start))
+        return math.dist(self._p_rest, self._p_start)
 
     @property
     def slip_angle(self) -> float:
         """Accumulated rotational slip of the handle in the hand [rad]."""
-        turn = _rotation_vector(self._R_start.T @ self._R_rest)
-        return float(np.sqrt(turn @ turn))
+        turn = _rotation_vector(_product(self._q_start, _inverse(self._q_rest)))
+        return math.sqrt(_dot(turn, turn))
 
     def before_step(self, dt: float) -> None:
         """Apply force and torque for the next step of dt [s]; release the tool when it has slipped too far."""
@@ -296,44 +289,44 @@ class AssistedGrip:
         com_palm, p_palm, q_palm, v_palm, w_palm = state[0], state[4], state[5], state[6], state[7]
         p, q = pb.getBasePositionAndOrientation(self._tool, physicsClientId=self._client)
         v_tool, w_tool = pb.getBaseVelocity(self._tool, physicsClientId=self._client)
-        R_palm, R_tool = rotation_matrix(q_palm), rotation_matrix(q)
-        to_palm = R_palm.T
-        R = to_palm.dot(R_tool).dot(self._R_inertial_tool)
-        arm = R_tool.dot(self._anchor).tolist()
-        point = [p[0] + arm[0], p[1] + arm[1], p[2] + arm[2]]
-        v = to_palm.dot(_slip_rate((v_tool, w_tool), arm, (v_palm, w_palm), _between(com_palm, point)))
-        handle = R[:, 2]
-        u = to_palm.dot(_between(p_palm, point)) - self._p_rest
+        R_palm, R_tool = pb.getMatrixFromQuaternion(q_palm), pb.getMatrixFromQuaternion(q)
+        arm, handle = _turned(R_tool, self._anchor), _turned(R_tool, self._handle)
+        point = _plus(p, 1.0, arm)
+        lever = _plus(point, -1.0, com_palm)
+        v = _slip_rate((v_tool, w_tool), arm, (v_palm, w_palm), lever)
+        u = _plus(_plus(point, -1.0, p_palm), -1.0, _turned(R_palm, self._p_rest))
         gains = self.gains
-        phi = _rotation_vector(R.dot(self._R_rest.T))
-        w = to_palm.dot(_between(w_palm, w_tool))
-        about, w_about = float(phi.dot(handle)), float(w.dot(handle))
-        spring, twist = gains.stiffness * u, gains.about_stiffness * about
+        phi = _rotation_vector(_product(_product(q, self._q_rest), _inverse(q_palm)))
+        w = _plus(w_tool, -1.0, w_palm)
+        about, w_about = _dot(phi, handle), _dot(w, handle)
+        spring, twist = _times(gains.stiffness, u), gains.about_stiffness * about
         elastic, elastic_twist = self.limits.bounded(spring, twist, handle)
         slips = elastic is not spring
-        turn: Array | None = None  # of the handle's rest pose
+        turn: Vector | None = None  # of the handle's rest pose
         if slips:
-            self._p_rest += u - elastic / gains.stiffness
-            turn = (about - elastic_twist / gains.about_stiffness) * handle
+            moved = _plus(u, -1.0 / gains.stiffness, elastic)
+            self._p_rest = _plus(self._p_rest, 1.0, _turned(_transposed(R_palm), moved))
+            turn = _times(about - elastic_twist / gains.about_stiffness, handle)
         force, torque_about = self.limits.bounded(
-            -elastic - gains.damping * v, -elastic_twist - gains.about_damping * w_about, handle
+            _plus(_times(-1.0, elastic), -gains.damping, v), -elastic_twist - gains.about_damping * w_about, handle
         )
-        bend, yielded = self._bend(phi - about * handle, w, dt)
-        tilting = _shortened(-bend - gains.tilt_damping * (w - w_about * handle), self.limits.tilting)
+        bend, yielded = self._bend(_plus(phi, -about, handle), w, dt)
+        tilting = _plus(_times(-1.0, bend), -gains.tilt_damping, _plus(w, -w_about, handle))
+        torque = _plus(_shortened(tilting, self.limits.tilting), torque_about, handle)
         if yielded is not None:
-            turn = yielded if turn is None else turn + yielded
-        if turn is not None and turn.dot(turn) > 1e-20:
+            turn = yielded if turn is None else _plus(turn, 1.0, yielded)
+        if turn is not None and (angle := math.sqrt(_dot(turn, turn))) > 1e-10:
             slips = True
-            self._R_rest = _rotation(turn).dot(self._R_rest)
+            back = pb.getQuaternionFromAxisAngle(_times(-1.0 / angle, _turned(_transposed(R_palm), turn)), angle)
+            self._q_rest = _product(self._q_rest, back)
 
-        self.force, self.torque = force, torque_about * handle + tilting
         if self._tilt > RELEASE_TILT or (slips and (self.slip > RELEASE_SLIP or self.slip_angle > RELEASE_ANGLE)):
             self.release()
             return
-        self._apply(R_palm.dot(force), R_palm.dot(self.torque), point)
+        self._apply(force, torque, point)
 
-    def _bend(self, tilt: Array, w: Array, dt: float) -> tuple[Array, Array | None]:
-        """Elastic part of the torque against a tilt; vectors are (3,) in the palm's axes.
+    def _bend(self, tilt: Vector, w: Vector, dt: float) -> tuple[Vector, Vector | None]:
+        """Elastic part of the torque against a tilt; all vectors have the same axes.
 
         Args:
             tilt: Deflection across the handle, a rotation vector [rad].
@@ -344,40 +337,56 @@ class AssistedGrip:
             Torque of the palm on the tool, reversed [Nm], and rotation of the tool's rest pose [rad], None for none.
         """
         limit, stiffness = self.limits.tilting, self.gains.tilt_stiffness
-        angle = math.sqrt(tilt.dot(tilt))
+        angle = math.sqrt(_dot(tilt, tilt))
         spring = stiffness * angle
         bent = self._bent + stiffness * (angle - self._tilt)
         self._tilt = angle
         self._bent = min(max(bent, min(spring, (1.0 - TENDON_LOSS) * limit)), spring, limit)
         if spring <= (1.0 - TENDON_LOSS) * limit:
-            return stiffness * tilt, None
-        torque = tilt * (self._bent / angle)
+            return _times(stiffness, tilt), None
+        torque = _times(self._bent / angle, tilt)
         if self._bent < limit:
             return torque, None
-        growth = max(float(w.dot(tilt)) / angle, 0.0)
-        return torque, tilt * (TILT_SLIP * growth * dt / angle)
+        growth = max(_dot(w, tilt) / angle, 0.0)
+        return torque, _times(TILT_SLIP * growth * dt / angle, tilt)
 
-    def _apply(self, force: Array, torque: Array, at: list[float]) -> None:
+    def _apply(self, force: Vector, torque: Vector, at: Vector) -> None:
         """Apply force and torque to the tool, and the reverse to the palm."""
-        for body, link, f, t in ((self._tool, -1, force, torque), (self._robot, self._palm, -force, -torque)):
-            pb.applyExternalForce(body, link, f.tolist(), at, pb.WORLD_FRAME, physicsClientId=self._client)
-            pb.applyExternalTorque(body, link, t.tolist(), pb.WORLD_FRAME, physicsClientId=self._client)
+        for body, link, sign in ((self._tool, -1, 1.0), (self._robot, self._palm, -1.0)):
+            f, t = _times(sign, force), _times(sign, torque)
+            pb.applyExternalForce(body, link, f, at, pb.WORLD_FRAME, physicsClientId=self._client)
+            pb.applyExternalTorque(body, link, t, pb.WORLD_FRAME, physicsClientId=self._client)
 
     def release(self) -> None:
         """Release the tool permanently."""
         self.holding = False
-        self.force, self.torque = np.zeros(3), np.zeros(3)
 
 
-def _between(a: Sequence[float], b: Sequence[float]) -> list[float]:
-    """The vector b - a."""
-    return [b[0] - a[0], b[1] - a[1], b[2] - a[2]]
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _slip_rate(tool: Motion, arm: Sequence[float], palm: Motion, lever: Sequence[float]) -> list[float]:
+def _times(share: float, a: Vector) -> Vector:
+    return share * a[0], share * a[1], share * a[2]
+
+
+def _plus(a: Vector, share: float, b: Vector) -> Vector:
+    """The vector a + share * b."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+
+
+def _turned(R: Vector, v: Vector) -> Vector:
+    """A vector turned by a rotation matrix, given by its nine rows' elements."""
+    x, y, z = v
+    return R[0] * x + R[1] * y + R[2] * z, R[3] * x + R[4] * y + R[5] * z, R[6] * x + R[7] * y + R[8] * z
+
+
+def _transposed(R: Vector) -> Vector:
+    return R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]
+
+
+def _slip_rate(tool: Motion, arm: Vector, palm: Motion, lever: Vector) -> Vector:
     """Velocity of a point of the tool relative to the palm's at the same place [m/s].
-
-    In Python's floats, since numpy takes several times as long for three numbers.
 
     Args:
         tool: Motion of the tool.
@@ -390,30 +399,39 @@ def _slip_rate(tool: Motion, arm: Sequence[float], palm: Motion, lever: Sequence
     """
     ((vx, vy, vz), (wx, wy, wz)), (ax, ay, az) = tool, arm
     ((ux, uy, uz), (ox, oy, oz)), (lx, ly, lz) = palm, lever
-    return [
+    return (
         vx + (wy * az - wz * ay) - ux - (oy * lz - oz * ly),
         vy + (wz * ax - wx * az) - uy - (oz * lx - ox * lz),
         vz + (wx * ay - wy * ax) - uz - (ox * ly - oy * lx),
-    ]
+    )
 
 
-def _rotation_vector(R: Array) -> Array:
-    """Axis times angle [rad] of a 3x3 rotation of less than 180 deg; ten times faster than scipy's."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
-    v = np.array([zy - yz, xz - zx, yx - xy])
-    sine = 0.5 * math.sqrt(v.dot(v))
+def _product(a: Vector, b: Vector) -> Vector:
+    """Product of two quaternions (x, y, z, w)."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = a, b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by + ay * bw + az * bx - ax * bz,
+        aw * bz + az * bw + ax * by - ay * bx,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def _inverse(q: Vector) -> Vector:
+    """Inverse of a unit quaternion (x, y, z, w)."""
+    return -q[0], -q[1], -q[2], q[3]
+
+
+def _rotation_vector(q: Vector) -> Vector:
+    """Axis times angle [rad] of a unit quaternion (x, y, z, w), the shorter way round."""
+    sine = math.sqrt(_dot(q, q))
+    w = q[3]
     if sine < 1e-9:
-        return 0.5 * v
-    return v * (float(np.arctan2(sine, 0.5 * (xx + yy + zz - 1.0))) / (2.0 * sine))
+        return _times(math.copysign(2.0, w), q)
+    return _times(2.0 * math.atan2(math.copysign(sine, w), abs(w)) / sine, q)
 
 
-def _rotation(turn: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector [rad]."""
-    angle = float(np.sqrt(turn @ turn))
-    return rotation_matrix(pb.getQuaternionFromAxisAngle((turn / angle).tolist(), angle))
-
-
-def _shortened(vector: Array, most: float) -> Array:
+def _shortened(vector: Vector, most: float) -> Vector:
     """The vector (3,), no longer than this."""
-    squared = float(vector.dot(vector))
-    return vector if squared <= most * most else vector * (most / math.sqrt(squared))
+    squared = _dot(vector, vector)
+    return vector if squared <= most * most else _times(most / math.sqrt(squared), vector)

@@ -71,6 +71,7 @@ class Nail:
         spec: Nail and wood.
         flush_protrusion: Largest protrusion at which the nail counts as flush [m].
         X_world_surface: Pose at which the nail enters the wood, 4x4, z along its hole.
+        entry: Its position [m].
         body: pybullet's id of the nail.
     """
 
@@ -89,6 +90,7 @@ class Nail:
         self._client = client
         upright = X_world_nail @ transform(p=[0.0, 0.0, spec.protrusion])
         self.X_world_surface = upright @ transform(Rotation.from_rotvec([*lean, 0.0]))
+        self.entry: list[float] = self.X_world_surface[:3, 3].tolist()
         self._into_wood = self.X_world_surface[:3, :3].T @ (upright[:3, 2] if into_wood is None else into_wood)
         self._largest_shift = self._largest_lean = 0.0
         self.body = self._create()

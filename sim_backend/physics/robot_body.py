@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -112,11 +113,12 @@ class JointSprings:
         scale *= min(1.0, COUPLED_NUMBER / float(np.linalg.eigvals(mobilities * (scale * number)).real.max()))
         self.stiffness, self.damping = scale * stiffness, scale * damping
         self.model = LinkTorques(robot)
-        self._torques = self.model.at(q, np.zeros(6), np.zeros(6))  # as the controller knows them, at this time
-        self._rate, self._left = np.zeros(6), 0.0  # their change [Nm/s], and how long it lasts [s]
-        self._wanted, self._span = self._torques, 0.0  # those at the last command; time between the last two [s]
+        self._wanted, self._span = self.model.at(q, np.zeros(6), np.zeros(6)), 0.0  # torques at the last command, as
+        # the controller knows them; time between the last two commands [s]
+        self._torques = self._wanted.tolist()  # at this time
+        self._rate, self._left = [0.0] * 6, 0.0  # their change [Nm/s], and how long it lasts [s]
         self._velocity = np.zeros(6)  # the last one commanded
-        self._motor = (q + self._torques / self.stiffness).tolist()
+        self._motor = (q + self._wanted / self.stiffness).tolist()
         self._largest = largest
         self._gears = list(zip(self.stiffness.tolist(), self.damping.tolist(), largest.tolist(), strict=True))
 
@@ -148,9 +150,11 @@ class JointSprings:
         wanted = np.clip(self.model.at(q, 0.5 * (before + qd), (qd - before) / since), -self._largest, self._largest)
         last, self._wanted = self._wanted, wanted
         ahead = 2.0 * wanted - last if since < IN_A_ROW else wanted
-        self._rate, self._left, self._span = (ahead - self._torques) / since, since, since
+        self._rate, self._left, self._span = ((ahead - self._torques) / since).tolist(), since, since
 
-    def step(self, target: Array, velocity: Array, q: list[float], qd: list[float], dt: float) -> list[float]:
+    def step(
+        self, target: Sequence[float], velocity: Sequence[float], q: list[float], qd: list[float], dt: float
+    ) -> list[float]:
         """Advance the motors' sides by a step.
 
         Args:
@@ -163,19 +167,16 @@ class JointSprings:
         Returns:
             Torques on the links during the step, six [Nm].
         """
-        if self._left > 0.0:
-            share = min(dt, self._left)
-            self._left -= dt
-            self._torques = self._torques + share * self._rate
-            velocity = velocity + share / dt * self._rate / self.stiffness
-            if self._left <= 0.0 and self._span > 0.0:
-                self._rate, self._left, self._span = (self._wanted - self._torques) / self._span, self._span, 0.0
-        ends = (target + self._torques / self.stiffness).tolist()
-        motor, torques = self._motor, []
-        gain = MOTOR_GAIN * dt
         # Scalars: numpy takes several times as long for six numbers.
-        rows = zip(self._gears, ends, velocity.tolist(), q, qd, strict=True)
-        for i, ((stiffness, damping, largest), end, speed, position, rate) in enumerate(rows):
+        share = min(dt, self._left) if self._left > 0.0 else 0.0
+        motor, known, torques = self._motor, self._torques, []
+        gain = MOTOR_GAIN * dt
+        rows = zip(self._gears, target, velocity, self._rate, q, qd, strict=True)
+        for i, ((stiffness, damping, largest), place, speed, change, position, rate) in enumerate(rows):
+            if share > 0.0:
+                known[i] += share * change
+                speed = speed + share / dt * change / stiffness
+            end = place + known[i] / stiffness
             bound = largest / stiffness
             start = min(max(motor[i], position - bound), position + bound)  # where it yields to
             ahead = start + speed * dt
@@ -183,6 +184,10 @@ class JointSprings:
             torque = stiffness * (start - position) + damping * ((moved - start) / dt - rate)
             torques.append(min(max(torque, -largest), largest))
             motor[i] = moved
+        self._left -= dt
+        if share > 0.0 and self._left <= 0.0 and self._span > 0.0:
+            self._rate = ((self._wanted - known) / self._span).tolist()
+            self._left, self._span = self._span, 0.0
         return torques
 
 
@@ -241,6 +246,7 @@ class RobotBody:
             self.hand_effort[i] = min(self.hand_effort[i], joint.torque)
             self._hand_gain[i] = WRIST_GAIN
         self.q_arm_target, self.qd_arm_target = np.array(q_arm, dtype=float), np.zeros(6)
+        self._course = self.q_arm_target.tolist(), self.qd_arm_target.tolist()
         self.q_hand_target = np.array(q_hand, dtype=float)
         self._since_command = 0.0
         self._ignored: list[tuple[int, int | None]] = []
@@ -330,6 +336,7 @@ class RobotBody:
             qd: Joint velocities at which the target moves until the next command, (6,) [rad/s].
         """
         self.q_arm_target, self.qd_arm_target = np.array(q, dtype=float), np.array(qd, dtype=float)
+        self._course = self.q_arm_target.tolist(), self.qd_arm_target.tolist()
         if self._elastic is not None:
             self._elastic.command(self.q_arm_target, self.qd_arm_target, self._since_command)
         self._since_command = 0.0
@@ -374,33 +381,36 @@ class RobotBody:
         """Set the motors for the next step of dt [s]."""
         self._since_command += dt
         # The target at the end of the step; the motor's velocity is gain * error + feed-forward.
-        q = self.q_arm_target + self.qd_arm_target * self._since_command
+        start, qd = self._course
+        q = [a + b * self._since_command for a, b in zip(start, qd, strict=True)]
         if self._elastic is None:
-            self._set(self._arm, q, self.qd_arm_target, self._arm_effort, np.full(6, ARM_GAIN * dt))
+            self._set(self._arm, q, qd, self._arm_effort, [ARM_GAIN * dt] * 6)
         else:
             states = pb.getJointStates(self.body, self._arm, physicsClientId=self._client)
-            torques = self._elastic.step(q, self.qd_arm_target, [s[0] for s in states], [s[1] for s in states], dt)
+            torques = self._elastic.step(q, qd, [s[0] for s in states], [s[1] for s in states], dt)
             pb.setJointMotorControlArray(
                 self.body, self._arm, pb.TORQUE_CONTROL, forces=torques, physicsClientId=self._client
             )
         for i, joint in self._springs.items():
             position = pb.getJointState(self.body, self._hand[i], physicsClientId=self._client)[0]
             self.hand_effort[i] = joint.torque + joint.stiffness * abs(position - joint.rest)
-        if self._hand and (self._springs or self._hand_set_for != dt):
-            self._hand_set_for = dt
-            n = len(self._hand)
-            effort = self.hand_effort[:n].tolist()
-            self._set(self._hand, self.q_hand_target[:n], np.zeros(n), effort, self._hand_gain[:n] * dt)
+        n = len(self._hand)
+        if n and self._hand_set_for != dt:
+            self._hand_setting = self.q_hand_target[:n].tolist(), (self._hand_gain[:n] * dt).tolist()
+        if n and (self._springs or self._hand_set_for != dt):
+            q_hand, gains = self._hand_setting
+            self._set(self._hand, q_hand, [0.0] * n, self.hand_effort[:n].tolist(), gains)
+        self._hand_set_for = dt
 
-    def _set(self, joints: list[int], q: Array, qd: Array, effort: list[float], gains: Array) -> None:
+    def _set(self, joints: list[int], q: list[float], qd: list[float], effort: list[float], gains: list[float]) -> None:
         pb.setJointMotorControlArray(
             self.body,
             joints,
             pb.POSITION_CONTROL,
-            targetPositions=q.tolist(),
-            targetVelocities=qd.tolist(),
+            targetPositions=q,
+            targetVelocities=qd,
             forces=effort,
-            positionGains=gains.tolist(),
+            positionGains=gains,
             velocityGains=[1.0] * len(joints),
             physicsClientId=self._client,
         )
@@ -430,12 +440,13 @@ class RobotBody:
         placed = {name: poses[at] @ X for name, (at, X) in self._fixed_places.items()}
         return {name: pose for name, pose in (poses | placed).items() if name in self.robot.tree.by_name}
 
-    def sensor_reaction(self) -> Array:
+    def sensor_reaction(self) -> tuple[float, ...]:
         """Wrench of the arm on the hand in the last step, (6,) [N, Nm].
 
         Along the principal axes of the hand's root link, about its centre of mass.
         """
-        return np.array(pb.getJointState(self.body, self.sensor_link, physicsClientId=self._client)[2])
+        reaction: tuple[float, ...] = pb.getJointState(self.body, self.sensor_link, physicsClientId=self._client)[2]
+        return reaction
 
     def sensor_motion(self) -> tuple[Array, Array, Array, Array]:
         """Motion of the hand's root link in `base`.

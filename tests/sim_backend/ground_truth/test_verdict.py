@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError
-from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.frames import Array, cross, inverse, transform
 from toolee_robot.sim_backend.judge import Judge
 from toolee_robot.sim_backend.physics.bodies import IMPACT
 from toolee_robot.sim_backend.physics.nail import Nail, NailOutcome
@@ -51,6 +51,17 @@ class ThrownHead:
     def X_base_ee(self) -> Array:
         p, q = pb.getBasePositionAndOrientation(self.tool_body, physicsClientId=self.client)
         return transform(Rotation.from_quat(q), p) @ self.X_tool_ee
+
+    @property
+    def tool(self) -> ThrownHead:
+        return self
+
+    def face(self) -> Array:
+        return np.asarray(self.X_base_ee()[:3, 3])
+
+    def face_velocity(self) -> Array:
+        v, w = pb.getBaseVelocity(self.tool_body, physicsClientId=self.client)
+        return v + cross(w, self.face() - pb.getBasePositionAndOrientation(self.tool_body, self.client)[0])
 
     def X_base_hand(self) -> Array:
         return self.X_base_ee() @ inverse(self.X_hand_ee)

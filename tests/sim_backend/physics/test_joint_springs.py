@@ -168,9 +168,9 @@ def test_an_overloaded_joint_yields_at_its_torque_and_comes_back() -> None:
     with elastic_arm(ROBOTS["mount"]) as (body, springs):
         q, still, largest = springs.motor, [0.0] * 6, np.array(body._arm_effort)
         pushed = (HOME + np.array([0.1, -0.1, 0.1, 0.1, 0.1, -0.1])).tolist()
-        torques = np.array(springs.step(HOME, np.zeros(6), pushed, still, NORMAL.time_step))
+        torques = np.array(springs.step(HOME.tolist(), still, pushed, still, NORMAL.time_step))
         np.testing.assert_allclose(np.abs(torques), largest)
         assert np.abs(springs.motor - pushed).max() < 0.03
         for _ in range(200):
-            springs.step(HOME, np.zeros(6), HOME.tolist(), still, NORMAL.time_step)
+            springs.step(HOME.tolist(), still, HOME.tolist(), still, NORMAL.time_step)
         np.testing.assert_allclose(springs.motor, q, atol=1e-6)
