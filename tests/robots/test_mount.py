@@ -53,8 +53,7 @@ def test_a_mount_has_no_defaults(tmp_path: Path) -> None:
     names = [field.name for field in fields(ToolMount)]
     with pytest.raises(ConfigError) as refused:
         _load(tmp_path, "hand: {model: mount}")
-    for name in ("yield_torque", *(f"mount.{name}" for name in names)):
-        assert f"hand.{name}" in str(refused.value)
+    assert "hand.yield_torque and every field of hand.mount" in str(refused.value)
     with pytest.raises(ConfigError) as refused:
         _load(tmp_path, "hand: {model: mount, yield_torque: 3, mount: {position: [0, 0, 0.1]}}")
     for name in names[1:]:
