@@ -25,7 +25,7 @@ BATCHES = 8
 """Number of parts of a reading whose means tell its noise: longer than the noise's correlation."""
 LEAST_NOISE = 0.01, 0.001
 """Least standard deviation of a mean: force [N] and torque [Nm]; a simulated arm may have none."""
-USUAL_CONTRADICTION, LARGEST_CONTRADICTION = 1.5, 3.0
+USUAL_CONTRADICTION, LARGEST_CONTRADICTION = 1.2, 3.0
 """Difference of the mass with and without the readings of the empty hand, in its standard deviations: from the first on
 the result is less certain, over the second there is none."""
 _WIDE = np.array([20.0, 6.0, 6.0, 6.0, *(200.0,) * 3, *(100.0,) * 3])

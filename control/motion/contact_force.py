@@ -292,13 +292,13 @@ class Releases:
         return rise.height
 
     def belief(self, but: int = 0) -> Belief:
-        """What the releases tell of the stiffness.
+        """What the releases say about the stiffness.
 
         Args:
             but: Number of a release that does not count; 0 for none.
 
         Returns:
-            What they tell; `UNKNOWN` without any.
+            The stiffness; `UNKNOWN` without any release.
         """
         told = [stiffness for number, (_, stiffness) in self._known.items() if number != but]
         if not told:

@@ -27,9 +27,9 @@ and 0.13 mm (360 drawn releases each), for 1.7 s more."""
 RELEASE_SPEEDS = 0.0007, 0.0014
 """Least and largest speed of a release [m/s]."""
 SURE_STIFFNESS, FASTER = 0.12, 2.0
-"""Standard deviation of the stiffness, as a share of it, down to which two releases tell it, and how many times as fast
-the next releases are. With one zero for nail and wood the protrusion then has a standard deviation of 0.30 mm. With
-slow releases that were each zeroed it had 0.28 mm, and each took 2.6 s, not 1.1 s (1,500 drawn measurements each)."""
+"""Standard deviation of the stiffness, as a share of it, to which two releases determine it; and how many times as
+fast the next releases are. With one zero for nail and wood the protrusion then has a deviation of 0.29 mm, and a
+release takes 1.3 s. Slow releases that were each zeroed: 0.26 mm and 2.6 s (600 drawn measurements each)."""
 SIGMAS = 4.5
 """Threshold of a contact in standard deviations of the window's mean force: one touch in some fifty with a CB3's noise
 is a phantom, which is recognised."""

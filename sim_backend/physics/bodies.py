@@ -6,7 +6,7 @@ import ctypes
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,9 +53,19 @@ with quiet(2):
 __all__ = ["pb", "pose_matrix", "quiet", "rotation_matrix"]
 
 
+Vector = Sequence[float]
+"""In Python's floats: numpy takes several times as long for three numbers."""
+
+
 def rotation_matrix(quaternion: tuple[float, ...]) -> Array:
     """Rotation matrix (3, 3) of a quaternion (x, y, z, w)."""
     return np.array(pb.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
+
+
+def turned(R: Vector, v: Vector) -> tuple[float, float, float]:
+    """Turn a vector, three of Python's floats, by a rotation matrix, given by its nine elements row by row."""
+    x, y, z = v
+    return R[0] * x + R[1] * y + R[2] * z, R[3] * x + R[4] * y + R[5] * z, R[6] * x + R[7] * y + R[8] * z
 
 
 def pose_matrix(position: tuple[float, ...], quaternion: tuple[float, ...]) -> Array:
@@ -308,9 +318,7 @@ class ToolBody:
 
     def _arm(self, quaternion: tuple[float, ...]) -> tuple[float, float, float]:
         """From the centre of mass to the end effector, axes of the world [m]."""
-        xx, xy, xz, yx, yy, yz, zx, zy, zz = pb.getMatrixFromQuaternion(quaternion)
-        x, y, z = self._p_inertial_ee
-        return xx * x + xy * y + xz * z, yx * x + yy * y + yz * z, zx * x + zy * y + zz * z
+        return turned(pb.getMatrixFromQuaternion(quaternion), self._p_inertial_ee)
 
     def _update(self) -> None:
         """Compute the poses anew if the body has moved: they are asked for several times per step."""

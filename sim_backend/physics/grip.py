@@ -28,13 +28,12 @@ three numbers.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.physics.bodies import pb, quiet, rotation_matrix
+from toolee_robot.sim_backend.physics.bodies import Vector, pb, quiet, rotation_matrix, turned
 
 STIFFNESS = 3e4  # [N/m], at most
 DAMPING = 60.0  # [N s/m], at most
@@ -155,7 +154,6 @@ RELEASE_SLIP = 0.030  # [m]
 RELEASE_ANGLE = np.deg2rad(50.0)
 RELEASE_TILT = np.deg2rad(50.0)
 
-Vector = Sequence[float]
 Motion = tuple[Vector, Vector]
 """Velocity of a body's centre of mass [m/s], and its angular velocity [rad/s]."""
 
@@ -290,11 +288,11 @@ class AssistedGrip:
         p, q = pb.getBasePositionAndOrientation(self._tool, physicsClientId=self._client)
         v_tool, w_tool = pb.getBaseVelocity(self._tool, physicsClientId=self._client)
         R_palm, R_tool = pb.getMatrixFromQuaternion(q_palm), pb.getMatrixFromQuaternion(q)
-        arm, handle = _turned(R_tool, self._anchor), _turned(R_tool, self._handle)
+        arm, handle = turned(R_tool, self._anchor), turned(R_tool, self._handle)
         point = _plus(p, 1.0, arm)
         lever = _plus(point, -1.0, com_palm)
         v = _slip_rate((v_tool, w_tool), arm, (v_palm, w_palm), lever)
-        u = _plus(_plus(point, -1.0, p_palm), -1.0, _turned(R_palm, self._p_rest))
+        u = _plus(_plus(point, -1.0, p_palm), -1.0, turned(R_palm, self._p_rest))
         gains = self.gains
         phi = _rotation_vector(_product(_product(q, self._q_rest), _inverse(q_palm)))
         w = _plus(w_tool, -1.0, w_palm)
@@ -305,7 +303,7 @@ class AssistedGrip:
         turn: Vector | None = None  # of the handle's rest pose
         if slips:
             moved = _plus(u, -1.0 / gains.stiffness, elastic)
-            self._p_rest = _plus(self._p_rest, 1.0, _turned(_transposed(R_palm), moved))
+            self._p_rest = _plus(self._p_rest, 1.0, turned(_transposed(R_palm), moved))
             turn = _times(about - elastic_twist / gains.about_stiffness, handle)
         force, torque_about = self.limits.bounded(
             _plus(_times(-1.0, elastic), -gains.damping, v), -elastic_twist - gains.about_damping * w_about, handle
@@ -317,7 +315,7 @@ class AssistedGrip:
             turn = yielded if turn is None else _plus(turn, 1.0, yielded)
         if turn is not None and (angle := math.sqrt(_dot(turn, turn))) > 1e-10:
             slips = True
-            back = pb.getQuaternionFromAxisAngle(_times(-1.0 / angle, _turned(_transposed(R_palm), turn)), angle)
+            back = pb.getQuaternionFromAxisAngle(_times(-1.0 / angle, turned(_transposed(R_palm), turn)), angle)
             self._q_rest = _product(self._q_rest, back)
 
         if self._tilt > RELEASE_TILT or (slips and (self.slip > RELEASE_SLIP or self.slip_angle > RELEASE_ANGLE)):
@@ -373,12 +371,6 @@ def _times(share: float, a: Vector) -> Vector:
 def _plus(a: Vector, share: float, b: Vector) -> Vector:
     """The vector a + share * b."""
     return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
-
-
-def _turned(R: Vector, v: Vector) -> Vector:
-    """A vector turned by a rotation matrix, given by its nine rows' elements."""
-    x, y, z = v
-    return R[0] * x + R[1] * y + R[2] * z, R[3] * x + R[4] * y + R[5] * z, R[6] * x + R[7] * y + R[8] * z
 
 
 def _transposed(R: Vector) -> Vector:

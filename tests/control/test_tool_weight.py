@@ -137,7 +137,7 @@ def test_the_error_is_within_three_of_its_own_standard_deviations(model: ArmMode
         with suppress(WeighingError):  # a good weighing contradicts itself in 1 of 370
             weights.append(_drawn(model, seed).weighed())
             cells.append(_drawn(model, seed))
-    assert len(cells) >= 396
+    assert len(cells) >= 399
     off = np.array(
         [
             [
@@ -200,7 +200,7 @@ def test_a_hammer_that_nothing_touches_is_accepted(model: ArmModel, hand_mass: f
     cells = [replace(cell, mass=0.5 + (cell.mass - 0.2) / 2.6, hand_mass=hand_mass) for cell in drawn]
     weights = [(_accepted(cell, *cell.readings()), cell) for cell in cells]
     within = [abs(weight.mass - cell.mass) < 3.0 * weight.mass_sigma for weight, cell in weights if weight is not None]
-    assert len(within) >= (0.98 if hand_mass < 1.0 else 0.93) * len(cells)
+    assert len(within) >= (0.95 if hand_mass < 1.0 else 0.85) * len(cells)
     assert np.mean(within) >= 0.99
 
 
@@ -346,7 +346,7 @@ def test_the_wrist_alone_turns_the_tool_far_enough_and_hits_nothing(name: str) -
     assert len(turns) == 5
     np.testing.assert_allclose(turns[0].q[0], q)
     for before, after in pairwise(turns):
-        np.testing.assert_allclose(after.q[0], before.q[-1])
+        np.testing.assert_allclose(after.q[0], before.q[-1], atol=1e-12)
     for turn in turns:
         np.testing.assert_allclose(turn.q[:, :3], np.tile(q[:3], (len(turn.q), 1)), atol=1e-9)
         assert world.free(turn.q, 0.0)

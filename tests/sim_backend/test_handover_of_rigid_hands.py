@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.examples import seldom
+from tests.tasks.bench import noting
 from toolee_robot.app.simulated import Simulated
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.hal import ArmStatus
@@ -60,14 +60,6 @@ class UntilLook(TaskObserver):
             raise Looks
 
 
-def _noting(answer: Callable[[str, float], bool], prompts: list[str]) -> Callable[[str, float], bool]:
-    def ask(prompt: str, timeout: float) -> bool:
-        prompts.append(prompt)
-        return answer(prompt, timeout)
-
-    return ask
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", [7462, 7483])
 def test_a_hand_that_closed_on_nothing_is_given_another_place_of_the_handle(
@@ -77,7 +69,7 @@ def test_a_hand_that_closed_on_nothing_is_given_another_place_of_the_handle(
     with Simulated(load_station(EXAMPLES / "ability.yaml"), seed).open(_quiet, _quiet) as opened:
         person = opened.station.person
         for name in ("request_handover", "release"):
-            monkeypatch.setattr(person, name, _noting(getattr(person, name), prompts))
+            monkeypatch.setattr(person, name, noting(getattr(person, name), prompts))
         assert opened.truth is not None
         perception = PerfectPerception(opened.truth)
         task = HammeringTask(opened.station, perception, opened.config, opened.grasp, observer=UntilLook())

@@ -61,3 +61,13 @@ def soon(bench: Bench, act: Callable[[], None], delay: float = 0.25) -> Callable
 def is_home(sim: SimStation) -> bool:
     """Whether the arm stands where a job ends."""
     return bool(np.abs(sim.world.robot.arm_state()[0] - HOME).max() < 5e-3)
+
+
+def noting(answer: Callable[[str, float], bool], prompts: list[str]) -> Callable[[str, float], bool]:
+    """A person's answer to a prompt, which is noted."""
+
+    def ask(prompt: str, timeout: float) -> bool:
+        prompts.append(prompt)
+        return answer(prompt, timeout)
+
+    return ask

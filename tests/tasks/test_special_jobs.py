@@ -12,7 +12,7 @@ import pytest
 from tests.nails import with_nails
 from tests.rigs.job_rig import CONFIG, HOME, Bench, at_rest, grip_kept
 from tests.rigs.people import ScriptedPerception
-from tests.tasks.bench import Log, is_home
+from tests.tasks.bench import Log, is_home, noting
 from tests.tasks.noisy_arm import Rig
 from toolee_robot.control import RobotModel, plan_transfer
 from toolee_robot.control.collision_shapes import nail_bodies
@@ -44,21 +44,13 @@ def _task(simulation: SimStation, config: StationConfig) -> HammeringTask:
     return HammeringTask(simulation.station, perception, config, nominal_grasp(simulation.tool, config))
 
 
-def _noting(answer: Callable[[str, float], bool], prompts: list[str]) -> Callable[[str, float], bool]:
-    def ask(prompt: str, timeout: float) -> bool:
-        prompts.append(prompt)
-        return answer(prompt, timeout)
-
-    return ask
-
-
 @pytest.mark.nightly
 def test_the_nail_is_driven_without_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     with SimStation.build(SHORT, SEED) as simulation:
         person, world, task = simulation.person, simulation.world, _task(simulation, SHORT)
         prompts: list[str] = []
         for question in ("request_handover", "confirm_inspection", "take_tool"):
-            monkeypatch.setattr(person, question, _noting(getattr(person, question), prompts))
+            monkeypatch.setattr(person, question, noting(getattr(person, question), prompts))
         yielded: list[float] = []
         world.after_step.append(lambda: yielded.append(float(world.robot.hand_state()[0][0])))
         result = task.run()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-JOINTS = ("Base", "Shoulder", "Elbow", "Wrist 1", "Wrist 2", "Wrist 3")
+from toolee_robot.arm_data import JOINTS
 
 POSITION_DEVIATES, POSITION_DEVIATES_NO_PAYLOAD = 153, 159
 COLLISION, COLLISION_NO_PAYLOAD = 157, 158
@@ -61,5 +61,5 @@ class ErrorCode:
         elif self.code == PATH_SANITY:
             text = "Path sanity check failed: Sudden stop"
         else:
-            text = f"{_TEXTS[self.code]}: {JOINTS[self.argument]}"
+            text = f"{_TEXTS[self.code]}: {JOINTS[self.argument].capitalize()}"
         return f"{self.name}: {text} ({self.detail})"

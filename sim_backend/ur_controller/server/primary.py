@@ -226,7 +226,7 @@ def _kinematics(robot: Robot) -> bytes:
 
 
 def _configuration(robot: Robot) -> bytes:
-    """Limits of the joints. The defaults of moves are URScript's; arm and box are told as zeros, which nobody reads."""
+    """Limits of the joints. The defaults of moves are URScript's; arm and box are sent as zeros."""
     limits, model = robot.safety.detection.limits, robot.model
     most = [share * position for share, position in zip(limits.joint_position, model.position, strict=True)]
     body = [number for position in most for number in (-position, position)]

@@ -299,5 +299,5 @@ def test_joints_that_the_robot_restricts_more_than_the_plan_are_named(robot: Con
     report = replace(report, kinematics=replace(report.kinematics, ranges=restricted))
     found = {f.name: f for f in check(report, _expected(robot, velocity=velocity))}["joint limits"]
     assert found.level is Level.WARN
-    assert "the elbow 99°/s, arm.velocity has 180°/s" in found.message
+    assert "elbow 99°/s, arm.velocity has 180°/s" in found.message
     assert "wrist 1 -90° to 360°" in found.message

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.arm_data import JOINTS
 from toolee_robot.devices.ur.probe import UrReport, UrState
-from toolee_robot.devices.ur.status import JOINTS
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import Array, transform
 from toolee_robot.robots.urdf import DhParameters
@@ -187,14 +187,14 @@ def check_tcp(state: UrState, expected: UrExpected) -> Finding:
 
 
 def check_ranges(report: UrReport, expected: UrExpected) -> list[Finding]:
-    """Compare what the robot permits its joints with what motions are planned with; nothing where it does not tell.
+    """Compare what the robot permits its joints with what motions are planned with.
 
     Args:
         report: What a probe has read from the robot.
         expected: What the configuration requires.
 
     Returns:
-        At most one finding.
+        One finding; none if the robot does not report its limits.
     """
     ranges = None if report.kinematics is None else report.kinematics.ranges
     if ranges is None or expected.velocity is None:

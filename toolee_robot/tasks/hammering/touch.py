@@ -50,9 +50,9 @@ the face is released slowly is zeroed before every measurement."""
 FREE = 0.0015
 """Way of a release beyond the place where the force should be gone [m]."""
 UNSURE = 0.0003
-"""Standard deviation of a height, as its release and those before tell it, above which the thing is touched again [m]:
-of 6,000 drawn first releases of 12 to 23 N with a CB3's noise 3 % are above it, and nine that are off by over 1 mm, all
-of them. Of later ones, see `FASTER`, 2 %."""
+"""Standard deviation of a height, by its release and those before, above which the thing is touched again [m]: of 6,000
+drawn first releases of 12 to 23 N with a CB3's noise 3 % are above it, and nine that are off by over 1 mm, all of
+them."""
 
 
 class SidewaysContactError(Exception):
@@ -278,9 +278,8 @@ class Touch:
         rise = onset(course)
         if rise is None or rise.stiffness * (rise.height - np.min(course.heights)) < CONFIRM_SHARE * settings.force:
             return None
-        told = onset(course, belief)
-        assert told is not None, "it rises"
-        return Contact(told.height, told.deviation, releases, releases.add(course, rise.stiffness))
+        sure = onset(course, belief) or rise
+        return Contact(sure.height, sure.deviation, releases, releases.add(course, rise.stiffness))
 
     def _course(self, report: MotionReport, until: float, X_flange_ee: Array) -> Course:
         """The forces in a motion up to a time [s], over the height of the face above the wood."""

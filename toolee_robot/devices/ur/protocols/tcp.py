@@ -282,7 +282,7 @@ class UrKinematics:
     Attributes:
         checksum: Checksum of each joint's calibration, six values; identifies the arm.
         dh: Denavit-Hartenberg parameters, nominal values plus corrections.
-        ranges: What the joints may do; None if the controller does not tell.
+        ranges: What the joints may do; None if the controller does not report it.
     """
 
     checksum: tuple[int, ...]
