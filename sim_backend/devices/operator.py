@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,6 +25,11 @@ ELSEWHERE = (0.0, 0.02, -0.02, 0.04, -0.04)
 """Shifts along the handle with which the person hands the tool over, until the hand holds it [m]."""
 TURNED = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Shares of the in-hand offset's tilt with which the person tries to place the tool."""
+ASIDE = (0.0, 0.006, 0.012)
+"""Shifts towards the fingertips, away from a thumb before the palm, with which they try then [m]."""
+IN_PALM, LARGEST_OUT = 0.02, 0.05
+"""Distances from the nominal place, along the palm's normal [m]: the person is content with the first, tries the second.
+"""
 SAMPLES = 26
 """Of the tool's way into the hand: 10 mm apart, less than a finger is thick."""
 
@@ -186,23 +192,26 @@ class SimPerson:
     def _clear_of_hand(self, offset: InHandOffset) -> Array:
         """X_hand_tool with an in-hand offset, moved along the palm's normal until hand and tool do not overlap.
 
-        Where they overlap all the same, a finger stands across the handle, and the person turns the tool less. A
-        mount's clamp lies around the handle: there it is the intended one.
+        Where they overlap all the same, a finger stands across the handle: the person turns the tool less, and then
+        lays it nearer to the fingertips. A mount's clamp lies around the handle: there it is the intended one.
         """
         world, X = self._world, handed_over(self._X_hand_nominal, offset)
         if world.robot.robot.hand.clamps:
             return X
-        kept = world.X_base_tool()
-        for share in TURNED:
+        kept, best, least = world.X_base_tool(), X, np.inf
+        for aside, share in product(ASIDE, TURNED):
             turned = replace(offset, tilt_x=share * offset.tilt_x, tilt_y=share * offset.tilt_y)
             X = handed_over(self._X_hand_nominal, turned)
-            for _ in range(100):
+            X[2, 3] += aside
+            for out in np.arange(0.0, LARGEST_OUT, 0.0005):
                 if self._room(world.X_base_hand() @ X) >= GAP:
-                    world.tool.place(kept)
-                    return X
+                    best, least = (X, out) if out < least else (best, least)
+                    break
                 X[1, 3] -= 0.0005
+            if least < IN_PALM:
+                break
         world.tool.place(kept)
-        return X
+        return best
 
     def _way_out(self, X_base_tool: Array) -> Array:
         """The direction, (3,) in `base`, from which the tool comes to its place.

@@ -42,7 +42,7 @@ WARM_UP = 600.0
 BESIDE = 0.04
 """Mass times distance of the tool's centre of mass from the handle's axis as the hand nominally holds it, standard
 deviation [kg m]: 60 mm of a hammer of 0.66 kg, which the hand may hold tilted."""
-LARGEST_SIGMA, LARGEST_SHARE = 0.15, 0.25
+LARGEST_SIGMA, LARGEST_SHARE = 0.2, 0.33
 """Standard deviation of a mass with which nothing is struck: in [kg], and as a share of the mass."""
 LARGEST_MOMENT = 0.08
 """The same of the tool's moment, mass times centre of mass [kg m]: three of them are 4 % of a wrist joint's 56 Nm."""
