@@ -28,8 +28,7 @@ TURNED = (1.0, 0.75, 0.5, 0.25, 0.0)
 ASIDE = (0.0, 0.006, 0.012)
 """Shifts towards the fingertips, away from a thumb before the palm, with which they try then [m]."""
 IN_PALM, LARGEST_OUT = 0.02, 0.05
-"""Distances from the nominal place, along the palm's normal [m]: the person is content with the first, tries the second.
-"""
+"""Distances along the palm's normal [m]: below the first a person is content; the second is the largest tried."""
 SAMPLES = 26
 """Of the tool's way into the hand: 10 mm apart, less than a finger is thick."""
 

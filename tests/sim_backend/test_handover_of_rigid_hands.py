@@ -29,7 +29,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 @pytest.mark.parametrize("hand", seldom("inspire", "ability"))
 @pytest.mark.parametrize("seed", seldom(7403, 3, 7486, 15023, 15034))
 def test_the_hand_closes_around_it_and_the_arm_does_not_stop(hand: str, seed: int) -> None:
-    """7403: tilted by 13 degrees, it meets the thumb. 7486, 15023, 15034: it fits behind the thumb near the fingertips."""
+    """7403: tilted, it meets the thumb. 7486, 15023, 15034: it fits behind the thumb nearer to the fingertips."""
     config = load_station(EXAMPLES / f"{hand}.yaml")
     with SimStation.build(config, seed, SimOptions(wrench_errors=1.0, compliance=1.0)) as simulation:
         station, robot = simulation.station, RobotModel.of_station(config)

@@ -44,8 +44,7 @@ BESIDE = 0.04
 deviation [kg m]: 60 mm of a hammer of 0.66 kg, which the hand may hold tilted."""
 LARGEST_SIGMA, LARGEST_SHARE = 0.2, 0.33
 """Standard deviation of a mass above which nothing is struck: in [kg], and as a share of the mass. Tools whose mass was
-wrong by 30 % drove 20 of 20 simulated nails, and 10 of 10 that were weighed within these limits, not within 0.15 and 0.25
-(docs/results/job.md)."""
+wrong by 30 % drove 20 of 20 simulated nails (docs/results/job.md)."""
 LARGEST_MOMENT = 0.08
 """The same of the tool's moment, mass times centre of mass [kg m]: three of them are 4 % of a wrist joint's 56 Nm."""
 HEAVIER = 2.0
