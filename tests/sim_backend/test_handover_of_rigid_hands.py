@@ -15,6 +15,7 @@ from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.frames import transform
 from toolee_robot.hal import ArmStatus
 from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.truth import PerfectPerception
 from toolee_robot.station import load_station
 from toolee_robot.tasks.common.observer import TaskObserver
@@ -67,6 +68,7 @@ def test_a_hand_that_closed_on_nothing_is_given_another_place_of_the_handle(monk
     prompts: list[str] = []
     with Simulated(load_station(EXAMPLES / "ability.yaml"), 3).open(_quiet, _quiet) as opened:
         person = opened.station.person
+        assert isinstance(person, SimPerson)
         place, places = person._clear_of_hand, iter([transform(p=[0.0, -0.1, 0.0])])
         monkeypatch.setattr(person, "_clear_of_hand", lambda offset: place(offset) @ next(places, np.eye(4)))
         for name in ("request_handover", "release"):
