@@ -204,7 +204,7 @@ STATIONS = ("inspire", "ability", "shadow", "mount")
 def test_the_table_of_other_stations_is_of_their_records(kind: str, row: str) -> None:
     kept = [json.loads(line) for line in (KEPT / "stations.jsonl").read_text().splitlines()]
     jobs = [one for one in kept if one["job"].endswith(f"-{kind}")]
-    assert len({one["commit"] for one in jobs}) == 1, "one version"
+    assert len({one["commit"] for one in jobs}) == (2 if kind == "unknown" else 1), "the versions that the page names"
     ended = {hand: [one["figures"]["success"] for one in jobs if one["job"] == f"{hand}-{kind}"] for hand in STATIONS}
     *cells, every = _rows("Other stations")[row]
     assert cells == [f"{sum(flush)} of {len(flush)}" for flush in ended.values()]
