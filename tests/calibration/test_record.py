@@ -23,7 +23,7 @@ from toolee_robot.calibration.touches import see_corner
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import HALF_TURN, BaseFrame, transform, transform_points
-from toolee_robot.station import SIMULATED, SIMULATED_CALIBRATION, load_station
+from toolee_robot.station import REHEARSED, SIMULATED, SIMULATED_CALIBRATION, load_station
 
 LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
 BARS = [f"{length * 1e3:.4f}" for length in BOARD.size]
@@ -143,6 +143,9 @@ def test_what_was_rehearsed_holds_for_no_real_robot() -> None:
     (problem,) = rehearsed.problems("20185500001", "cam-7", date(2026, 1, 2))
     assert "simulated or rehearsed" in problem
     assert rehearsed.problems(SIMULATED, "cam-7", date(2026, 1, 2)) == []
+    (problem,) = replace(rehearsed, robot_serial=REHEARSED).problems("20185500001", "cam-7", date(2026, 1, 2))
+    assert "simulated or rehearsed" in problem
+    assert REHEARSED.isdigit(), "ur_rtde does not connect to an e-Series with another"
 
 
 def test_a_record_does_not_hold_for_other_intrinsics(calibrated: Path, tmp_path: Path) -> None:

@@ -97,6 +97,27 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     assert (after["q"], after["uploads"]) == (before["q"], before["uploads"])
 
 
+@pytest.mark.sim(seconds=40)
+def test_the_arms_own_kinematics_are_entered_beside_the_file(
+    robot: ControllerProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(f"version: 3\narm: {{host: {_HOST}}}{_WIRED}")
+    robot.fault("kinematics", a=[0, 0.0012, 0, 0, 0, 0], d=[0.0] * 6)
+    try:
+        *_, said = _doctor(capsys, "--station", str(path), "--write")
+        assert "the nominal UR10 is 1.2 mm off" in said
+        assert f"written to {tmp_path / 'measured.yaml'}" in " ".join(said.split())
+        calibration = load_station(path).arm.calibration
+        assert calibration is not None
+        assert calibration.delta_a == pytest.approx((0, 0.0012, 0, 0, 0, 0), abs=1e-6)
+        assert path.read_text().endswith(_WIRED), "no program edits what a person wrote"
+        assert "the calibrated UR10 is 0.0 mm off" in _doctor(capsys, "--station", str(path))[2]
+    finally:
+        robot.fault("kinematics", a=[0.0] * 6, d=[0.0] * 6)
+    assert _doctor(capsys, "--write")[0] == 2, "of no robot"
+
+
 @pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 @pytest.mark.usefixtures("robot")

@@ -159,4 +159,4 @@ def test_every_step_of_the_page_works_and_is_slow(robot: Robot, tmp_path: Path) 
         print(f"$ {command}\n{text}")
         assert code == 0, f"{command}: {text}"
         assert_slow(robot.moved(), ARM_DATA[robot.model].rate)
-    assert "lag:" in (tmp_path / "lab.measured.yaml").read_text(), "`lag --write` has written what it measured"
+    assert "lag:" in (tmp_path / "measured.yaml").read_text(), "`lag --write` has written what it measured"

@@ -372,8 +372,10 @@ class Acceleration(ArmOptions):
                 f"[red]No acceleration was found for joint {joints}.[/red] Make the robot ready, try it alone."
             )
         else:
-            console.print(f"[bold]Recommended for {self.config or 'the station file'}:[/bold]", soft_wrap=True)
-            console.print(f"arm: {{acceleration: {[round(a, 3) for a in line]}}}", markup=False, soft_wrap=True)
+            console.print(
+                f"[bold]Recommended, for `arm` in {self.config or 'the station file'}:[/bold]", soft_wrap=True
+            )
+            console.print(f"  acceleration: {[round(a, 3) for a in line]}", markup=False, soft_wrap=True)
         told = [asdict(trial) for trial in trials]
         self.tell({"trials": told, "recommended": None if missing else line})
         return int(bool(missing))

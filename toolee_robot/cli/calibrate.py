@@ -185,7 +185,7 @@ class Camera(BoardOptions):
 
     def _check_entry(self, config: StationConfig) -> None:
         """Refuse before anything moves what --write could not enter, or must not."""
-        from toolee_robot.station import SIMULATED
+        from toolee_robot.station import REHEARSED, SIMULATED
 
         known = config.calibration
         if not self.write or known is None:
@@ -197,7 +197,7 @@ class Camera(BoardOptions):
                 "then use --write",
             ),
             (
-                self.rehearse and known.robot_serial != SIMULATED,
+                self.rehearse and known.robot_serial not in (SIMULATED, REHEARSED),
                 f"{self.station} names the calibration of the real robot {known.robot_serial}, and a rehearsal must "
                 "not replace it. Rehearse with a copy of the file, or without --write",
             ),
@@ -297,9 +297,9 @@ class Mount(JsonOption):
 
     Example: toolee calibrate mount --touches touches.yaml --station lab.yaml
 
-    Clamp a pointed pin in the mount. Bring its tip to one fixed point in at least five orientations. They must differ
-    by 25° or more about two axes. The file lists the joint positions: `touches: [[q1, ..., q6], ...]`. The result is
-    the value for `hand.mount.position`, and the TCP of a touch test.
+    Fix a pointed pin on the flange or in the mount. Bring its tip to one fixed point in at least five orientations.
+    They must differ by 25° or more about two axes. The file lists the joint positions: `touches: [[q1, ..., q6], ...]`.
+    The result is the TCP of a touch test. Of a pin in a mount it is the value for `hand.mount.position`, too.
 
     Exit code 0: the tip is located; 2: the touches are refused, with the reason.
     """
@@ -320,8 +320,8 @@ class Mount(JsonOption):
         x, y, z = tip.p_flange_tip
         self.console.print(
             f"tip in the flange: ({_mm(tip.p_flange_tip)}) ± ({_mm(sigmas)}) mm\nthe touches scatter by "
-            f"{tip.residual * 1e3:.2f} mm around their common point\n\nhand:\n  mount:\n    position: [{x:.5f}, "
-            f"{y:.5f}, {z:.5f}]"
+            f"{tip.residual * 1e3:.2f} mm around their common point\n\nOf a mount, for `hand.mount`:\n"
+            f"    position: [{x:.5f}, {y:.5f}, {z:.5f}]"
         )
         self.tell({name: value.tolist() if hasattr(value, "tolist") else value for name, value in vars(tip).items()})
         return 0
@@ -333,7 +333,7 @@ class Nail(BoardOptions):
 
     Example: toolee calibrate nail --station lab.yaml --rehearse
 
-    Example: toolee calibrate nail --station lab.yaml --bars-mm 361.3 258.1 --thickness-mm 0.2 --write
+    Example: toolee calibrate nail --station lab.yaml --bars-mm 361.3 258.1 --thickness-mm 3.2 --write
 
     Nothing moves. Lay a board from `toolee calibrate board` flat on the wood, glued or on a stiff plate, with the nail
     through its white cross.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -49,13 +49,14 @@ class Doctor(JsonOption):
         tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")
     ] = None
     """X Y Z of the TCP in millimetres, as the pendant's Move screen shows them with the feature Base. They are
-    compared with the robot's report and with this software's kinematics. If left out, the command asks at the
-    terminal, except with --json.
+    compared with the robot's report. If left out, the command asks at the terminal, except with --json.
     """
     inputs: Flag = False
     """Check door and hold-to-run switch (`person` in the station file): the command asks you to operate each once.
     It connects with the arm's driver and starts the robot's program, but moves nothing.
     """
+    write: Flag = False
+    """Enter the kinematics that the factory measured on this arm in `measured.yaml` beside the station file."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Folder for recordings, whose free space is checked."""
 
@@ -71,6 +72,8 @@ class Doctor(JsonOption):
                     f"{option} needs the controller's address: give --robot-host, or arm.host in the station file. "
                     "The pendant's About page shows it"
                 )
+        if self.write and None in (host, self.config):
+            raise UserError("--write needs --station and a robot: arm.host in the station file, or --robot-host")
         if host is not None:
             config = self._of_robot()
         if self.inputs:
@@ -92,11 +95,23 @@ class Doctor(JsonOption):
             found += [(section, finding) for finding in findings]
             console.print(f"\n[bold]{section}[/bold]")
             console.print(findings_table(findings))
+        if self.write:
+            self._write(report.facts.get("arm_calibration"))
         level = worst(finding for _, finding in found)
         console.print(f"\n{self._verdict(host, [finding for _, finding in found])}")
         told = [{"section": section, **asdict(finding)} for section, finding in found]
         self.tell({"worst": level, "robot_host": host, **report.facts, "findings": told})
         return int(level is Level.FAIL)
+
+    def _write(self, calibration: Mapping[str, object] | None) -> None:
+        """Enter the arm's own kinematics beside the station file."""
+        from toolee_robot.station import write_measured
+
+        if calibration is None or self.config is None:
+            self.console.print("\n[yellow]The robot does not report its kinematics: nothing was written.[/yellow]")
+            return
+        file = write_measured(self.config, arm={"calibration": calibration})
+        self.console.print(f"\nThis arm's kinematics were written to {escape(str(file))}.", soft_wrap=True)
 
     def _of_robot(self) -> StationConfig:
         """Load the station of a robot, which never has the simulation's calibration."""

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from toolee_robot.devices.ur.probe import UrState
-from toolee_robot.devices.ur.setup_checks import pose_matrix
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import HALF_TURN, Array, BaseFrame
 from toolee_robot.robots.urdf import DhParameters
@@ -41,13 +40,8 @@ def check_frames(state: UrState, config: StationConfig, jogged_point: Array | No
         The findings "TCP place" and "jogged point".
     """
     tcp = state.tcp_pose[:3]
-    offset = np.zeros(6) if state.tcp_offset is None else state.tcp_offset
-    dh = DhParameters.of(config.arm.model, config.arm.calibration)
-    X_pendant_flange = dh.fk(state.q)
-    ours = (X_pendant_flange @ pose_matrix(offset))[:3, 3]
-    off = float(np.linalg.norm(ours - tcp))
-    both = f"{BaseFrame.PENDANT_BASE} {_mm(tcp)}, {BaseFrame.BASE_LINK} {_mm(HALF_TURN[:3, :3] @ tcp)}"
-    yield ok("TCP place", f"{both}; this software's kinematics: {off * 1e3:.1f} mm off")
+    X_pendant_flange = DhParameters.of(config.arm.model, config.arm.calibration).fk(state.q)
+    yield ok("TCP place", f"{BaseFrame.PENDANT_BASE} {_mm(tcp)}, {BaseFrame.BASE_LINK} {_mm(HALF_TURN[:3, :3] @ tcp)}")
     name = JOGGED_POINT
     if jogged_point is None:
         remedy = "jog the arm near the work, read X Y Z of the TCP (feature Base), and give --jogged-point X Y Z"

@@ -9,7 +9,7 @@ The records hold everything that is measured once per station: the poses of came
 calibration. Lengths are in metres and angles in radians unless a field states otherwise.
 """
 
-from toolee_robot.station.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
+from toolee_robot.station.calibration import REHEARSED, SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.station.cell import CameraConfig, CameraDevice, Obstacle, SceneConfig, ToolEnvelope
 from toolee_robot.station.head import VERSION, check_current, is_current
 from toolee_robot.station.job import StrikeConfig, SupervisorConfig, TaskConfig, ToolData

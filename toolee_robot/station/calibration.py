@@ -25,9 +25,9 @@ from toolee_robot.station.schema import STRICT
 from toolee_robot.types import CameraIntrinsics, DhCalibration
 from toolee_robot.types.units import Metres, Unit
 
-SIMULATED = "simulated"
-"""Serial number of every simulated device, and of the robot of a rehearsed calibration: no real one has it, so that no
-job on a robot takes what was rehearsed for its own."""
+SIMULATED, REHEARSED = "simulated", "0"
+"""Serial number of every simulated device, and of the robot of a rehearsed calibration (ur_rtde takes only digits of an
+e-Series): no real one has them, so that no job on a robot takes what was rehearsed for its own."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class CalibrationConfig:
             ("camera", self.camera_serial, camera_serial),
         ):
             if mine != theirs:
-                of = "it was simulated or rehearsed" if mine == SIMULATED else f"it is of {what} {mine!r}"
+                of = "it was simulated or rehearsed" if mine in (SIMULATED, REHEARSED) else f"it is of {what} {mine!r}"
                 found.append(f"{of}, but the station has {what} {theirs!r}: calibrate this one")
         age = (today - date.fromisoformat(self.measured_on)).days
         if age < -1:  # dates have no zone: elsewhere it may be a day later

@@ -13,11 +13,12 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.frames import BaseFrame
 from toolee_robot.runtime.yaml_files import YamlLines, read_yaml
 from toolee_robot.station.head import FRAME, to_base
-from toolee_robot.station.robot import ServoConfig
+from toolee_robot.station.robot import ArmLimits, ServoConfig
 from toolee_robot.station.schema import StationField, record_fields
 from toolee_robot.station.work import WorkConfig
 
 COMMANDS: Mapping[str, str] = {
+    "arm.calibration": "toolee doctor",
     "calibration.record": "toolee calibrate camera",
     "servo.gain": "toolee arm lag",
     "servo.lookahead": "toolee arm lag",
@@ -69,7 +70,7 @@ def read_measured(station: Path) -> dict[str, Any]:
 
 def _wrong(measured: dict[str, Any], path: Path) -> Iterator[str]:
     known: dict[str, StationField] = {}
-    for record, section in ((ServoConfig, "servo"), (WorkConfig, "work")):
+    for record, section in ((ArmLimits, "arm"), (ServoConfig, "servo"), (WorkConfig, "work")):
         known |= {field.name: field for field in record_fields(record, (section,))}
     lines = YamlLines(path)
     for section, values in measured.items():

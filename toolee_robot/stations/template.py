@@ -141,7 +141,7 @@ def _measured(data: dict[str, Any], intrinsics: tuple[str, ...], path: str) -> I
             which += f" --size {camera.get('width') or 'W'} {camera.get('height') or 'H'}"
         yield OpenFields("camera", intrinsics, f"toolee camera show {which}", typed=False)
     if "calibration" not in arm:
-        command = f"toolee doctor --station {path} --json  # arm_calibration, docs/how-to/calibrate.md"
+        command = f"toolee doctor --station {path} --write"
         yield OpenFields("arm", ("calibration",), command, typed=False, note="recommended")
     if "lag" not in servo:
         command = f"toolee arm lag --station {path} --write"

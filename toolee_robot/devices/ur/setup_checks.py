@@ -241,13 +241,13 @@ def check_kinematics(report: UrReport, state: UrState, expected: UrExpected) -> 
     if off <= KINEMATICS_TOLERANCE:
         return ok(name, message)
     if off <= NOMINAL_TOLERANCE and not calibrated:
-        return warn(name, message, "set arm.calibration to this arm's own: `toolee doctor --json` prints it")
+        return warn(name, message, "`toolee doctor --write` enters this arm's own (arm.calibration)")
     fits = {model: error(DhParameters.of(model)) for model in ArmModel}
     best = min(fits, key=lambda model: fits[model])
     if fits[best] <= NOMINAL_TOLERANCE and best is not expected.model:
         return fail(name, f"{message}; {best} fits to {fits[best] * 1e3:.1f} mm", "set arm.model in the station file")
     if calibrated:
-        return fail(name, message, "arm.calibration is of another arm: `toolee doctor --json` prints this one's")
+        return fail(name, message, "arm.calibration is of another arm: `toolee doctor --write` enters this one's")
     return fail(name, message, "check model and TCP; a joint may have been replaced without a new calibration")
 
 

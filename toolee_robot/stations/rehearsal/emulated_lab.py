@@ -42,7 +42,7 @@ from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote import RemoteJudge, RemoteWorld
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
-from toolee_robot.station import SIMULATED, HandConfig, StationConfig
+from toolee_robot.station import REHEARSED, HandConfig, StationConfig
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal.camera import SeenScene, emulated_stream
 from toolee_robot.stations.rehearsal.person import FingerCoupling, RehearsedPerson
@@ -205,7 +205,7 @@ class EmulatedLab:
         payload = model.hand_payload(model.hand_open)
         controller.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
         known = config.calibration
-        controller.fault("serial", number=SIMULATED if known is None else known.robot_serial)
+        controller.fault("serial", number=REHEARSED if known is None else known.robot_serial)
 
     def _emulated_hand(self, world: RemoteWorld, stack: ExitStack) -> HandConfig:
         hand = self._cell.measured.hand
