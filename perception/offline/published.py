@@ -26,9 +26,11 @@ from toolee_robot.perception.offline.synthesis.bodies import HandStyle, hand_bod
 from toolee_robot.perception.offline.synthesis.example import label
 from toolee_robot.perception.offline.synthesis.placement import PlacedTool, SceneSample, Stance, X_world_hand_of, look
 from toolee_robot.perception.offline.synthesis.station import shown_grasp
-from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, stored
+from toolee_robot.perception.offline.synthetic_clouds.batch import CloudConfig
+from toolee_robot.perception.offline.synthetic_clouds.rendered import RenderedClouds, RenderedSource, stored
 from toolee_robot.perception.offline.training import pose_validation as validation
 from toolee_robot.perception.pose.canonical import MIN_POINTS
+from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.tooleenet import PaperEstimator
 from toolee_robot.render import Body, Material, Mesh, Scene
 from toolee_robot.render.renderer import Shot, pixel_rays
@@ -190,12 +192,12 @@ def _of_tools(
 
 
 def table(
-    estimator: PaperEstimator, images: int, seed: int, workers: int, progress: Callable[[str, int, int], None]
+    estimator: CloudEstimator, images: int, seed: int, workers: int, progress: Callable[[str, int, int], None]
 ) -> dict[str, Any]:
     """Judge an estimator on new images of held-out and of seen tools.
 
     Args:
-        estimator: The estimator of a column.
+        estimator: The estimator of a column, or this project's own.
         images: Images of each tool.
         seed: Seed of the images, and of the sampling.
         workers: Number of processes that render.
@@ -211,7 +213,10 @@ def table(
     for group, held_out in zip(pose.GROUPS, (True, False), strict=True):
         rendered, rows = partial(progress, f"{group}: images of each tool"), []
         clouds = published_clouds(images, seed, held_out, estimator.of_tool, workers, rendered)
-        source = paper_source(clouds, estimator.column, "cpu", seed)
+        if isinstance(estimator, PaperEstimator):
+            source = paper_source(clouds, estimator.column, "cpu", seed)
+        else:
+            source = RenderedSource(clouds, "cpu", seed, CloudConfig(negative_share=0.0))
         for some in torch.split(torch.arange(len(clouds)), _CHUNK):
             found = validation.evaluate(estimator, source.rows(some), estimator.candidates, seed + int(some[0]))
             for k, (result, X) in enumerate(zip(found.results, found.Xs_true, strict=True)):

@@ -18,6 +18,7 @@ from toolee_robot.runtime.files import json_line, write_atomic
 
 if TYPE_CHECKING:
     from toolee_robot.perception.offline.evaluation.report import Table
+    from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 
 _Dir = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
 _Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LABEL=]DIR", help_behavior_hint="")]
@@ -173,7 +174,7 @@ class EvaluateTable1(_Evaluation):
     """
 
     weights: _Folder = None
-    """Folder of a `toolee train paper` training (the shipped weights if left out)."""
+    """Folder of a `toolee train paper` or `toolee train pose` training (default: the shipped weights of the former)."""
     images: Annotated[int, tyro.conf.arg(metavar="N")] = 4
     """Images of each tool."""
     seed: int = 880793
@@ -184,10 +185,15 @@ class EvaluateTable1(_Evaluation):
     def run(self) -> int:
         from toolee_robot.perception.offline.evaluation import report
         from toolee_robot.perception.offline.published import table
+        from toolee_robot.perception.pose.estimator import PoseEstimator
         from toolee_robot.perception.pose.tooleenet.estimator import SHIPPED, PaperEstimator
 
-        estimator = PaperEstimator.load(self.weights or SHIPPED, self.device)
-        column = estimator.column.name
+        folder, column = self.weights or SHIPPED, "ours"
+        if (folder / "pose.json").is_file():
+            estimator: CloudEstimator = PoseEstimator.load(folder, self.device)
+        else:
+            estimator = paper = PaperEstimator.load(folder, self.device)
+            column = paper.column.name
         with progress_bars(self.console) as progress:
             groups = table(estimator, min(self.images, self.limit or self.images), self.seed, self.workers, progress)
         return self.end({"column": column, "groups": groups}, report.table1(groups, column))

@@ -227,6 +227,8 @@ class Paper(JsonOption):
     """Stop after this time. The same command continues."""
     device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
+    init: Folder = None
+    """Start from the weights exported there, of the same column."""
 
     def run(self) -> int:
         from toolee_robot.perception.offline.research.tooleenet_training import PaperOptions, train_column
@@ -236,8 +238,9 @@ class Paper(JsonOption):
         options = PaperOptions(**options_of(given, self.config, {f.name for f in fields(PaperOptions)}))
         resumed = (self.out / CHECKPOINT).is_file()
         about = {f.name: getattr(options, f.name) for f in fields(PaperOptions)}
-        remember(self.out, resumed, {**about, "column": self.column, "clouds": [str(path) for path in self.clouds]})
-        done = train_column(self.out, options, self.column, self.clouds)
+        about |= {"column": self.column, "clouds": [str(path) for path in self.clouds], "init": str(self.init)}
+        remember(self.out, resumed, about)
+        done = train_column(self.out, options, self.column, self.clouds, self.init)
         self.tell({"out": str(self.out), "resumed": resumed, **done})
         return 0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,16 @@ from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.detector import CLASSES, TOOL
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.offline.dataset.scenes import SegmentationSet, bbox, load_scenes, scene_folders
+from toolee_robot.perception.offline.dataset.spec import DatasetSpec, root_of
 
 MIN_PIXELS = 50
 """Instances with fewer visible pixels are crowd: too small for a pose."""
 STATISTICS = ("AP", "AP50", "AP75", "AP_S", "AP_M", "AP_L")
-"""COCO's first six: mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px]."""
+"""COCO's first six: mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px].
+
+Images of `paper` have half of the paper's resolution: areas there count as in images of 1920x1080.
+"""
+_SIDES = (32.0, 96.0)
 _TARGET = "target"
 _CATEGORIES = [{"id": k, "name": name} for k, name in enumerate(CLASSES) if k > 0]
 
@@ -32,6 +37,7 @@ class CocoTask:
         truth: A COCO data set.
         results: A COCO result list.
         times: Time of each image [s].
+        zoom: Pixels of the images that the areas are counted in, in a pixel of these, along a side.
     """
 
     truth: dict[str, Any] = field(
@@ -39,11 +45,12 @@ class CocoTask:
     )
     results: list[dict[str, Any]] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
+    zoom: float = 1.0
 
     def of_targets(self) -> CocoTask:
         """The task with every instance that is no target as crowd: neither found nor missed."""
         annotations = [{**v, "iscrowd": int(v["iscrowd"] or not v[_TARGET])} for v in self.truth["annotations"]]
-        return CocoTask({**self.truth, "annotations": annotations}, self.results, self.times)
+        return replace(self, truth={**self.truth, "annotations": annotations})
 
 
 def evaluate(
@@ -69,7 +76,8 @@ def evaluate(
     if not scenes:
         message = f"no BOP scene in {dataset_dir}: give the folder train or test of a data set"
         raise AssetError(message, code="asset.no_scene")
-    task = CocoTask()
+    root = root_of(dataset_dir)
+    task = CocoTask(zoom=2.0 if root is not None and DatasetSpec.read(root).config == "paper" else 1.0)
     for scene in scenes:
         left = None if limit is None else limit - len(task.times)
         if left is not None and left <= 0:
@@ -161,6 +169,8 @@ def statistics(task: CocoTask) -> dict[str, Any]:
         if found is not None and n:
             run = COCOeval_faster(truth, found, "segm", print_function=lambda *_: None)
             run.params.catIds = [label]
+            areas = [0.0, *(side**2 / task.zoom**2 for side in _SIDES), 1e10]
+            run.params.areaRng = [areas[::3], areas[:2], areas[1:3], areas[2:]]
             run.evaluate()
             run.accumulate()
             run.summarize()

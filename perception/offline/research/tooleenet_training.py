@@ -39,6 +39,7 @@ from toolee_robot.perception.pose.tooleenet.estimator import (
     class_ambiguity,
     encode,
     in_camera,
+    load,
     mean_pose,
     save,
 )
@@ -172,6 +173,14 @@ class ColumnTraining(TrainingRun):
         self._order: tuple[int, Tensor] | None = None
         super().__init__(options, out, distributed, self.net, self.net)
 
+    def start_from(self, folder: Path) -> None:
+        """Start from the weights of another training of this column."""
+        net, column = load(folder)
+        if column != self.column:
+            raise UserError(f"--init {folder}: it is of the column {column.name}, this training of {self.column.name}")
+        self.net.load_state_dict(net.state_dict())
+        self.average = {k: v.detach().clone() for k, v in self.net.state_dict().items()}
+
     @property
     def epoch(self) -> int:
         """Number of the epoch of the next step, from 0."""
@@ -293,7 +302,9 @@ def category_priors(clouds: RenderedClouds) -> Array:
     return priors
 
 
-def train_column(out: Path, options: PaperOptions, column: str, files: Sequence[Path]) -> dict[str, Any]:
+def train_column(
+    out: Path, options: PaperOptions, column: str, files: Sequence[Path], init: Path | None = None
+) -> dict[str, Any]:
     """Train a column of the paper's Table I.
 
     Args:
@@ -301,13 +312,14 @@ def train_column(out: Path, options: PaperOptions, column: str, files: Sequence[
         options: Options of the training.
         column: Name of the column.
         files: Files of `RenderedClouds` under true masks.
+        init: Folder of weights of the same column to start from.
 
     Returns:
         Steps and epochs so far.
 
     Raises:
         AssetError: Clouds are missing.
-        UserError: They are of the other kind, or too few; or there is no such column.
+        UserError: They are of the other kind, or too few; there is no such column, or the weights are of another.
         TooleeError: The loss is not finite.
     """
     if column not in COLUMNS:
@@ -320,5 +332,7 @@ def train_column(out: Path, options: PaperOptions, column: str, files: Sequence[
         )
     with init_distributed(options.device) as distributed:
         training = ColumnTraining(out, options, COLUMNS[column], clouds, distributed)
+        if init is not None:
+            training.start_from(init)
         training.loop()
         return {"steps": training.step, "epochs": round(training.step / training.steps_per_epoch, 2)}

@@ -198,6 +198,27 @@ def test_what_is_no_target_is_neither_found_nor_missed(images: SegmentationSet, 
     assert nothing["average"]["AP"] is None
 
 
+def test_areas_count_as_in_images_of_more_pixels() -> None:
+    """A perfect mask of 20 x 20 pixels: small in its image, medium in one of twice the resolution."""
+    mask = np.zeros((64, 64), bool)
+    mask[10:30, 10:30] = True
+    coded = {
+        "category_id": 1,
+        "image_id": 1,
+        "segmentation": pytest.importorskip("faster_coco_eval.core.mask").encode(
+            np.asfortranarray(mask.astype(np.uint8))
+        ),
+    }
+    truth = {"id": 1, "bbox": [10, 10, 20, 20], "area": 400, "iscrowd": 0, "target": True, **coded}
+    task = CocoTask(results=[{"score": 1.0, **coded}])
+    task.truth["images"].append({"id": 1, "height": 64, "width": 64})
+    task.truth["annotations"].append(truth)
+    for zoom, sizes in ((1.0, (1.0, None, None)), (2.0, (None, 1.0, None)), (8.0, (None, None, 1.0))):
+        found = statistics(replace(task, zoom=zoom))["hammer_head"]
+        assert found["AP"] == pytest.approx(1.0)
+        assert tuple(found[name] if found[name] is None else round(found[name], 6) for name in STATISTICS[3:]) == sizes
+
+
 def test_empty_frames_show_clutter_and_repeat() -> None:
     frame, again = empty_frame(3, 0, GENERATED), empty_frame(3, 0, GENERATED)
     assert frame.depth.max() > 0.3

@@ -161,6 +161,7 @@ def test_a_column_stands_beside_the_published_one() -> None:
     assert (narrow["average"], wide["average"]) == (["7", "0.250", "0.250", "0.985"], ["7", "0.750", "0.750", "0.998"])
     assert narrow["wrench jaw"] == ["0", "", "", "0.996"]
     assert all(len(row) == len(table.columns) for table in tables for row in table.rows)
+    assert table1(groups, "ours")[0].rows[0] == tables[0].rows[0], "ours stands beside the paper's best column"
 
 
 def test_without_weights_the_table_says_how_to_train_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

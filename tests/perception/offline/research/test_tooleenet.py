@@ -356,6 +356,20 @@ def test_every_column_learns_and_its_weights_load(column: str, tmp_path: Path) -
     np.testing.assert_allclose(priors[:, :3, 3], np.tile([0.0, 0.0, 0.1], (4, 1)), atol=1e-6)
 
 
+@pytest.mark.usefixtures("small")
+def test_a_training_starts_from_the_weights_of_its_column(tmp_path: Path) -> None:
+    before = trained(tmp_path / "before", max_steps=2)
+    training = ColumnTraining(tmp_path / "after", FEW, COLUMNS["symmetry-aware"], stored_clouds(44), CPU)
+    training.start_from(tmp_path / "before")
+    for name, value in before.export().state_dict().items():
+        assert torch.equal(value, training.net.state_dict()[name]), name
+        if value.is_floating_point():
+            assert torch.equal(value, training.average[name]), name
+    other = ColumnTraining(tmp_path / "other", FEW, COLUMNS["ee"], stored_clouds(44), CPU)
+    with pytest.raises(UserError, match="symmetry-aware, this training of ee"):
+        other.start_from(tmp_path / "before")
+
+
 @pytest.mark.nightly
 @pytest.mark.sim
 @pytest.mark.usefixtures("small")
