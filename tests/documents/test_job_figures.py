@@ -57,7 +57,7 @@ def _rows(heading: str) -> dict[str, list[str]]:
 
 
 def _readme_row(condition: str, flush: Sequence[bool]) -> str:
-    return f"| nail flush | {condition} | {len(flush)} | {100.0 * sum(flush) / len(flush):.1f} % |"
+    return f"| nail flush | simulated {condition} | {len(flush)} | {100.0 * sum(flush) / len(flush):.1f} % |"
 
 
 def _flush(records: Sequence[Record]) -> str:
