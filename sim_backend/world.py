@@ -66,7 +66,7 @@ class SimWorld:
         robot: Arm and hand.
         furniture: The static bodies.
         nails: The nails by name.
-        nail: The one that the tool is nearest to; the only one where there is one.
+        nail: The one that the tool is nearest to; the only one where there is one. Not set where there are none.
         tool: The tool's body.
         grip: The assisted grip, if there is one.
         wrench: Reads the arm's wrench, (6,) [N, Nm]; set by the force sensor.
@@ -79,6 +79,8 @@ class SimWorld:
     Raises:
         UserError: pybullet cannot start, or cannot open its window.
     """
+
+    nail: Nail
 
     def __init__(self, config: StationConfig, tool: Tool, X_base_tool: Array, options: SimOptions) -> None:
         self.config = config
@@ -97,18 +99,23 @@ class SimWorld:
         q_arm = np.array(config.scene.home if options.q_start is None else options.q_start)
         self.robot = RobotBody(self.client, robot, q_arm, robot.hand_open, options.compliance, NORMAL.time_step)
         self.furniture = Furniture.build(self.client, config)
-        leans = chain(options.nail_leans, repeat((0.0, 0.0)))
-        self.nails = {
-            name: Nail(
-                self.client, work.X_base_nail(), NailSpec.from_config(work), self.furniture.block,
-                config.task.flush_protrusion, lean, -work.wood_normal,
-            )
-            for (name, work), lean in zip(config.work.each(), leans, strict=False)
-        }  # fmt: skip
-        self.nail = self.nails[config.work.names[0]]
+        self.nails = self._driven_in(options)
+        if self.nails:
+            self.nail = self.nails[config.work.names[0]]
         self.tool = ToolBody(self.client, tool, X_base_tool)
         self.grip: AssistedGrip | None = None
         self.robot.ignore_collisions(self.furniture.table, link=-1)
+
+    def _driven_in(self, options: SimOptions) -> dict[str, Nail]:
+        """The nails by name."""
+        leans = chain(options.nail_leans, repeat((0.0, 0.0)))
+        return {
+            name: Nail(
+                self.client, work.X_base_nail(), NailSpec.from_config(work), self.furniture.block,
+                self.config.task.flush_protrusion, lean, -work.wood_normal,
+            )
+            for (name, work), lean in zip(self.config.work.each(), leans, strict=False)
+        }  # fmt: skip
 
     @property
     def time(self) -> float:
@@ -158,8 +165,7 @@ class SimWorld:
             self._step(end - self._quanta)
 
     def _step(self, most: int) -> None:
-        near = self._strike_near()
-        settings = IMPACT if near or most < 4 else NORMAL
+        settings = self._settings_of_step(most)
         if settings is not self._settings:
             settings.apply(self.client)
             self._settings = settings
@@ -182,6 +188,10 @@ class SimWorld:
             sample = Sample(self.time, self.robot.arm_state()[0], self.robot.hand_state()[0], self.wrench())
             for observer in self.observers:
                 observer(sample)
+
+    def _settings_of_step(self, most: int) -> StepSettings:
+        """Settings of the next step, of so many quanta at most."""
+        return IMPACT if self._strike_near() or most < 4 else NORMAL
 
     def _strike_near(self) -> bool:
         """Whether the tool is hitting the nail or about to: close to its head and fast.

@@ -13,15 +13,19 @@ from toolee_robot.control.planning.views import DISTANCE, plan_views
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
-from toolee_robot.frames import Array, angle_between, inverse
+from toolee_robot.frames import Array, angle_between, inverse, transform
 from toolee_robot.hal import Station
 from toolee_robot.station import StationConfig
+from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.tasks.common.held_tool import HeldTool, held_region
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
 from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
+HELD = {Category.HAMMER_HEAD: "hammer", Category.WRENCH_HEAD: "wrench"}
+FACING = "face towards the fingers"
+"""What a message calls the tool, and how it is to be handed over."""
 LEAST_DISPLACEMENT = 0.10
 """Distance from its nominal position in the hand that is plausible for any face [m]."""
 SLIDE = 0.04
@@ -214,17 +218,18 @@ class Views:
 
     def _fuse(self, stamp: float) -> InHandEstimate:
         estimate = self._perceiver.fuse(self._seen, self._hands, self._category, self._camera)
+        estimate = replace(estimate, X_hand_ee=self._as_held(estimate.X_hand_ee))
         self._observer.in_hand(stamp, estimate)
         if not estimate.usable:
             raise PerceptionError(
-                f"the hammer head's pose is not reliable: {estimate.reason}", code="perception.not_usable"
+                f"the {self._category.label}'s pose is not reliable: {estimate.reason}", code="perception.not_usable"
             )
         self._tell_of_camera(estimate)
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
         if not (displacement <= self._largest and misalignment <= MAX_MISALIGNMENT):  # NaN included
             raise PerceptionError(
-                f"the hammer head seems {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f}° outside of "
-                "where a held hammer can be. Hand it over again, face towards the fingers",
+                f"the {self._category.label} seems {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f}° outside of "
+                f"where a held {HELD.get(self._category, 'tool')} can be. Hand it over again, {FACING}",
                 code="perception.implausible",
             )
         return estimate
@@ -264,8 +269,16 @@ class Views:
         displacement, misalignment = self._off_nominal(inverse(X_camera_hand) @ estimate.X_camera_ee)
         return displacement < 1.5 * self._largest and misalignment < 1.25 * MAX_MISALIGNMENT
 
+    def _as_held(self, X_hand_ee: Array) -> Array:
+        """The pose itself; of an end effector that looks the same turned over, the one nearer to the nominal grasp."""
+        symmetry = self._category.symmetry
+        if symmetry.kind is not SymmetryKind.C2 or not np.all(np.isfinite(X_hand_ee)):
+            return X_hand_ee
+        return transform(symmetry.canonical(X_hand_ee[:3, :3], self._nominal[:3, :3]), X_hand_ee[:3, 3])
+
     def _off_nominal(self, X_hand_ee: Array) -> tuple[float, float]:
         """Distance of the face's centre [m] and angle of its normal [rad] from those of the nominal grasp."""
+        X_hand_ee = self._as_held(X_hand_ee)
         return (
             float(np.linalg.norm(X_hand_ee[:3, 3] - self._nominal[:3, 3])),
             angle_between(X_hand_ee[:3, 2], self._nominal[:3, 2]),

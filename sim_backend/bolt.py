@@ -1,0 +1,361 @@
+"""A bolt with a nut on the block, in the place of wood and nail: world, visuals, station and ground truth.
+
+The bolt is no body of the physics engine. `physics.nut` says how jaw and nut move each other; what that means for the
+tool is applied to it as a force and a torque, as the grip's are.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+
+from toolee_robot.end_effectors import Category
+from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_z, transform
+from toolee_robot.hal import Station
+from toolee_robot.render.mesh import Mesh, cylinder
+from toolee_robot.sim_backend.devices.arm import SimArm
+from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.devices.operator import SimPerson
+from toolee_robot.sim_backend.options import InHandOffset, SimOptions
+from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb, rotation_matrix
+from toolee_robot.sim_backend.physics.nail import Nail
+from toolee_robot.sim_backend.physics.nut import LARGEST_TILT, SIXTH, Fit, Jaw, JawPlace, Nut, NutSpec
+from toolee_robot.sim_backend.station import simulated_hand
+from toolee_robot.sim_backend.truth import PoseError, pose_error
+from toolee_robot.sim_backend.visuals import BodyId, SceneVisuals, VisualBody, scene_state
+from toolee_robot.sim_backend.world import NORMAL, QUANTUM, SimClock, SimWorld
+from toolee_robot.station import SIMULATED, StationConfig, WorkConfig, check_upright
+from toolee_robot.tools import Tool
+from toolee_robot.tools.gripped_wrenches import JAW_TURN, gripped_wrench
+from toolee_robot.types import InHandEstimate
+
+AT_NUT = StepSettings(time_step=2 * QUANTUM, iterations=50, contact_erp=0.2)
+"""Settings of the steps while the jaw is near the nut."""
+NEAR = 0.04
+"""Distance of the jaw from the nut's axis from which on these steps are used [m]."""
+STIFFNESS, DAMPING = 3e4, 6.0
+"""Of jaw against nut across its flats and at its corners [N/m], [N s/m]: what such steps keep stable for a wrench of 0.1
+to 0.16 kg. Steel is a thousand times as stiff; the hand is the softer part."""
+TURN_STIFFNESS, TURN_DAMPING = 500.0, 0.05
+"""About the nut's axis [Nm/rad], [Nm s/rad]."""
+TILT_STIFFNESS = 8.0
+"""Against a tilt of the jaw on the nut [Nm/rad]; a handle that turns in the hand bears no more in such steps."""
+HISTORY_PERIOD = 1 / 60
+"""Time between two poses that are kept [s]."""
+
+
+@dataclass(frozen=True)
+class Bolt:
+    """What stands on the block.
+
+    Attributes:
+        spec: Nut and joint.
+        jaw: Jaw of the wrench that fits it.
+        flats: Angle of the nut's flats at the beginning, about the bolt's axis into the block [rad].
+    """
+
+    spec: NutSpec = field(default_factory=NutSpec)
+    jaw: Jaw = field(default_factory=Jaw)
+    flats: float = 0.0
+
+    @classmethod
+    def draw(cls, seed: int) -> Bolt:
+        """Draw nut, joint and jaw within their tolerances.
+
+        Args:
+            seed: Seed of the run.
+
+        Returns:
+            The bolt.
+        """
+        rng = np.random.default_rng([seed, 40])
+        spec, opening = NutSpec.draw(rng), float(rng.uniform(0.01304, 0.01324))
+        return cls(spec, Jaw(opening, 0.52 * opening), float(rng.uniform(0.0, SIXTH)))
+
+    def wrench(self, seed: int) -> Tool:
+        """The wrench that is handed over."""
+        return gripped_wrench(self.jaw.opening, seed)
+
+
+def X_base_bolt(work: WorkConfig) -> Array:
+    """Pose of the middle of the nut, (4, 4): z into the block, x along x of `base`, as far as it can be.
+
+    A station file's work has a nail; its head's place and height are those of the nut.
+    """
+    axis = -work.nail_axis
+    return frame_from_axes(z=axis, x=np.array([1.0, 0.0, 0.0]), p=work.p_base_entry - work.nail_protrusion * axis)
+
+
+class BoltWorld(SimWorld):
+    """The simulated world with a bolt.
+
+    Args:
+        config: The station.
+        tool: The wrench.
+        X_base_tool: Its initial pose, (4, 4).
+        options: Options of the run.
+        bolt: What stands on the block.
+
+    Attributes:
+        nut: The nut.
+        X_base_nut: Pose of its middle at angle 0, (4, 4).
+        fit: How the jaw stands to it.
+        slips: How often the jaw has slipped off under load.
+    """
+
+    def __init__(self, config: StationConfig, tool: Tool, X_base_tool: Array, options: SimOptions, bolt: Bolt) -> None:
+        super().__init__(config, tool, X_base_tool, options)
+        self.jaw, self.nut = bolt.jaw, Nut(bolt.spec)
+        self.X_base_nut = X_base_bolt(config.work) @ transform(rotation_z(bolt.flats))
+        self.fit, self.slips = Fit.APART, 0
+        self._X_tool_ee = tool.ee(Category.WRENCH_HEAD).X_tool_ee
+        X = inverse(self.tool.X_tool_inertial) @ self._X_tool_ee
+        self._p_ee, self._R_ee = X[:3, 3], X[:3, :3]
+        self._slot = rotation_z(JAW_TURN) @ [-1.0, 0.0, 0.0]  # out of the mouth, axes of the end effector
+        self._angle = self._offset = 0.0
+        self._slipped = False
+        self.before_step.append(self._at_nut)
+
+    def _driven_in(self, options: SimOptions) -> dict[str, Nail]:  # noqa: ARG002
+        return {}
+
+    def X_base_ee(self) -> Array:
+        """Pose of the jaw, 4x4; ground truth."""
+        return self.X_base_tool() @ self._X_tool_ee
+
+    def _near(self) -> bool:
+        place = pb.getBasePositionAndOrientation(self.tool_body, physicsClientId=self.client)
+        p = np.array(place[0]) + rotation_matrix(place[1]) @ self._p_ee
+        return math.dist(p, self.X_base_nut[:3, 3]) < NEAR
+
+    def _settings_of_step(self, most: int) -> StepSettings:
+        if self._near() and most >= 2:
+            return AT_NUT
+        return IMPACT if most < 4 else NORMAL
+
+    def _at_nut(self, dt: float) -> None:  # noqa: ARG002
+        """Apply force and torque of the nut to the wrench."""
+        p, quaternion = pb.getBasePositionAndOrientation(self.tool_body, physicsClientId=self.client)
+        R = rotation_matrix(quaternion)
+        arm = R @ self._p_ee
+        ee = np.array(p) + arm
+        r = self.X_base_nut[:3, 3] - ee
+        if r @ r > NEAR**2:
+            self.fit, self._slipped = Fit.APART, False
+            return
+        R_ee = R @ self._R_ee
+        slot, axis = R_ee @ self._slot, self.X_base_nut[:3, 2]
+        across = np.cross(R_ee[:, 2], slot)
+        tilt = math.acos(min(max(float(R_ee[:, 2] @ axis), -1.0), 1.0))
+        place = JawPlace(float(r @ slot), float(r @ across), float(r @ axis), tilt)
+        x, y = self.X_base_nut[:3, 0] @ slot, self.X_base_nut[:3, 1] @ slot
+        now = math.atan2(y, x)
+        self._angle += math.remainder(now - self._angle, 2.0 * math.pi)
+        before = self.fit
+        turned = math.remainder(self._angle - self.nut.angle, SIXTH)
+        self.fit = self.jaw.fit(self.nut.spec, place, before, turned)
+        if self.fit is Fit.APART:
+            self._slipped = False
+            return
+        if before is Fit.APART:
+            self._offset = self._angle - self.nut.angle - turned
+        v, w = (np.array(u) for u in pb.getBaseVelocity(self.tool_body, physicsClientId=self.client))
+        velocity = v + np.cross(w, arm)
+        force, torque = self._reaction(place, slot, across, velocity)
+        turning = 0.0
+        if self.fit is not Fit.BLOCKED and not self._slipped:
+            play = self.jaw.play(self.nut.spec, place.along)
+            turning = self.nut.follow(self._angle - self._offset, play, TURN_STIFFNESS)
+            if self.jaw.slips(self.nut.spec, place, turning):
+                self.slips, self._slipped, turning = self.slips + 1, True, 0.0
+            elif turning:
+                turning -= TURN_DAMPING * float(w @ axis)
+        torque = torque + turning * axis
+        if self.fit is Fit.ON and LARGEST_TILT > tilt > 1e-6:
+            torque = torque + TILT_STIFFNESS * np.cross(R_ee[:, 2], axis)
+        point = self.X_base_nut[:3, 3].tolist()
+        body, client = self.tool_body, self.client
+        pb.applyExternalForce(body, -1, force.tolist(), point, pb.WORLD_FRAME, physicsClientId=client)
+        pb.applyExternalTorque(body, -1, torque.tolist(), pb.WORLD_FRAME, physicsClientId=client)
+
+    def _reaction(self, place: JawPlace, slot: Array, across: Array, velocity: Array) -> tuple[Array, Array]:
+        """Force of the nut on the jaw but for what turns it, [N], and torque [Nm]."""
+        spec, jaw = self.nut.spec, self.jaw
+        along, beside = 0.0, 0.0
+        depth = jaw.depth(spec, place.along)
+        if self.fit is Fit.BLOCKED:
+            along = -STIFFNESS * min(depth, 0.5 * spec.flat)
+        else:
+            pressed = abs(place.beside) - jaw.room(spec, place.along)
+            if pressed > 0.0:
+                side = math.copysign(1.0, place.beside)
+                if depth < 0.5 * spec.flat:  # on the slanted flats before it
+                    beside, along = 0.25 * side * STIFFNESS * pressed, -0.433 * STIFFNESS * pressed
+                else:
+                    beside = side * STIFFNESS * pressed - DAMPING * float(velocity @ across)
+            bottom = spec.flat - jaw.half_length - 0.0015 - place.along
+            if bottom > 0.0:
+                along -= STIFFNESS * bottom
+        if along:
+            along -= DAMPING * float(velocity @ slot)
+        return along * slot + beside * across, np.zeros(3)
+
+
+@dataclass(frozen=True)
+class NutVerdict:
+    """What became of the nut, and how good the first estimate was.
+
+    Attributes:
+        torque: Torque with which the nut is tightened [Nm].
+        turned: Angle that it has turned [rad].
+        slips: How often the jaw slipped off it under load.
+        error: Error of the last in-hand estimate; None where there was none.
+    """
+
+    torque: float
+    turned: float
+    slips: int
+    error: PoseError | None
+
+
+class BoltJudge:
+    """Ground truth of a run: poses of the jaw in the hand, and the nut.
+
+    Args:
+        world: The world.
+    """
+
+    def __init__(self, world: BoltWorld) -> None:
+        self._world = world
+        self._stamps: list[float] = []
+        self._Xs_hand_ee: list[Array] = []
+
+    def after_step(self) -> None:
+        """Keep the pose of the jaw, sometimes."""
+        now = self._world.time
+        if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
+            self._stamps.append(now)
+            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()) @ self._world.X_base_ee())
+
+    def X_hand_ee(self, stamp: float) -> Array:
+        """The true pose of the jaw in the hand at a time [s], (4, 4)."""
+        return self._Xs_hand_ee[min(bisect_left(self._stamps, stamp), len(self._stamps) - 1)].copy()
+
+    def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> NutVerdict:
+        """What became of the nut.
+
+        Args:
+            estimates: Stamp [s] and estimate of each look.
+
+        Returns:
+            The verdict.
+        """
+        nut, error = self._world.nut, None
+        if estimates:
+            stamp, estimate = estimates[-1]
+            error = pose_error(estimate.X_hand_ee, self.X_hand_ee(stamp), Category.WRENCH_HEAD)
+        return NutVerdict(nut.torque if nut.angle > nut.spec.run else nut.largest, nut.angle, self._world.slips, error)
+
+
+STEEL = (0.62, 0.62, 0.66)
+
+
+class BoltVisuals(SceneVisuals):
+    """The visual bodies of a station with a bolt."""
+
+    world: BoltWorld
+
+    def follow(self, world: BoltWorld) -> None:
+        """Show the bolt of a world."""
+        self.world = world
+        spec, height = world.nut.spec, world.config.work.nail_protrusion - 0.5 * world.nut.spec.height
+        radius = 0.5 * spec.across_flats
+        self._bolt = [
+            ("bolt sleeve", cylinder(0.9 * radius, height), 0.5 * spec.height + 0.5 * height),
+            ("bolt end", cylinder(0.004, 0.008), -0.5 * spec.height - 0.004),
+        ]
+        self._nut = _prism(spec.flat, spec.height)
+
+    def visual_bodies(self) -> Sequence[VisualBody]:
+        """The current visual bodies, without the room."""
+        X = self.world.X_base_nut
+        parts = [(name, mesh, X @ transform(p=[0.0, 0.0, z])) for name, mesh, z in self._bolt]
+        parts.append(("nut", self._nut, X @ transform(rotation_z(self.world.nut.angle))))
+        bolt = [VisualBody(n, mesh, at, "steel_bright", STEEL, 0.35, 1.0, body_id=BodyId.NAIL) for n, mesh, at in parts]
+        return [*super().visual_bodies(), *bolt]
+
+
+def _prism(radius: float, height: float) -> Mesh:
+    """A hexagon's prism with a flat parallel to x."""
+    angles = np.arange(6) * SIXTH
+    rim = np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
+    ends = [np.column_stack([rim, np.full(6, z)]) for z in (-0.5 * height, 0.5 * height)]
+    vertices = np.concatenate([*ends, [[0.0, 0.0, -0.5 * height], [0.0, 0.0, 0.5 * height]]])
+    faces = []
+    for i in range(6):
+        j = (i + 1) % 6
+        faces += [[i, j, 6 + j], [i, 6 + j, 6 + i], [12, j, i], [13, 6 + i, 6 + j]]
+    return Mesh.build(vertices, np.array(faces))
+
+
+class BoltStation:
+    """A simulated station with a bolt; create it with `BoltStation.build`, and enter its context.
+
+    Args:
+        world: The simulated world.
+        station: Its devices.
+        judge: Observes the world.
+
+    Attributes:
+        station: The devices: all that a task may use.
+        world: The simulated world: ground truth.
+        judge: What truly happened: ground truth.
+    """
+
+    def __init__(self, world: BoltWorld, station: Station, judge: BoltJudge) -> None:
+        self.world, self.station, self.judge = world, station, judge
+
+    @classmethod
+    def build(cls, config: StationConfig, seed: int, options: SimOptions, bolt: Bolt | None = None) -> Self:
+        """Build a station.
+
+        Args:
+            config: The station.
+            seed: Seed of wrench, bolt, in-hand offset, room and noise.
+            options: Options of the run.
+            bolt: What stands on the block; drawn by the seed if None.
+
+        Returns:
+            The station.
+        """
+        check_upright(config.arm, "the simulated world")
+        bolt = Bolt.draw(seed) if bolt is None else bolt
+        tool = bolt.wrench(seed) if options.tool is None else options.tool
+        offset = InHandOffset.of_job(seed) if options.offset is None else options.offset
+        x, y, _ = config.scene.person_center
+        world = BoltWorld(config, tool, transform(p=[x, y + 0.35, 1.0]), options, bolt)
+        try:
+            person = SimPerson(world, offset, options.hands_over)
+            clock = SimClock(world)
+            visuals = BoltVisuals(config, tool, seed, lambda: scene_state(world, person))
+            visuals.follow(world)
+            camera = SimCamera(visuals, clock, config.camera.uncalibrated, seed, options.sensor)
+            arm = SimArm(world, options.wrench_errors, [seed, 13])
+            station = Station(arm, simulated_hand(world, options), camera, person, clock, SIMULATED, SIMULATED)
+            judge = BoltJudge(world)
+            world.after_step.append(judge.after_step)
+        except BaseException:
+            world.close()
+            raise
+        return cls(world, station, judge)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.world.close()
