@@ -13,7 +13,7 @@ from toolee_robot.types import InHandEstimate
 
 
 class Outcome(StrEnum):
-    """How a job ended. Only FLUSH is success; every outcome leaves the arm at a standstill.
+    """How a job ended. Only FLUSH and TIGHTENED are success; every outcome leaves the arm at a standstill.
 
     INTERRUPTED is set by the caller of the task: the task stops the arm and lets the KeyboardInterrupt pass.
     """
@@ -22,6 +22,11 @@ class Outcome(StrEnum):
     BENT = "bent"
     STUCK = "stuck"
     OUT_OF_STRIKES = "out_of_strikes"
+    TIGHTENED = "tightened"
+    ALREADY_TIGHT = "already_tight"
+    SLIPPED_OFF = "slipped_off"
+    NOT_TIGHT = "not_tight"
+    OUT_OF_REACH = "out_of_reach"
     NOT_READY = "not_ready"
     NO_HANDOVER = "no_handover"
     NO_GRIP = "no_grip"
@@ -64,6 +69,7 @@ class Stage(StrEnum):
     PLAN = "plan"
     TOUCH = "touch"
     STRIKE = "strike"
+    TURN = "turn"
     PARK = "park"
 
 

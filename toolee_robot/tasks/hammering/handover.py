@@ -28,7 +28,7 @@ from toolee_robot.types import Payload
 
 
 @dataclass(frozen=True)
-class _Prompts:
+class Prompts:
     """What a person is asked to do.
 
     Attributes:
@@ -40,11 +40,11 @@ class _Prompts:
     take: str
 
 
-_HAND = _Prompts(
+_HAND = Prompts(
     "Put the hammer's handle into the open hand, face towards the fingertips.",
     "Hold the hammer firmly and confirm. The hand then opens.",
 )
-_MOUNT = _Prompts(
+_MOUNT = Prompts(
     "Fix the hammer's handle in the mount, face towards its working side. Pull at it, then confirm.",
     "Take the hammer out of the mount, then confirm.",
 )
@@ -72,16 +72,19 @@ class Handover:
         motions: The arm and its motions.
         grasp: Nominal grasp of the tool.
         nails: Names of the nails that will be struck.
+        prompts: What a person is asked to do; None for a hammer.
 
     Attributes:
         person_clear: Whether nobody was asked to come near since a person was last seen out of reach.
     """
 
-    def __init__(self, motions: Motions, grasp: Grasp, nails: Sequence[str]) -> None:
+    def __init__(
+        self, motions: Motions, grasp: Grasp, nails: Sequence[str], prompts: Prompts | None = None
+    ) -> None:
         self.person_clear = True
         self._motions, self._grasp, self._nails, self._weighing = motions, grasp, nails, Weighing(motions)
         self._station, self._config, self._robot = motions.station, motions.config, motions.robot
-        self._prompts = _MOUNT if motions.robot.description.hand.clamps else _HAND
+        self._prompts = prompts or (_MOUNT if motions.robot.description.hand.clamps else _HAND)
 
     @property
     def weight(self) -> ToolWeight | None:
