@@ -21,6 +21,7 @@ from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.runtime.files import RunFolder, json_line, run_folder, write_atomic
 from toolee_robot.runtime.latency_monitor import LatencyMonitor, gc_settled
 from toolee_robot.runtime.processes import code_version, interrupts_held
+from toolee_robot.tasks.common.handed_task import HandedTask, R
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
@@ -85,7 +86,7 @@ ASKED_AFTER = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR, Outcome.TOOL_LOST, Out
 """Outcomes that leave the arm where it stopped, or at the handover with a tool whose weight is not known."""
 
 
-def after_stop(task: HammeringTask, result: HammerResult, observer: JobObserver) -> HammerResult:
+def after_stop(task: HandedTask[R], result: R, observer: JobObserver) -> R:
     """Ask a person what to do about a job that stopped with the tool in the hand, until it is out or the job has ended.
 
     Args:
@@ -108,7 +109,7 @@ def after_stop(task: HammeringTask, result: HammerResult, observer: JobObserver)
     return result
 
 
-def _take_out(task: HammeringTask, observer: JobObserver) -> None:
+def _take_out(task: HandedTask[Any], observer: JobObserver) -> None:
     try:
         opened = task.give_back()
     except DeviceError as error:
@@ -262,7 +263,7 @@ def _run(
             machine.begin()
         settle()
         folder.measured = True
-        result = _done(task, observer, ending)
+        result = done(task, observer, ending)
         if result.fault is not None and (why := opened.why_late(result.fault)):
             result = replace(result, reason=f"{result.reason}. {why[0].upper()}{why[1:]}")
         stall = None if machine is None else machine.longest
@@ -271,24 +272,39 @@ def _run(
     seconds = time.perf_counter() - began
     ran = Ran(result, verdict, truths, opened, seconds, stall, _stalled(source, opened, result, stall))
     figures = job_figures(ran, {**source.facts, "real_time_factor": source.real_time_factor, **spec.facts})
-    _write(folder.path / "summary.json", (json_line(job_summary(ran, figures)) + "\n").encode(), observer)
+    write_record(folder.path / "summary.json", (json_line(job_summary(ran, figures)) + "\n").encode(), observer)
     strikes = f"{figures['strikes']} strike{'' if figures['strikes'] == 1 else 's'}"
     outcome = "Flush" if figures["success"] else str(figures["outcome"]).replace("_", " ").capitalize()
     picture = collector.picture(f"{outcome} after {strikes}", f"{opened.words}, {spec.mode}")
-    _write(folder.path / PICTURE, picture, observer)
+    write_record(folder.path / PICTURE, picture, observer)
     return result, verdict, figures
 
 
-def _write(path: Path, data: bytes, observer: JobObserver) -> None:
-    """Write a record of the job; a full disk is said, and loses nothing else."""
+def write_record(path: Path, data: bytes, observer: JobObserver) -> None:
+    """Write a record of a job; a full disk is said, and loses nothing else.
+
+    Args:
+        path: The file.
+        data: What it holds.
+        observer: Told of a full disk.
+    """
     try:
         write_atomic(path, data)
     except UserError as error:
         observer.message(f"{path.name} is missing: {error}")
 
 
-def _done(task: HammeringTask, observer: JobObserver, ending: ExitStack) -> HammerResult:
-    """Do the job; from its end on interrupts are held, until its records are written."""
+def done(task: HandedTask[R], observer: JobObserver, ending: ExitStack) -> R:
+    """Do a job; from its end on interrupts are held, until its records are written.
+
+    Args:
+        task: The job.
+        observer: Watches it, and answers for the person at the terminal.
+        ending: Holds the interrupts.
+
+    Returns:
+        Its result.
+    """
     try:
         with observer.live():
             result = task.run()

@@ -246,4 +246,46 @@ class RunHammer(JobOptions):
         return Lab(lab_station(self.station, self.setup), self.station)
 
 
-COMMANDS = {"sim": {"hammer": SimHammer}, "rehearse": {"hammer": RehearseHammer}, "run": {"hammer": RunHammer}}
+@dataclass(frozen=True, kw_only=True)
+class SimTighten(JsonOption):
+    """Take a wrench, look at it, and tighten a simulated nut.
+
+    Nothing real moves.
+
+    Example: toolee sim tighten --seed 100
+
+    The nut is M8. The jaw slides on, turns it by 60 degrees and slides off, again and again. The arm measures the torque.
+
+    Exit code 0: the nut is tight; 1: it is not, with the reason; 2: invalid input; 130: interrupted.
+    """
+
+    seed: Annotated[int, SEED] = 0
+    """Seed of the wrench (none was used in training), the nut, the grasp and the noise."""
+    torque: Annotated[float, tyro.conf.arg(metavar="NM")] = 4.0
+    """Torque to tighten to, 2 to 4 Nm: what the hand bears."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
+    """Parent of the run's folder, which holds summary.json, recording.mcap and picture.png."""
+    errors: Annotated[str, tyro.conf.arg(metavar="nominal|exact|YAML")] = "nominal"
+    """Simulated errors of the station (docs/concepts/cell_errors.md)."""
+    device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
+    """Where the networks run: cpu or cuda."""
+    variant: Annotated[Literal["full", "no_correction", "perfect_perception"], VARIANT] = "full"
+    """A baseline instead of the whole system."""
+
+    def run(self) -> int:
+        console = self.console
+        with gc_spared():  # imports that take seconds
+            from toolee_robot.app.simulated import cell_errors
+            from toolee_robot.app.tighten import TightenSpec, run_tighten
+
+        spec = TightenSpec(self.seed, self.torque, Variant(self.variant), cell_errors(self.errors), self.device)
+        job = run_tighten(spec, self.out, lambda text: console.print(f"  {text}", markup=False))
+        for name in ("outcome", "reason", "strokes", "measured_torque", "torque", "run_folder"):
+            console.print(f"{name.replace('_', ' '):<18}{job.figures[name]}", markup=False)
+        self.tell(job.figures)
+        if job.interrupted:
+            return EXIT_INTERRUPTED
+        return 0 if job.figures["success"] else EXIT_FAILED
+
+
+COMMANDS = {"sim": {"hammer": SimHammer, "tighten": SimTighten}, "rehearse": {"hammer": RehearseHammer}, "run": {"hammer": RunHammer}}
