@@ -10,7 +10,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 
@@ -24,9 +24,9 @@ from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb, rotation_matrix
 from toolee_robot.sim_backend.physics.nail import Nail
-from toolee_robot.sim_backend.physics.nut import LARGEST_TILT, SIXTH, Fit, Jaw, JawPlace, Nut, NutSpec
+from toolee_robot.sim_backend.physics.nut import LARGEST_TILT, SIXTH, SLIPPING_TORQUE, Fit, Jaw, JawPlace, Nut, NutSpec
 from toolee_robot.sim_backend.station import simulated_hand
-from toolee_robot.sim_backend.truth import PerfectPerception, PoseError, pose_error
+from toolee_robot.sim_backend.truth import PerfectPerception, PoseError, Truth, pose_error
 from toolee_robot.sim_backend.visuals import BodyId, SceneVisuals, VisualBody, scene_state
 from toolee_robot.sim_backend.world import NORMAL, QUANTUM, SimClock, SimWorld
 from toolee_robot.station import SIMULATED, StationConfig, WorkConfig, check_upright
@@ -39,8 +39,8 @@ AT_NUT = StepSettings(time_step=2 * QUANTUM, iterations=50, contact_erp=0.2)
 NEAR = 0.04
 """Distance of the jaw from the nut's axis from which on these steps are used [m]."""
 STIFFNESS, DAMPING = 3e4, 6.0
-"""Of jaw against nut across its flats and at its corners [N/m], [N s/m]: what such steps keep stable for a wrench of 0.1
-to 0.16 kg. Steel is a thousand times as stiff; the hand is the softer part."""
+"""Of jaw against nut across its flats and at its corners [N/m], [N s/m]: what such steps keep stable for a wrench of
+0.1 to 0.16 kg. Steel is a thousand times as stiff; the hand is the softer part."""
 TURN_STIFFNESS, TURN_DAMPING = 500.0, 0.05
 """About the nut's axis [Nm/rad], [Nm s/rad]."""
 TILT_STIFFNESS = 8.0
@@ -117,7 +117,7 @@ class BoltWorld(SimWorld):
         X = inverse(self.tool.X_tool_inertial) @ self._X_tool_ee
         self._p_ee, self._R_ee = X[:3, 3], X[:3, :3]
         self._slot = rotation_z(JAW_TURN) @ [-1.0, 0.0, 0.0]  # out of the mouth, axes of the end effector
-        self._angle = self._offset = 0.0
+        self._angle = self._offset = self._turning = 0.0
         self._slipped = False
         self.before_step.append(self._at_nut)
 
@@ -160,7 +160,8 @@ class BoltWorld(SimWorld):
         turned = math.remainder(self._angle - self.nut.angle, SIXTH)
         self.fit = self.jaw.fit(self.nut.spec, place, before, turned)
         if self.fit is Fit.APART:
-            self._slipped = False
+            self.slips += before is Fit.ON and self._turning > SLIPPING_TORQUE  # over the nut, or under it
+            self._slipped, self._turning = False, 0.0
             return
         if before is Fit.APART:
             self._offset = self._angle - self.nut.angle - turned
@@ -171,7 +172,8 @@ class BoltWorld(SimWorld):
         if self.fit is not Fit.BLOCKED and not self._slipped:
             play = self.jaw.play(self.nut.spec, place.along)
             turning = self.nut.follow(self._angle - self._offset, play, TURN_STIFFNESS)
-            if self.jaw.slips(self.nut.spec, place, turning):
+            self._turning = abs(turning)
+            if before is Fit.ON and self.jaw.slips(self.nut.spec, place, turning):
                 self.slips, self._slipped, turning = self.slips + 1, True, 0.0
             elif turning:
                 turning -= TURN_DAMPING * float(w @ axis)
@@ -270,7 +272,7 @@ class PerfectJaw(PerfectPerception):
     """
 
     def __init__(self, judge: BoltJudge) -> None:
-        self._judge = judge
+        super().__init__(cast("Truth", judge))  # only the poses are asked for
 
     def estimate(
         self,

@@ -209,7 +209,7 @@ def _run(
     summary = {**figures, "version": code_version(), "turns": [asdict(turn) for turn in result.turns]}
     summary |= {"station": asdict(config), "nut": asdict(bolt)}
     write_record(folder.path / "summary.json", (json_line(summary) + "\n").encode(), observer)
-    title = f"{figures['outcome'].replace('_', ' ').capitalize()}, {verdict.torque:.1f} Nm"
+    title = f"{str(result.outcome).replace('_', ' ').capitalize()}, {verdict.torque:.1f} Nm"
     write_record(folder.path / PICTURE, collector.picture(title, f"{words}, {mode}"), observer)
     return result, verdict, figures
 

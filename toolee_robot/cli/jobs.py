@@ -254,7 +254,7 @@ class SimTighten(JsonOption):
 
     Example: toolee sim tighten --seed 100
 
-    The nut is M8. The jaw slides on, turns it by 60 degrees and slides off, again and again. The arm measures the torque.
+    The nut is M8. The jaw slides on, turns it by 60 degrees and slides off, until the arm measures the torque.
 
     Exit code 0: the nut is tight; 1: it is not, with the reason; 2: invalid input; 130: interrupted.
     """
@@ -288,4 +288,8 @@ class SimTighten(JsonOption):
         return 0 if job.figures["success"] else EXIT_FAILED
 
 
-COMMANDS = {"sim": {"hammer": SimHammer, "tighten": SimTighten}, "rehearse": {"hammer": RehearseHammer}, "run": {"hammer": RunHammer}}
+COMMANDS = {
+    "sim": {"hammer": SimHammer, "tighten": SimTighten},
+    "rehearse": {"hammer": RehearseHammer},
+    "run": {"hammer": RunHammer},
+}

@@ -1,7 +1,7 @@
 """What every task with a handed tool shares: its begin and its ends, resuming after a stop, the way home.
 
-A task says what it does with the tool (`_work`), and what its result is (`result`). Every job ends with an `Outcome` and
-a reason; every exception leaves the arm at a standstill.
+A task says what it does with the tool (`_work`), and what its result is (`result`). Every job ends with an `Outcome`
+and a reason; every exception leaves the arm at a standstill.
 """
 
 from __future__ import annotations

@@ -24,8 +24,7 @@ from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
 from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 HELD = {Category.HAMMER_HEAD: "hammer", Category.WRENCH_HEAD: "wrench"}
-FACING = "face towards the fingers"
-"""What a message calls the tool, and how it is to be handed over."""
+"""What a message calls the tool."""
 LEAST_DISPLACEMENT = 0.10
 """Distance from its nominal position in the hand that is plausible for any face [m]."""
 SLIDE = 0.04
@@ -228,8 +227,8 @@ class Views:
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
         if not (displacement <= self._largest and misalignment <= MAX_MISALIGNMENT):  # NaN included
             raise PerceptionError(
-                f"the {self._category.label} seems {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f}° outside of "
-                f"where a held {HELD.get(self._category, 'tool')} can be. Hand it over again, {FACING}",
+                f"the {self._category.label} seems {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f}° outside "
+                f"of where a held {HELD.get(self._category, 'tool')} can be. Hand it over again, face towards the fingers",
                 code="perception.implausible",
             )
         return estimate

@@ -78,9 +78,7 @@ class Handover:
         person_clear: Whether nobody was asked to come near since a person was last seen out of reach.
     """
 
-    def __init__(
-        self, motions: Motions, grasp: Grasp, nails: Sequence[str], prompts: Prompts | None = None
-    ) -> None:
+    def __init__(self, motions: Motions, grasp: Grasp, nails: Sequence[str], prompts: Prompts | None = None) -> None:
         self.person_clear = True
         self._motions, self._grasp, self._nails, self._weighing = motions, grasp, nails, Weighing(motions)
         self._station, self._config, self._robot = motions.station, motions.config, motions.robot

@@ -28,6 +28,7 @@ from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.hammering.handover import Handover
 from toolee_robot.tasks.hammering.nail_series import NailSeries
 
+
 class HammeringTask(HandedTask[HammerResult]):
     """One hammering job, from the handover to the parked arm.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from toolee_robot.control.collision_shapes import rotated_box_body
 from toolee_robot.control.robot_model import RobotModel
@@ -55,7 +56,7 @@ class TighteningTask(HandedTask[TightenResult]):
         super().__init__(motions, handover, "wrench", "goes on turning")
         size = work.across_flats
         bolt = rotated_box_body("bolt", work.X_base_nut, (size, size, 2.0 * size))
-        motions.keep_clear_of((_as_nail(bolt),))
+        motions.keep_clear_of((replace(bolt, group="nail"),))  # what only the tool may touch
         self._look = None if perceiver is None else Look(motions, perceiver, Category.WRENCH_HEAD)
         self._tightening = Tightening(motions, self._look, work, on_turn)
 
@@ -86,9 +87,3 @@ class TighteningTask(HandedTask[TightenResult]):
         if held is not None:
             self._tightening.leave(held)
         super()._leave_work(held)
-
-
-def _as_nail(body):  # type: ignore[no-untyped-def]
-    from dataclasses import replace
-
-    return replace(body, group="nail")

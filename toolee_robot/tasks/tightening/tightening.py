@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.planning.turn import Stroke, about, places, plan_turn
-from toolee_robot.errors import PlanningError, UnreachableError
-from toolee_robot.frames import Array, inverse, rotation_z, transform
+from toolee_robot.errors import PlanningError
+from toolee_robot.frames import Array, rotation_z, transform
 from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.look import Look
@@ -19,62 +19,43 @@ from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
 from toolee_robot.tasks.tightening.records import SIXTH, NutWork, Turn
 
-STAND_OFF = 0.028
-"""Way of the jaw onto the nut [m]."""
-RISE = 0.06
-"""Height over the nut from which the jaw comes down beside it [m]."""
+STAND_OFF, RISE = 0.028, 0.06
+"""Way of the jaw onto the nut, and height over the nut from which it comes down beside it [m]."""
 SLIDE_SPEED, TURN_SPEED = 0.03, 0.25
 """Of the jaw onto the nut [m/s], and about it [rad/s]."""
 SLIDE_GUARD, TURN_GUARD = 22.0, 50.0
-"""Force at the flange that ends a slide or a turn [N]."""
-WINDOW = 0.12
+"""Force at the flange that ends a slide or a turn [N]: less than half of what a hand holds across its fingers."""
+WINDOW_S = 0.12
 """Time over which that force is averaged [s]."""
 MEASURE_S, QUICK_S, FEEL_S = 1.5, 0.6, 0.4
 """Time at rest over which the torque is read, near the wanted one and far from it, and a force beside the jaw [s]."""
-LEAST_WOUND = 1.0
-"""Torque for which a jaw is at least unwound [Nm]."""
-SLIPPED_SHARE = 0.4
-"""Share of the torque before below which the jaw has slipped off."""
-YIELD = 250.0
-"""Stiffness of hand and jaw about the nut [Nm/rad], some: so much the jaw is wound up before the nut turns."""
-PLAY = float(np.deg2rad(1.7))
-"""How far the jaw turns on the nut between its corners to each side [rad], some."""
-SIDE_STIFFNESS = 2e4
-"""Stiffness of the hand beside the jaw [N/m], some."""
-LEAST_SIDE = 6.0
-"""Force beside the jaw that is relieved [N]; less is noise."""
-ON_SHARE = 0.75
-"""Share of the way onto the nut from which on the jaw counts as on it."""
-TRIES = 4
-"""How often the jaw is slid on, each time moved by what it felt, before the tool is looked at again."""
-MAX_STROKES = 10
-"""Number of strokes after which the job gives up."""
-COARSE_STEP, LEAST_STEP = float(np.deg2rad(31.0)), float(np.deg2rad(1.0))
+YIELD, LEAST_WOUND = 250.0, 1.0
+"""Stiffness of hand and jaw about the nut [Nm/rad], some, by which a jaw is wound up before the nut turns; and the
+torque for which it is unwound at least [Nm]."""
+PLAY = float(np.deg2rad(0.7))
+"""How far the jaw turns on the nut between its corners to each side [rad]: 0.3 to 4 degrees by ISO 691 and ISO 4032. If
+it is less, a jaw that is turned back presses on the nut the other way."""
+SIDE_STIFFNESS, LEAST_SIDE, LARGEST_ASIDE = 2e4, 6.0, 0.003
+"""Stiffness of the hand beside the jaw [N/m], some; force there that is relieved [N], less is noise; and how far the
+jaw is moved for it at most [m]."""
+ON_SHARE, TRIES = 0.75, 4
+"""Share of the way onto the nut from which on the jaw counts as on it, and how often it is tried."""
+MAX_STROKES, MAX_FAILURES, LOOK_EVERY = 8, 2, 3
+"""Number of strokes, and of times that the jaw did not go on or slipped off, after which the job gives up; number of
+strokes after which the tool is looked at again."""
+LARGEST_STEP, LEAST_STEP = float(np.deg2rad(31.0)), float(np.deg2rad(1.0))
 """Largest and least turn between two measurements of the torque [rad]. In motion, and over a whole stroke, the wrench
 that a CB3 estimates is off by more than the torque that is wanted."""
-EASY = 0.35
-"""Share of the wanted torque up to which a quick measurement is enough."""
+EASY, CLOSE = 0.35, 0.03
+"""Share of the wanted torque up to which a quick measurement is enough, and below it within which it is reached."""
 STIFFEST = 4.0
 """Stiffness that a joint may have [Nm/rad], by which the turn to the torque is chosen."""
 AT_ONCE = float(np.deg2rad(8.0))
 """Angle within which a nut that was tight before reaches its torque [rad]."""
-CLOSE = 0.12
-"""Torque below the wanted one that counts as reached [Nm]."""
-LOOK_EVERY = 3
-"""Number of strokes after which the tool is looked at again."""
-
-
-@dataclass(eq=False)
-class _Place:
-    """Where the arm works.
-
-    Attributes:
-        X_base_ee: Pose of the jaw on the nut at the begin of a stroke, (4, 4).
-        way_on: Way of the jaw onto the nut, (3,) [m].
-    """
-
-    X_base_ee: Array
-    way_on: Array
+SLIPPED_SHARE = 0.4
+"""Share of the torque before below which the jaw has slipped off."""
+PLACES_TRIED = 6
+"""Number of places to which a way is planned."""
 
 
 class Tightening:
@@ -91,15 +72,14 @@ class Tightening:
         torque: Torque as measured last [Nm]; None before the first stroke.
     """
 
-    def __init__(
-        self, motions: Motions, look: Look | None, work: NutWork, on_turn: Callable[[Turn], None]
-    ) -> None:
+    def __init__(self, motions: Motions, look: Look | None, work: NutWork, on_turn: Callable[[Turn], None]) -> None:
         self.turns: list[Turn] = []
         self.torque: float | None = None
         self._motions, self._look, self._work, self._on_turn = motions, look, work, on_turn
-        self._aside = np.zeros(3)  # by what the jaw has felt, the nut is so far from where it was measured
-        self._on: Array | None = None  # way onto the nut of the jaw that is on it
-        self._angle = 0.0  # of the nut since the begin
+        self._aside = np.zeros(3)  # by what the jaw has felt, the nut is so far from where it was measured [m]
+        self._on: Array | None = None  # way onto the nut of the jaw that is on it [m]
+        self._angle = 0.0  # of the nut since the begin [rad]
+        self._failures = 0
 
     def tighten(self, held: HeldTool) -> tuple[Outcome, str]:
         """Tighten the nut.
@@ -114,49 +94,37 @@ class Tightening:
             JobEnded: The nut is out of reach, or the jaw does not hold it.
             TooleeError: A motion or a device failed.
         """
-        motions = self._motions
         if self._look is not None:
-            held = self._look(held, motions.config.task.views)
-        at_nut, failures = False, 0
+            held = self._look(held, self._motions.config.task.views)
+        way_on: Array | None = None
         while len(self.turns) < MAX_STROKES:
-            if not at_nut:
-                with motions.stages(Stage.PLAN):
-                    way_on = self._before(held)
-                at_nut = True
+            if way_on is None:
+                way_on = self._before(held)
             if not self._slide_on(held, way_on):
-                failures += 1
-                if self._look is None or failures > 2:
-                    raise JobEnded(Outcome.SLIPPED_OFF, "the jaw does not go onto the nut")
-                held, at_nut = self._again(held), False
+                held, way_on = self._after_failure(held, "the jaw does not go onto the nut"), None
                 continue
             turn, slipped = self._stroke(held)
             self.turns.append(turn)
-            self._on_turn(turn)
             self.torque = turn.torque
-            motions.observer.message(
-                f"stroke {turn.number}: {np.rad2deg(turn.angle):.0f}°, {turn.torque:.1f} Nm"
-            )
-            if turn.torque >= self._work.torque - CLOSE:
-                tight = sum(t.angle for t in self.turns) < AT_ONCE
-                words = f"{turn.torque:.1f} Nm after {len(self.turns)} strokes"
-                return (Outcome.ALREADY_TIGHT if tight else Outcome.TIGHTENED), words
-            way_on = self.leave(held)
             self._angle += turn.angle - max(turn.torque, 0.0) / YIELD - PLAY
+            self._on_turn(turn)
+            if self._reached(turn.torque):
+                return self._tight(turn.torque)
+            way_on = self.leave(held)
             if slipped:
-                failures += 1
-                if self._look is None or failures > 2:
-                    raise JobEnded(Outcome.SLIPPED_OFF, "the jaw slipped off the nut under load")
-                held, at_nut = self._again(held), False
-                continue
-            if self._look is not None and len(self.turns) % LOOK_EVERY == 0:
-                held, at_nut = self._again(held), False
-                continue
-            self._turn("back", -SIXTH, held)
-            way_on = _turned(self._work.axis, -SIXTH) @ way_on
-        return Outcome.NOT_TIGHT, f"{MAX_STROKES} strokes did not tighten the nut"
+                held, way_on = self._after_failure(held, "the jaw slipped off the nut under load"), None
+            elif self._look is not None and len(self.turns) % LOOK_EVERY == 0:
+                held, way_on = self._again(held), None
+            else:
+                self._turn("back", -SIXTH, held)
+                way_on = _turned(self._work.axis, -SIXTH) @ way_on
+        return Outcome.NOT_TIGHT, f"{MAX_STROKES} strokes did not tighten the nut: is the jaw on it?"
 
     def leave(self, held: HeldTool) -> Array:
-        """Slide the jaw off the nut, if it is on it.
+        """Slide the jaw off the nut, if it is on it; first it is turned back until it is free.
+
+        Args:
+            held: The wrench.
 
         Returns:
             The way onto it again, (3,) [m].
@@ -171,78 +139,103 @@ class Tightening:
         self._motions.straight("off the nut", -way, float(np.linalg.norm(way)), held)
         return way
 
+    def _reached(self, torque: float) -> bool:
+        return torque >= (1.0 - CLOSE) * self._work.torque
+
+    def _tight(self, torque: float) -> tuple[Outcome, str]:
+        if sum(turn.angle for turn in self.turns) < AT_ONCE:
+            return Outcome.ALREADY_TIGHT, f"{torque:.1f} Nm at once: the nut does not turn"
+        count = len(self.turns)
+        return Outcome.TIGHTENED, f"{torque:.1f} Nm after {count} stroke{'' if count == 1 else 's'}"
+
+    def _after_failure(self, held: HeldTool, what: str) -> HeldTool:
+        """Look again after the jaw has lost the nut; the last time ends the job."""
+        self._failures += 1
+        if self._look is None or self._failures > MAX_FAILURES:
+            raise JobEnded(Outcome.SLIPPED_OFF, what)
+        self._motions.observer.message(f"{what}; looking again")
+        return self._again(held)
+
     def _again(self, held: HeldTool) -> HeldTool:
         assert self._look is not None
         self._motions.rise("up from beside the nut", held, RISE)
         return self._look(held, self._motions.config.task.views_again)
 
-    def _jaw_on(self, heading: float) -> tuple[Array, Array]:
-        """Pose of the end effector on the nut, and direction of the way on, for an angle of the jaw to the nut."""
+    def _strokes(self) -> list[Stroke]:
+        """The strokes from each of the nut's sides."""
         work = self._work
-        X_nut_jaw = transform(rotation_z(heading))  # its x out of the mouth
-        X_jaw_ee = transform(rotation_z(-work.jaw_turn) @ np.diag([-1.0, -1.0, 1.0]))
-        slot = (work.X_base_nut @ X_nut_jaw)[:3, 0]
-        X = work.X_base_nut @ X_nut_jaw @ transform(p=[-work.seat, 0.0, 0.0]) @ X_jaw_ee
-        return transform(p=self._aside) @ X, slot
+        X_jaw_ee = transform(rotation_z(-work.jaw_turn) @ np.diag([-1.0, -1.0, 1.0]))  # a jaw's x is out of its mouth
+        found = []
+        for side in range(6):
+            X_base_jaw = work.X_base_nut @ transform(rotation_z(self._angle + side * SIXTH))
+            X = transform(p=self._aside) @ X_base_jaw @ transform(p=[-work.seat, 0.0, 0.0]) @ X_jaw_ee
+            way_on, angle = STAND_OFF * X_base_jaw[:3, 0], SIXTH + 3 * PLAY
+            found.append(Stroke(X, way_on, work.axis, work.point + self._aside, angle, RISE))
+        return found
 
     def _before(self, held: HeldTool) -> Array:
-        """Bring the jaw before the nut, from a side where a whole stroke is free: the way on, (3,) [m]."""
-        motions, work = self._motions, self._work
-        world = motions.world(held)
-        strokes = []
-        for k in range(6):
-            X, slot = self._jaw_on(self._angle + k * SIXTH)
-            strokes.append(Stroke(X, STAND_OFF * slot, work.axis, work.point + self._aside, SIXTH + 3 * PLAY, RISE))
+        """Bring the jaw before the nut, on a side where a whole stroke is free: the way on, (3,) [m]."""
+        motions = self._motions
+        world, strokes = motions.world(held), self._strokes()
         X_flange_ee = motions.robot.X_flange_hand(motions.q_hand) @ held.X_hand_ee
-        failure: PlanningError | None = None
-        for number, (index, q) in enumerate(places(motions.robot, world, motions.q, X_flange_ee, strokes)):
-            if number == 6:
-                break
-            try:
-                way = plan_transfer(motions.robot, motions.config, world, motions.q, q)
-            except PlanningError as error:
-                failure = error
-                continue
-            motions.transfer("above the nut", way, held)
-            motions.straight("down beside the nut", (0.0, 0.0, -1.0), RISE, held)
-            return strokes[index].way_on
-        why = "" if failure is None else f": {failure}"
-        raise JobEnded(Outcome.OUT_OF_REACH, f"the arm cannot turn the wrench by 60° on the nut{why}")
+        why = ""
+        with motions.stages(Stage.PLAN):
+            found = places(motions.robot, world, motions.q, X_flange_ee, strokes)
+            for side, q in islice(found, PLACES_TRIED):
+                try:
+                    way = plan_transfer(motions.robot, motions.config, world, motions.q, q)
+                    way_on = strokes[side].way_on
+                    break
+                except PlanningError as error:
+                    why = f": {error}"
+            else:
+                raise JobEnded(Outcome.OUT_OF_REACH, f"the arm cannot turn the wrench by 60° on the nut{why}")
+        motions.transfer("above the nut", way, held)
+        motions.straight("down beside the nut", (0.0, 0.0, -1.0), RISE, held)
+        return way_on
 
     def _slide_on(self, held: HeldTool, way_on: Array) -> bool:
-        """Slide the jaw onto the nut; where it is blocked, move it aside by what it feels, and try again."""
-        motions = self._motions
+        """Slide the jaw onto the nut. If it is blocked, move it aside by what it feels, and try again."""
+        motions, length = self._motions, float(np.linalg.norm(way_on))
+        slot = way_on / length
         with motions.stages(Stage.TOUCH):
             for _ in range(TRIES):
                 motions.zero_wrench()
-                start, length = self._place(held), float(np.linalg.norm(way_on))
-                slot = way_on / length
-                across = np.cross(self._work.axis, slot)
-                guard = ContactGuard(SLIDE_GUARD, averaging_window=WINDOW)
-                blocked = motions.straight("onto the nut", slot, length, held, guard, speed=SLIDE_SPEED)
-                gone = float((self._place(held) - start) @ slot)
-                side = float(np.mean(motions.forces(FEEL_S), axis=0) @ across)
-                aside = float(np.clip(side / SIDE_STIFFNESS, -0.003, 0.003)) if abs(side) > LEAST_SIDE else 0.0
-                motions.observer.message(
-                    f"slide: {gone * 1e3:.1f} of {length * 1e3:.0f} mm, {side:.1f} N beside, blocked {blocked}"
-                )
-                if gone >= ON_SHARE * length:
-                    self._on = gone * slot
-                    self._shift(held, aside * across)
-                    if blocked and length - gone > 5e-4:
-                        guard = ContactGuard(1.5 * SLIDE_GUARD, averaging_window=WINDOW)
-                        motions.straight("on", slot, length - gone, held, guard, speed=SLIDE_SPEED)
-                        self._on = float((self._place(held) - start) @ slot) * slot
-                    return True
-                motions.straight("back", -slot, gone, held)
-                if aside == 0.0:
-                    return False
-                self._shift(held, aside * across)
+                start = self._place(held)
+                gone, blocked = self._slide("onto the nut", held, start, slot, length, SLIDE_GUARD)
+                aside = self._felt_aside(np.cross(self._work.axis, slot))
+                if gone < ON_SHARE * length:
+                    motions.observer.message(f"the jaw met the nut {1e3 * (length - gone):.0f} mm too early")
+                    motions.straight("back", -slot, gone, held)
+                    if not aside.any():
+                        return False
+                    self._shift(held, aside)
+                    continue
+                self._shift(held, aside)
+                if blocked:
+                    gone, _ = self._slide("on", held, start, slot, length, 1.5 * SLIDE_GUARD)
+                self._on = gone * slot
+                return True
         return False
+
+    def _slide(
+        self, name: str, held: HeldTool, start: Array, slot: Array, length: float, force: float
+    ) -> tuple[float, bool]:
+        """Slide on along the slot, up to a length from the start [m]: how far the jaw is, and whether it is blocked."""
+        gone, guard = float((self._place(held) - start) @ slot), ContactGuard(force, averaging_window=WINDOW_S)
+        blocked = self._motions.straight(name, slot, length - gone, held, guard, speed=SLIDE_SPEED)
+        return float((self._place(held) - start) @ slot), blocked
+
+    def _felt_aside(self, across: Array) -> Array:
+        """The way that relieves the force beside the jaw, (3,) [m]; 0 where there is only noise."""
+        side = float(np.mean(self._motions.forces(FEEL_S), axis=0) @ across)
+        if abs(side) < LEAST_SIDE:
+            return np.zeros(3)
+        return float(np.clip(side / SIDE_STIFFNESS, -LARGEST_ASIDE, LARGEST_ASIDE)) * across
 
     def _shift(self, held: HeldTool, way: Array) -> None:
         length = float(np.linalg.norm(way))
-        if length > 1.5e-4:
+        if length > 0.0:
             self._motions.straight("aside", way / length, length, held, speed=SLIDE_SPEED)
             self._aside = self._aside + way
 
@@ -252,18 +245,19 @@ class Tightening:
     def _stroke(self, held: HeldTool) -> tuple[Turn, bool]:
         """Turn the nut by a sixth, or until it is tight: the stroke, and whether the jaw has slipped off."""
         motions, work = self._motions, self._work
-        angle, torque, measured, slipped, goal = 0.0, 0.0, 0, False, SIXTH + PLAY
+        angle, torque, measured, slipped, goal = 0.0, max(self.torque or 0.0, 0.0), 0, False, SIXTH + PLAY
         with motions.stages(Stage.TURN):
             while angle < goal - 1e-3 and not slipped:
-                step = (work.torque - torque) / STIFFEST if torque > EASY * work.torque else COARSE_STEP
-                angle += self._turn("turn", min(max(step, LEAST_STEP), COARSE_STEP, goal - angle), held, TURN_GUARD)
+                step = (work.torque - torque) / STIFFEST if torque > EASY * work.torque else LARGEST_STEP
+                step = min(max(step, LEAST_STEP), LARGEST_STEP, goal - angle)
+                angle += self._turn("turn", step, held)
                 before, torque = torque, self._measured(held, torque)
                 measured += 1
                 motions.observer.message(f"{torque:.1f} Nm after {np.rad2deg(angle):.0f}° of this stroke")
                 slipped = torque < SLIPPED_SHARE * before and before > EASY * work.torque
-                if torque >= work.torque - CLOSE:
+                if self._reached(torque):
                     break
-            assert self._on is not None
+            assert self._on is not None, "the jaw is on the nut"
             self._on = _turned(work.axis, angle) @ self._on
         return Turn(len(self.turns) + 1, motions.station.clock.now(), angle, torque, measured), slipped
 
@@ -272,39 +266,35 @@ class Tightening:
 
         Args:
             held: The wrench.
-            before: What was measured last [Nm]: a torque near the wanted one is measured for longer.
+            before: What was measured last [Nm]: near the wanted torque it is measured for longer.
         """
-        duration = MEASURE_S if before > 0.5 * EASY * self._work.torque else QUICK_S
-        loaded = self._raw(duration)
-        back = max(before, LEAST_WOUND) / YIELD + PLAY
+        easy = EASY * self._work.torque
+        duration = MEASURE_S if before > easy else QUICK_S
+        loaded, back = self._about_nut(duration), max(before, LEAST_WOUND) / YIELD + PLAY
         self._turn("release", -back, held)
-        torque = self._raw(duration) - loaded
-        if torque > EASY * self._work.torque and duration < MEASURE_S:
-            self._turn("on again", back, held)
-            return self._measured(held, torque)
+        torque = self._about_nut(duration) - loaded
         self._turn("on again", back, held)
-        return torque
+        return self._measured(held, torque) if torque > easy >= before else torque
 
-    def _raw(self, duration: float) -> float:
+    def _about_nut(self, duration: float) -> float:
         """Torque of the work on the flange about the nut's axis, by the arm's wrench at rest [Nm]."""
         motions = self._motions
         wrench = np.mean(motions.wrenches(duration), axis=0)
         arm = motions.robot.arm.fk(motions.q)[:3, 3] - self._work.point - self._aside
         return float((wrench[3:] + np.cross(arm, wrench[:3])) @ self._work.axis)
 
-    def _turn(self, name: str, angle: float, held: HeldTool, force: float | None = None) -> float:
+    def _turn(self, name: str, angle: float, held: HeldTool) -> float:
         """Turn the wrench about the nut; returns the angle that it has turned [rad]."""
-        motions, work = self._motions, self._work
-        guard = None if force is None else ContactGuard(force, ignore_before=0.2, averaging_window=WINDOW)
-        X = motions.robot.arm.fk(motions.q)
+        motions, point = self._motions, self._work.point + self._aside
+        before = motions.robot.arm.fk(motions.q)[:3, :3]
         turn = plan_turn(
-            motions.robot, motions.config, motions.world(held), motions.q, work.axis, work.point + self._aside, angle,
-            TURN_SPEED,
-        )  # fmt: skip
-        motions.execute(name, turn, held, guard, at_work=True)
-        R = motions.robot.arm.fk(motions.q)[:3, :3] @ X[:3, :3].T
-        return float(Rotation.from_matrix(R).as_rotvec() @ work.axis)
+            motions.robot, motions.config, motions.world(held), motions.q, self._work.axis, point, angle, TURN_SPEED
+        )
+        motions.execute(name, turn, held, ContactGuard(TURN_GUARD, averaging_window=WINDOW_S), at_work=True)
+        R = motions.robot.arm.fk(motions.q)[:3, :3] @ before.T
+        return float(Rotation.from_matrix(R).as_rotvec() @ self._work.axis)
 
 
 def _turned(axis: Array, angle: float) -> Array:
+    """The rotation about an axis, (3, 3)."""
     return about(axis, np.zeros(3), np.array([angle]))[0, :3, :3]
