@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Self, cast
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
-from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_z, transform
 from toolee_robot.hal import Station
 from toolee_robot.render.mesh import Mesh, cylinder
@@ -26,13 +26,13 @@ from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb, ro
 from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.sim_backend.physics.nut import LARGEST_TILT, SIXTH, SLIPPING_TORQUE, Fit, Jaw, JawPlace, Nut, NutSpec
 from toolee_robot.sim_backend.station import simulated_hand
-from toolee_robot.sim_backend.truth import PerfectPerception, PoseError, Truth, pose_error
+from toolee_robot.sim_backend.truth import PoseError, pose_error
 from toolee_robot.sim_backend.visuals import BodyId, SceneVisuals, VisualBody, scene_state
 from toolee_robot.sim_backend.world import NORMAL, QUANTUM, SimClock, SimWorld
 from toolee_robot.station import SIMULATED, StationConfig, WorkConfig, check_upright
 from toolee_robot.tools import Tool
 from toolee_robot.tools.gripped_wrenches import JAW_TURN, gripped_wrench
-from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import InHandEstimate
 
 AT_NUT = StepSettings(time_step=2 * QUANTUM, iterations=50, contact_erp=0.2)
 """Settings of the steps while the jaw is near the nut."""
@@ -262,38 +262,6 @@ class BoltJudge:
             stamp, estimate = estimates[-1]
             error = pose_error(estimate.X_hand_ee, self.X_hand_ee(stamp), Category.WRENCH_HEAD)
         return NutVerdict(nut.torque if nut.angle > nut.spec.run else nut.largest, nut.angle, self._world.slips, error)
-
-
-class PerfectJaw(PerfectPerception):
-    """Replaces `ToolPerception` by the jaw's true poses.
-
-    Args:
-        judge: The ground truth.
-    """
-
-    def __init__(self, judge: BoltJudge) -> None:
-        super().__init__(cast("Truth", judge))  # only the poses are asked for
-
-    def estimate(
-        self,
-        frame: RgbdFrame,
-        hand: HoldingHand | None = None,
-        categories: Sequence[Category] = CATEGORIES,
-    ) -> list[ToolEstimate]:
-        """The true pose of the jaw; see `PerfectPerception`."""
-        found = super().estimate(frame, hand, categories)
-        return [replace(e, detection=replace(e.detection, category=Category.WRENCH_HEAD)) for e in found]
-
-    def fuse(
-        self,
-        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
-        Xs_camera_hand: Sequence[Array],
-        category: Category | None = None,  # noqa: ARG002
-        camera: CameraError | None = None,
-    ) -> InHandEstimate:
-        """The true in-hand pose at the last frame; see `PerfectPerception`."""
-        fused = super().fuse(estimates_per_frame, Xs_camera_hand, None, camera)
-        return replace(fused, category=Category.WRENCH_HEAD)
 
 
 STEEL = (0.62, 0.62, 0.66)

@@ -30,7 +30,6 @@ from toolee_robot.sim_backend.cell_errors import NOMINAL, CellErrors, DrawnError
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.station import StationConfig, ToolEnvelope, sim_station
 from toolee_robot.tasks.common.observer import Observers
-from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.tightening.records import NutWork, TightenResult, Turn
 from toolee_robot.tasks.tightening.task import TighteningTask
@@ -46,7 +45,7 @@ TOLERANCE = 0.25
 """Largest difference of the true torque from the wanted one, as a share of it, that counts as success."""
 FLATS_ERROR = float(np.deg2rad(2.0))
 """Standard deviation of the direction of the nut's flats that a person measures [rad]; assumed."""
-VARIANTS = (Variant.FULL, Variant.NO_CORRECTION, Variant.PERFECT_PERCEPTION)
+VARIANTS = (Variant.FULL, Variant.NO_CORRECTION)
 
 
 def nut_station() -> StationConfig:
@@ -101,20 +100,13 @@ class TightenJob:
 
     Attributes:
         result: What the robot knows.
-        verdict: What the simulation knows.
         figures: The values that --json prints, by name.
         folder: Folder with summary.json, recording.mcap and picture.png.
     """
 
     result: TightenResult
-    verdict: NutVerdict
     figures: dict[str, Any]
     folder: Path
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether a person interrupted it."""
-        return self.result.outcome is Outcome.INTERRUPTED
 
 
 class _Told(JobObserver):
@@ -153,18 +145,18 @@ def run_tighten(spec: TightenSpec, out: Path, tell: Tell = lambda _: None) -> Ti
     observer = _Told(tell)
     with ExitStack() as ending, run_folder(out, f"seed{spec.seed}") as folder:
         observer.doing("loading the networks and building the station")
-        result, verdict, figures = _run(spec, folder, observer, ending)
+        result, figures = _run(spec, folder, observer, ending)
         path = folder.keep()
-    return TightenJob(result, verdict, {**figures, "run_folder": str(path)}, path)
+    return TightenJob(result, {**figures, "run_folder": str(path)}, path)
 
 
 def _run(
     spec: TightenSpec, folder: RunFolder, observer: JobObserver, ending: ExitStack
-) -> tuple[TightenResult, NutVerdict, dict[str, Any]]:
-    from toolee_robot.sim_backend.bolt import Bolt, BoltStation, PerfectJaw, X_base_bolt
+) -> tuple[TightenResult, dict[str, Any]]:
+    from toolee_robot.sim_backend.bolt import Bolt, BoltStation, X_base_bolt
 
     began = time.perf_counter()
-    networks = None if spec.variant.perfect else job_networks(device=spec.device)
+    networks = job_networks(device=spec.device) if spec.variant.corrects else None
     cell, drawn = nut_station(), draw_errors(spec.errors, spec.seed)
     config = drawn.weighed(drawn.displaced(cell))
     bolt = Bolt.draw(spec.seed) if spec.bolt is None else spec.bolt
@@ -178,13 +170,12 @@ def _run(
         off = FLATS_ERROR * np.random.default_rng([spec.seed, 41]).standard_normal()
         X_base_nut = X_base_bolt(config.work) @ transform(rotation_z(bolt.flats + off))
         facts = {"source": "simulation", "seed": spec.seed, "arm": "sim", "errors": drawn.facts}
-        facts |= {"correction": spec.variant.corrects, "perfect_perception": spec.variant.perfect}
+        facts |= {"correction": spec.variant.corrects}
         words = f"Open-ended wrench, {1e3 * bolt.jaw.opening:.0f} mm, {tool.mass:.2f} kg, never used in training"
         with RunRecorder(folder.path / RECORDING, _metadata(facts, grasp, tool, words), observer.message) as recorder:
             observer.opened(words, mode, recorder)
             recorder.attach("tool.glb", "model/gltf-binary", tool_model(tool))
             keeper = RecordingObserver(recorder, sim.station, config)
-            perceiver = PerfectJaw(sim.judge) if networks is None else networks
 
             def turned(turn: Turn) -> None:
                 reason = f"stroke {turn.number}: {np.rad2deg(turn.angle):.0f}°, {turn.torque:.1f} Nm"
@@ -192,9 +183,8 @@ def _run(
                 observer.message(reason)
 
             task = TighteningTask(
-                sim.station, perceiver if spec.variant.corrects else None, config, grasp,
-                NutWork(X_base_nut, torque=spec.torque), observer=Observers(observer, keeper, collector),
-                on_turn=turned,
+                sim.station, networks, config, grasp, NutWork(X_base_nut, torque=spec.torque),
+                observer=Observers(observer, keeper, collector), on_turn=turned,
             )  # fmt: skip
             settle()
             folder.measured = True
@@ -211,7 +201,7 @@ def _run(
     write_record(folder.path / "summary.json", (json_line(summary) + "\n").encode(), observer)
     title = f"{str(result.outcome).replace('_', ' ').capitalize()}, {verdict.torque:.1f} Nm"
     write_record(folder.path / PICTURE, collector.picture(title, f"{words}, {mode}"), observer)
-    return result, verdict, figures
+    return result, figures
 
 
 def _measured(tool: Tool, config: StationConfig, drawn: DrawnErrors) -> Grasp:

@@ -269,7 +269,7 @@ class SimTighten(JsonOption):
     """Simulated errors of the station (docs/concepts/cell_errors.md)."""
     device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
     """Where the networks run: cpu or cuda."""
-    variant: Annotated[Literal["full", "no_correction", "perfect_perception"], VARIANT] = "full"
+    variant: Annotated[Literal["full", "no_correction"], VARIANT] = "full"
     """A baseline instead of the whole system."""
 
     def run(self) -> int:
@@ -283,7 +283,7 @@ class SimTighten(JsonOption):
         for name in ("outcome", "reason", "strokes", "measured_torque", "torque", "run_folder"):
             console.print(f"{name.replace('_', ' '):<18}{job.figures[name]}", markup=False)
         self.tell(job.figures)
-        if job.interrupted:
+        if job.figures["outcome"] == "interrupted":
             return EXIT_INTERRUPTED
         return 0 if job.figures["success"] else EXIT_FAILED
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from datetime import date
-from typing import Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
@@ -27,36 +27,14 @@ from toolee_robot.tasks.common.held_tool import HeldTool
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.outcome import PUT_AWAY, TAKE_OUT, JobEnded, Outcome, Stage, Stops, TaskResult
 
+if TYPE_CHECKING:
+    from toolee_robot.tasks.hammering.handover import Handover  # a task brings its own
+
 STOPPED = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR)
 """Outcomes after which a job may be resumed."""
 R = TypeVar("R", bound=TaskResult)
 Ending = tuple[Outcome, str]
 """How a job ended, and why."""
-
-
-class Handing(Protocol):
-    """How the tool comes into the hand and goes back; implemented by `hammering.handover.Handover`.
-
-    Attributes:
-        person_clear: Whether nobody was asked to come near since a person was last seen out of reach.
-    """
-
-    person_clear: bool
-
-    def take_tool(self) -> HeldTool:
-        """Take the tool from a person."""
-
-    def tell_payload(self, held: HeldTool) -> HeldTool:
-        """Tell the arm that it carries the tool."""
-
-    def clear_person(self, prompt: str) -> None:
-        """See the person out of reach."""
-
-    def give_back(self) -> bool:
-        """Let a person take the tool out of the hand."""
-
-    def tool_gone(self) -> None:
-        """Note that the hand is empty."""
 
 
 class HandedTask(ABC, Generic[R]):
@@ -69,7 +47,7 @@ class HandedTask(ABC, Generic[R]):
         goes_on: What the arm does after a job was resumed, for a prompt.
     """
 
-    def __init__(self, motions: Motions, handover: Handing, tool: str, goes_on: str) -> None:
+    def __init__(self, motions: Motions, handover: Handover, tool: str, goes_on: str) -> None:
         self._station, self._config, self._motions = motions.station, motions.config, motions
         self._handing, self._tool, self._goes_on = handover, tool, goes_on
         self._stops = Stops()

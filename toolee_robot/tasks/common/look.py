@@ -226,9 +226,10 @@ class Views:
         self._tell_of_camera(estimate)
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
         if not (displacement <= self._largest and misalignment <= MAX_MISALIGNMENT):  # NaN included
+            held, angle = HELD.get(self._category, "tool"), np.rad2deg(misalignment)
             raise PerceptionError(
-                f"the {self._category.label} seems {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f}° outside "
-                f"of where a held {HELD.get(self._category, 'tool')} can be. Hand it over again, face towards the fingers",
+                f"the {self._category.label} seems {displacement * 1e3:.0f} mm and {angle:.0f}° outside of where a "
+                f"held {held} can be. Hand it over again, face towards the fingers",
                 code="perception.implausible",
             )
         return estimate
