@@ -17,7 +17,7 @@ import numpy as np
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_z, transform
 from toolee_robot.hal import Station
-from toolee_robot.render.mesh import Mesh, cylinder
+from toolee_robot.render.mesh import cylinder
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.operator import SimPerson
@@ -128,35 +128,31 @@ class BoltWorld(SimWorld):
         """Pose of the jaw, 4x4; ground truth."""
         return self.X_base_tool() @ self._X_tool_ee
 
-    def _near(self) -> bool:
-        place = pb.getBasePositionAndOrientation(self.tool_body, physicsClientId=self.client)
-        p = np.array(place[0]) + rotation_matrix(place[1]) @ self._p_ee
-        return math.dist(p, self.X_base_nut[:3, 3]) < NEAR
+    def _jaw_now(self) -> tuple[Array, Array, Array]:
+        """Middle of the jaw from the centre of mass and in `base`, (3,) [m] each, and its axes, (3, 3)."""
+        p, quaternion = pb.getBasePositionAndOrientation(self.tool_body, physicsClientId=self.client)
+        R = rotation_matrix(quaternion)
+        arm = R @ self._p_ee
+        return arm, p + arm, R @ self._R_ee
 
     def _settings_of_step(self, most: int) -> StepSettings:
-        if self._near() and most >= 2:
+        if most >= 2 and math.dist(self._jaw_now()[1], self.X_base_nut[:3, 3]) < NEAR:
             return AT_NUT
         return IMPACT if most < 4 else NORMAL
 
     def _at_nut(self, dt: float) -> None:  # noqa: ARG002
         """Apply force and torque of the nut to the wrench."""
-        p, quaternion = pb.getBasePositionAndOrientation(self.tool_body, physicsClientId=self.client)
-        R = rotation_matrix(quaternion)
-        arm = R @ self._p_ee
-        ee = np.array(p) + arm
-        r = self.X_base_nut[:3, 3] - ee
-        if r @ r > NEAR**2:
-            self.fit, self._slipped = Fit.APART, False
+        arm, middle, R_ee = self._jaw_now()
+        way, axis, before = self.X_base_nut[:3, 3] - middle, self.X_base_nut[:3, 2], self.fit
+        if way @ way > NEAR**2:  # the usual case, kept cheap
+            self.fit = Fit.APART
             return
-        R_ee = R @ self._R_ee
-        slot, axis = R_ee @ self._slot, self.X_base_nut[:3, 2]
+        slot = R_ee @ self._slot
         across = np.cross(R_ee[:, 2], slot)
         tilt = math.acos(min(max(float(R_ee[:, 2] @ axis), -1.0), 1.0))
-        place = JawPlace(float(r @ slot), float(r @ across), float(r @ axis), tilt)
-        x, y = self.X_base_nut[:3, 0] @ slot, self.X_base_nut[:3, 1] @ slot
-        now = math.atan2(y, x)
+        place = JawPlace(float(way @ slot), float(way @ across), float(way @ axis), tilt)
+        now = math.atan2(self.X_base_nut[:3, 1] @ slot, self.X_base_nut[:3, 0] @ slot)
         self._angle += math.remainder(now - self._angle, 2.0 * math.pi)
-        before = self.fit
         turned = math.remainder(self._angle - self.nut.angle, SIXTH)
         self.fit = self.jaw.fit(self.nut.spec, place, before, turned)
         if self.fit is Fit.APART:
@@ -166,27 +162,30 @@ class BoltWorld(SimWorld):
         if before is Fit.APART:
             self._offset = self._angle - self.nut.angle - turned
         v, w = (np.array(u) for u in pb.getBaseVelocity(self.tool_body, physicsClientId=self.client))
-        velocity = v + np.cross(w, arm)
-        force, torque = self._reaction(place, slot, across, velocity)
-        turning = 0.0
-        if self.fit is not Fit.BLOCKED and not self._slipped:
-            play = self.jaw.play(self.nut.spec, place.along)
-            turning = self.nut.follow(self._angle - self._offset, play, TURN_STIFFNESS)
-            self._turning = abs(turning)
-            if before is Fit.ON and self.jaw.slips(self.nut.spec, place, turning):
-                self.slips, self._slipped, turning = self.slips + 1, True, 0.0
-            elif turning:
-                turning -= TURN_DAMPING * float(w @ axis)
-        torque = torque + turning * axis
-        if self.fit is Fit.ON and LARGEST_TILT > tilt > 1e-6:
+        force = self._reaction(place, slot, across, v + np.cross(w, arm))
+        torque = self._turn_nut(place, float(w @ axis), slipping=before is Fit.ON) * axis
+        if self.fit is Fit.ON and tilt < LARGEST_TILT:
             torque = torque + TILT_STIFFNESS * np.cross(R_ee[:, 2], axis)
-        point = self.X_base_nut[:3, 3].tolist()
         body, client = self.tool_body, self.client
+        point = self.X_base_nut[:3, 3].tolist()
         pb.applyExternalForce(body, -1, force.tolist(), point, pb.WORLD_FRAME, physicsClientId=client)
         pb.applyExternalTorque(body, -1, torque.tolist(), pb.WORLD_FRAME, physicsClientId=client)
 
-    def _reaction(self, place: JawPlace, slot: Array, across: Array, velocity: Array) -> tuple[Array, Array]:
-        """Force of the nut on the jaw but for what turns it, [N], and torque [Nm]."""
+    def _turn_nut(self, place: JawPlace, speed: float, *, slipping: bool) -> float:
+        """Turn the nut with the jaw: torque on the jaw about the nut's axis [Nm]."""
+        self._turning = 0.0
+        if self.fit is Fit.BLOCKED or self._slipped:
+            return 0.0
+        spec = self.nut.spec
+        torque = self.nut.follow(self._angle - self._offset, self.jaw.play(spec, place.along), TURN_STIFFNESS)
+        if slipping and self.jaw.slips(spec, place, torque):
+            self.slips, self._slipped = self.slips + 1, True
+            return 0.0
+        self._turning = abs(torque)
+        return torque - TURN_DAMPING * speed if torque else 0.0
+
+    def _reaction(self, place: JawPlace, slot: Array, across: Array, velocity: Array) -> Array:
+        """Force of the nut on the jaw, but for what turns it, (3,) [N]."""
         spec, jaw = self.nut.spec, self.jaw
         along, beside = 0.0, 0.0
         depth = jaw.depth(spec, place.along)
@@ -205,7 +204,7 @@ class BoltWorld(SimWorld):
                 along -= STIFFNESS * bottom
         if along:
             along -= DAMPING * float(velocity @ slot)
-        return along * slot + beside * across, np.zeros(3)
+        return np.asarray(along * slot + beside * across)
 
 
 @dataclass(frozen=True)
@@ -280,29 +279,15 @@ class BoltVisuals(SceneVisuals):
         self._bolt = [
             ("bolt sleeve", cylinder(0.9 * radius, height), 0.5 * spec.height + 0.5 * height),
             ("bolt end", cylinder(0.004, 0.008), -0.5 * spec.height - 0.004),
+            ("nut", cylinder(spec.flat, spec.height, 6), 0.0),
         ]
-        self._nut = _prism(spec.flat, spec.height)
 
     def visual_bodies(self) -> Sequence[VisualBody]:
         """The current visual bodies, without the room."""
-        X = self.world.X_base_nut
+        X = self.world.X_base_nut @ transform(rotation_z(self.world.nut.angle))
         parts = [(name, mesh, X @ transform(p=[0.0, 0.0, z])) for name, mesh, z in self._bolt]
-        parts.append(("nut", self._nut, X @ transform(rotation_z(self.world.nut.angle))))
         bolt = [VisualBody(n, mesh, at, "steel_bright", STEEL, 0.35, 1.0, body_id=BodyId.NAIL) for n, mesh, at in parts]
         return [*super().visual_bodies(), *bolt]
-
-
-def _prism(radius: float, height: float) -> Mesh:
-    """A hexagon's prism with a flat parallel to x."""
-    angles = np.arange(6) * SIXTH
-    rim = np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
-    ends = [np.column_stack([rim, np.full(6, z)]) for z in (-0.5 * height, 0.5 * height)]
-    vertices = np.concatenate([*ends, [[0.0, 0.0, -0.5 * height], [0.0, 0.0, 0.5 * height]]])
-    faces = []
-    for i in range(6):
-        j = (i + 1) % 6
-        faces += [[i, j, 6 + j], [i, 6 + j, 6 + i], [12, j, i], [13, 6 + i, 6 + j]]
-    return Mesh.build(vertices, np.array(faces))
 
 
 class BoltStation:

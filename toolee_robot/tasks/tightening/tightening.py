@@ -29,10 +29,13 @@ WINDOW_S = 0.12
 """Time over which that force is averaged [s]."""
 MEASURE_S, QUICK_S, FEEL_S = 1.5, 0.6, 0.4
 """Time at rest over which the torque is read, near the wanted one and far from it, and a force beside the jaw [s]."""
-YIELD, LEAST_WOUND = 250.0, 1.0
-"""Stiffness of hand and jaw about the nut [Nm/rad], some, by which a jaw is wound up before the nut turns; and the
-torque for which it is unwound at least [Nm]."""
-PLAY = float(np.deg2rad(0.7))
+TILT_STIFFNESS, JAW_STIFFNESS, LEAST_WOUND = 100.0, 500.0, 1.0
+"""Stiffness of the hand against a tilt of the handle, and of jaw and handle [Nm/rad], some; torque for which a jaw is
+unwound at least [Nm]."""
+RELEASES, UNSURE = 3, float(np.deg2rad(0.35))
+"""How often a jaw is released at most to measure a torque, and by how much farther it may have to turn back for it to
+be done once more [rad]."""
+PLAY = float(np.deg2rad(0.8))
 """How far the jaw turns on the nut between its corners to each side [rad]: 0.3 to 4 degrees by ISO 691 and ISO 4032. If
 it is less, a jaw that is turned back presses on the nut the other way."""
 SIDE_STIFFNESS, LEAST_SIDE, LARGEST_ASIDE = 2e4, 6.0, 0.003
@@ -106,7 +109,7 @@ class Tightening:
             turn, slipped = self._stroke(held)
             self.turns.append(turn)
             self.torque = turn.torque
-            self._angle += turn.angle - max(turn.torque, 0.0) / YIELD - PLAY
+            self._angle += turn.angle - self._wound(held, turn.torque)
             self._on_turn(turn)
             if self._reached(turn.torque):
                 return self._tight(turn.torque)
@@ -133,7 +136,7 @@ class Tightening:
             return np.zeros(3)
         way, self._on = self._on, None
         if self.torque is not None:
-            back = max(self.torque, 0.0) / YIELD + PLAY
+            back = self._wound(held, self.torque)
             self._turn("unwind", -back, held)
             way = _turned(self._work.axis, -back) @ way
         self._motions.straight("off the nut", -way, float(np.linalg.norm(way)), held)
@@ -251,7 +254,7 @@ class Tightening:
                 step = (work.torque - torque) / STIFFEST if torque > EASY * work.torque else LARGEST_STEP
                 step = min(max(step, LEAST_STEP), LARGEST_STEP, goal - angle)
                 angle += self._turn("turn", step, held)
-                before, torque = torque, self._measured(held, torque)
+                before, torque = torque, self._measured(held, min(torque + step * STIFFEST / 2, work.torque))
                 measured += 1
                 motions.observer.message(f"{torque:.1f} Nm after {np.rad2deg(angle):.0f}° of this stroke")
                 slipped = torque < SLIPPED_SHARE * before and before > EASY * work.torque
@@ -261,20 +264,31 @@ class Tightening:
             self._on = _turned(work.axis, angle) @ self._on
         return Turn(len(self.turns) + 1, motions.station.clock.now(), angle, torque, measured), slipped
 
-    def _measured(self, held: HeldTool, before: float) -> float:
+    def _measured(self, held: HeldTool, expected: float) -> float:
         """Torque at the nut [Nm]: the difference to that of a jaw which is turned back until it is free of the nut.
 
         Args:
             held: The wrench.
-            before: What was measured last [Nm]: near the wanted torque it is measured for longer.
+            expected: What it may be [Nm]. If it is more, the jaw was not yet free, and is turned back farther.
         """
-        easy = EASY * self._work.torque
-        duration = MEASURE_S if before > easy else QUICK_S
-        loaded, back = self._about_nut(duration), max(before, LEAST_WOUND) / YIELD + PLAY
-        self._turn("release", -back, held)
-        torque = self._about_nut(duration) - loaded
-        self._turn("on again", back, held)
-        return self._measured(held, torque) if torque > easy >= before else torque
+        back, torque = self._wound(held, max(expected, LEAST_WOUND)), 0.0
+        for _ in range(RELEASES):
+            duration = MEASURE_S if max(expected, torque) > EASY * self._work.torque else QUICK_S
+            loaded = self._about_nut(duration)
+            self._turn("release", -back, held)
+            torque = self._about_nut(duration) - loaded
+            self._turn("on again", back, held)
+            needed = self._wound(held, torque)
+            if needed <= back + UNSURE and (duration == MEASURE_S or torque <= EASY * self._work.torque):
+                break
+            back = max(back, needed)
+        return torque
+
+    def _wound(self, held: HeldTool, torque: float) -> float:
+        """Angle to turn a jaw back until it is free [rad]: what hand and jaw yield under a torque [Nm], and the play."""
+        grip = self._motions.robot.description.hand.grasp.X_hand_tool(0.0)[:3, 3]
+        lever = float(np.linalg.norm(held.X_hand_ee[:3, 3] - grip))
+        return max(torque, 0.0) * (1.0 / (SIDE_STIFFNESS * lever**2 + TILT_STIFFNESS) + 1.0 / JAW_STIFFNESS) + PLAY
 
     def _about_nut(self, duration: float) -> float:
         """Torque of the work on the flange about the nut's axis, by the arm's wrench at rest [Nm]."""
