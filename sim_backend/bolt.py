@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Self
 
 import numpy as np
 
@@ -76,10 +76,6 @@ class Bolt:
         rng = np.random.default_rng([seed, 40])
         spec, opening = NutSpec.draw(rng), float(rng.uniform(0.01304, 0.01324))
         return cls(spec, Jaw(opening, 0.52 * opening), float(rng.uniform(0.0, SIXTH)))
-
-    def wrench(self, seed: int) -> Tool:
-        """The wrench that is handed over."""
-        return gripped_wrench(self.jaw.opening, seed)
 
 
 def X_base_bolt(work: WorkConfig) -> Array:
@@ -290,13 +286,9 @@ class BoltVisuals(SceneVisuals):
         return [*super().visual_bodies(), *bolt]
 
 
+@dataclass(frozen=True, eq=False)
 class BoltStation:
-    """A simulated station with a bolt; create it with `BoltStation.build`, and enter its context.
-
-    Args:
-        world: The simulated world.
-        station: Its devices.
-        judge: Observes the world.
+    """A simulated station with a bolt.
 
     Attributes:
         station: The devices: all that a task may use.
@@ -304,45 +296,41 @@ class BoltStation:
         judge: What truly happened: ground truth.
     """
 
-    def __init__(self, world: BoltWorld, station: Station, judge: BoltJudge) -> None:
-        self.world, self.station, self.judge = world, station, judge
+    station: Station
+    world: BoltWorld
+    judge: BoltJudge
 
-    @classmethod
-    def build(cls, config: StationConfig, seed: int, options: SimOptions, bolt: Bolt | None = None) -> Self:
-        """Build a station.
 
-        Args:
-            config: The station.
-            seed: Seed of wrench, bolt, in-hand offset, room and noise.
-            options: Options of the run.
-            bolt: What stands on the block; drawn by the seed if None.
+@contextmanager
+def bolt_station(
+    config: StationConfig, seed: int, options: SimOptions, bolt: Bolt | None = None
+) -> Iterator[BoltStation]:
+    """Context of a simulated station with a bolt.
 
-        Returns:
-            The station.
-        """
-        check_upright(config.arm, "the simulated world")
-        bolt = Bolt.draw(seed) if bolt is None else bolt
-        tool = bolt.wrench(seed) if options.tool is None else options.tool
-        offset = InHandOffset.of_job(seed) if options.offset is None else options.offset
-        x, y, _ = config.scene.person_center
-        world = BoltWorld(config, tool, transform(p=[x, y + 0.35, 1.0]), options, bolt)
-        try:
-            person = SimPerson(world, offset, options.hands_over)
-            clock = SimClock(world)
-            visuals = BoltVisuals(config, tool, seed, lambda: scene_state(world, person))
-            visuals.follow(world)
-            camera = SimCamera(visuals, clock, config.camera.uncalibrated, seed, options.sensor)
-            arm = SimArm(world, options.wrench_errors, [seed, 13])
-            station = Station(arm, simulated_hand(world, options), camera, person, clock, SIMULATED, SIMULATED)
-            judge = BoltJudge(world)
-            world.after_step.append(judge.after_step)
-        except BaseException:
-            world.close()
-            raise
-        return cls(world, station, judge)
+    Args:
+        config: The station.
+        seed: Seed of wrench, bolt, in-hand offset, room and noise.
+        options: Options of the run.
+        bolt: What stands on the block; drawn by the seed if None.
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.world.close()
+    Yields:
+        The station.
+    """
+    check_upright(config.arm, "the simulated world")
+    bolt = Bolt.draw(seed) if bolt is None else bolt
+    tool = gripped_wrench(bolt.jaw.opening, seed)
+    offset = InHandOffset.of_job(seed) if options.offset is None else options.offset
+    x, y, _ = config.scene.person_center
+    world = BoltWorld(config, tool, transform(p=[x, y + 0.35, 1.0]), options, bolt)
+    try:
+        person, clock = SimPerson(world, offset, options.hands_over), SimClock(world)
+        visuals = BoltVisuals(config, tool, seed, lambda: scene_state(world, person))
+        visuals.follow(world)
+        camera = SimCamera(visuals, clock, config.camera.uncalibrated, seed, options.sensor)
+        arm = SimArm(world, options.wrench_errors, [seed, 13])
+        station = Station(arm, simulated_hand(world, options), camera, person, clock, SIMULATED, SIMULATED)
+        judge = BoltJudge(world)
+        world.after_step.append(judge.after_step)
+        yield BoltStation(station, world, judge)
+    finally:
+        world.close()

@@ -16,7 +16,7 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, rotation_z, transform
 from toolee_robot.robots import hand_model
-from toolee_robot.sim_backend.bolt import Bolt, BoltJudge, BoltStation, X_base_bolt
+from toolee_robot.sim_backend.bolt import Bolt, BoltJudge, BoltStation, X_base_bolt, bolt_station
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.physics.nut import Jaw, NutSpec
 from toolee_robot.sim_backend.truth import PerfectPerception, Truth
@@ -78,7 +78,7 @@ def tighten(
     """Do a job with a nut that is measured so far beside its place [m]."""
     turns: list[Turn] = []
     offset = InHandOffset(along=0.012, spin=0.3, tilt_x=0.1, tilt_y=-0.1)
-    with BoltStation.build(CONFIG, SEED, SimOptions(offset=offset), bolt) as sim:
+    with bolt_station(CONFIG, SEED, SimOptions(offset=offset), bolt) as sim:
         tool = sim.world.tool.tool
         X_hand_tool = hand_model(CONFIG.hand).grasp.X_hand_tool(tool.handle.grip_radius)
         grasp = Grasp(X_hand_tool, tool.ee(Category.WRENCH_HEAD).X_tool_ee, tool.mass, tool.center_of_mass)

@@ -115,17 +115,8 @@ class _Told(JobObserver):
     def __init__(self, tell: Tell) -> None:
         self._tell = tell
 
-    def doing(self, text: str) -> None:
-        self._tell(text)
-
     def message(self, text: str) -> None:
         self._tell(text)
-
-    def prompt(self, text: str) -> None:
-        self._tell(text)
-
-    def opened(self, title: str, mode: str, recorder: RunRecorder) -> None:  # noqa: ARG002
-        self._tell(f"{title}: {mode}")
 
 
 def run_tighten(spec: TightenSpec, out: Path, tell: Tell = lambda _: None) -> TightenJob:
@@ -144,7 +135,7 @@ def run_tighten(spec: TightenSpec, out: Path, tell: Tell = lambda _: None) -> Ti
     """
     observer = _Told(tell)
     with ExitStack() as ending, run_folder(out, f"seed{spec.seed}") as folder:
-        observer.doing("loading the networks and building the station")
+        tell("loading the networks and building the station")
         result, figures = _run(spec, folder, observer, ending)
         path = folder.keep()
     return TightenJob(result, {**figures, "run_folder": str(path)}, path)
@@ -153,7 +144,7 @@ def run_tighten(spec: TightenSpec, out: Path, tell: Tell = lambda _: None) -> Ti
 def _run(
     spec: TightenSpec, folder: RunFolder, observer: JobObserver, ending: ExitStack
 ) -> tuple[TightenResult, dict[str, Any]]:
-    from toolee_robot.sim_backend.bolt import Bolt, BoltStation, X_base_bolt
+    from toolee_robot.sim_backend.bolt import Bolt, X_base_bolt, bolt_station
 
     began = time.perf_counter()
     networks = job_networks(device=spec.device) if spec.variant.corrects else None
@@ -163,7 +154,7 @@ def _run(
     collector, mode = _Picture(config.task.flush_protrusion), f"seed {spec.seed}, {spec.variant.replace('_', ' ')}"
     with (
         gc_settled() as settle,
-        BoltStation.build(cell, spec.seed, drawn.options(SimOptions()), bolt) as sim,
+        bolt_station(cell, spec.seed, drawn.options(SimOptions()), bolt) as sim,
     ):
         tool = sim.world.tool.tool
         grasp = _measured(tool, config, drawn)
@@ -173,7 +164,7 @@ def _run(
         facts |= {"correction": spec.variant.corrects}
         words = f"Open-ended wrench, {1e3 * bolt.jaw.opening:.0f} mm, {tool.mass:.2f} kg, never used in training"
         with RunRecorder(folder.path / RECORDING, _metadata(facts, grasp, tool, words), observer.message) as recorder:
-            observer.opened(words, mode, recorder)
+            observer.message(f"{words}: {mode}")
             recorder.attach("tool.glb", "model/gltf-binary", tool_model(tool))
             keeper = RecordingObserver(recorder, sim.station, config)
 

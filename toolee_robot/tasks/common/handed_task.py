@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from datetime import date
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from toolee_robot.errors import (
     WeighingError,
 )
 from toolee_robot.tasks.common.held_tool import HeldTool
+from toolee_robot.tasks.common.look import Look
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.outcome import PUT_AWAY, TAKE_OUT, JobEnded, Outcome, Stage, Stops, TaskResult
 
@@ -74,6 +75,17 @@ class HandedTask(ABC, Generic[R]):
     @abstractmethod
     def _tell_ended(self, result: R) -> None:
         """Tell the observer of the result."""
+
+    def _facts(self, look: Look | None) -> dict[str, Any]:
+        """What every task's result has beside outcome and reason, by the names of `TaskResult`."""
+        return {
+            "stage": self._motions.stages.latest,
+            "estimates": () if look is None else tuple(look.estimates),
+            "stage_seconds": dict(self._motions.stages.seconds),
+            "robot_seconds": self._station.clock.now() - self._began,
+            "stops": self._stops.count,
+            "fault": self._fault,
+        }
 
     def _told(self, reason: str) -> str:
         """The reason of an ending, with what the task adds to it."""

@@ -75,15 +75,10 @@ class HammeringTask(HandedTask[HammerResult]):
             reason,
             self._nails.strikes,
             self._nails.protrusion,
-            stage=self._motions.stages.latest,
-            estimates=() if self._look is None else tuple(self._look.estimates),
-            stage_seconds=dict(self._motions.stages.seconds),
-            robot_seconds=self._station.clock.now() - self._began,
             nail_seconds=self._nails.seconds,
             nails=self._nails.results(outcome, reason),
-            stops=self._stops.count,
-            fault=self._fault,
             weight=self._handover.weight,
+            **self._facts(self._look),
         )
 
     def _work(self, held: HeldTool, *, resumed: bool) -> Ending:

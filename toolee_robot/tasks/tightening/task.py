@@ -62,18 +62,8 @@ class TighteningTask(HandedTask[TightenResult]):
 
     def result(self, outcome: Outcome, reason: str) -> TightenResult:
         """See `HandedTask`."""
-        return TightenResult(
-            outcome,
-            reason,
-            turns=tuple(self._tightening.turns),
-            torque=self._tightening.torque,
-            stage=self._motions.stages.latest,
-            estimates=() if self._look is None else tuple(self._look.estimates),
-            stage_seconds=dict(self._motions.stages.seconds),
-            robot_seconds=self._station.clock.now() - self._began,
-            stops=self._stops.count,
-            fault=self._fault,
-        )
+        turns, torque = tuple(self._tightening.turns), self._tightening.torque
+        return TightenResult(outcome, reason, turns=turns, torque=torque, **self._facts(self._look))
 
     def _work(self, held: HeldTool, *, resumed: bool) -> Ending:
         if resumed:

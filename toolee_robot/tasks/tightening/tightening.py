@@ -285,7 +285,7 @@ class Tightening:
         return torque
 
     def _wound(self, held: HeldTool, torque: float) -> float:
-        """Angle to turn a jaw back until it is free [rad]: what hand and jaw yield under a torque [Nm], and the play."""
+        """Angle to turn a jaw back until it is free [rad]: what hand and jaw yield under a torque [Nm], and play."""
         grip = self._motions.robot.description.hand.grasp.X_hand_tool(0.0)[:3, 3]
         lever = float(np.linalg.norm(held.X_hand_ee[:3, 3] - grip))
         return max(torque, 0.0) * (1.0 / (SIDE_STIFFNESS * lever**2 + TILT_STIFFNESS) + 1.0 / JAW_STIFFNESS) + PLAY
