@@ -23,8 +23,9 @@ STAND_OFF, RISE = 0.028, 0.06
 """Way of the jaw onto the nut, and height over the nut from which it comes down beside it [m]."""
 SLIDE_SPEED, TURN_SPEED = 0.03, 0.25
 """Of the jaw onto the nut [m/s], and about it [rad/s]."""
-SLIDE_GUARD, TURN_GUARD = 22.0, 50.0
-"""Force at the flange that ends a slide or a turn [N]: less than half of what a hand holds across its fingers."""
+SLIDE_GUARD, TURN_GUARD = 22.0, 35.0
+"""Force at the flange that ends a slide or a turn [N]: a third of what a hand holds across its fingers; 24 N go with
+4 Nm, and a CB3's estimate is off by 10 N in motion."""
 WINDOW_S = 0.12
 """Time over which that force is averaged [s]."""
 MEASURE_S, QUICK_S, FEEL_S = 1.5, 0.6, 0.4
@@ -55,8 +56,8 @@ STIFFEST = 4.0
 """Stiffness that a joint may have [Nm/rad], by which the turn to the torque is chosen."""
 AT_ONCE = float(np.deg2rad(8.0))
 """Angle within which a nut that was tight before reaches its torque [rad]."""
-SLIPPED_SHARE = 0.4
-"""Share of the torque before below which the jaw has slipped off."""
+SLIPPED_SHARE, MOST_MEASURED = 0.4, 12
+"""Share of the torque before below which the jaw has slipped off; number of measurements that end a stroke."""
 PLACES_TRIED = 6
 """Number of places to which a way is planned."""
 
@@ -119,8 +120,7 @@ class Tightening:
             elif self._look is not None and len(self.turns) % LOOK_EVERY == 0:
                 held, way_on = self._again(held), None
             else:
-                self._turn("back", -SIXTH, held)
-                way_on = _turned(self._work.axis, -SIXTH) @ way_on
+                way_on = _turned(self._work.axis, self._turn("back", -SIXTH, held)) @ way_on
         return Outcome.NOT_TIGHT, f"{MAX_STROKES} strokes did not tighten the nut: is the jaw on it?"
 
     def leave(self, held: HeldTool) -> Array:
@@ -134,11 +134,9 @@ class Tightening:
         """
         if self._on is None:
             return np.zeros(3)
-        way, self._on = self._on, None
         if self.torque is not None:
-            back = self._wound(held, self.torque)
-            self._turn("unwind", -back, held)
-            way = _turned(self._work.axis, -back) @ way
+            self._turn("unwind", -self._wound(held, self.torque), held)
+        way, self._on = self._on, None
         self._motions.straight("off the nut", -way, float(np.linalg.norm(way)), held)
         return way
 
@@ -250,7 +248,7 @@ class Tightening:
         motions, work = self._motions, self._work
         angle, torque, measured, slipped, goal = 0.0, max(self.torque or 0.0, 0.0), 0, False, SIXTH + PLAY
         with motions.stages(Stage.TURN):
-            while angle < goal - 1e-3 and not slipped:
+            while angle < goal - 1e-3 and not slipped and measured < MOST_MEASURED:
                 step = (work.torque - torque) / STIFFEST if torque > EASY * work.torque else LARGEST_STEP
                 step = min(max(step, LEAST_STEP), LARGEST_STEP, goal - angle)
                 angle += self._turn("turn", step, held)
@@ -260,8 +258,6 @@ class Tightening:
                 slipped = torque < SLIPPED_SHARE * before and before > EASY * work.torque
                 if self._reached(torque):
                     break
-            assert self._on is not None, "the jaw is on the nut"
-            self._on = _turned(work.axis, angle) @ self._on
         return Turn(len(self.turns) + 1, motions.station.clock.now(), angle, torque, measured), slipped
 
     def _measured(self, held: HeldTool, expected: float) -> float:
@@ -306,7 +302,10 @@ class Tightening:
         )
         motions.execute(name, turn, held, ContactGuard(TURN_GUARD, averaging_window=WINDOW_S), at_work=True)
         R = motions.robot.arm.fk(motions.q)[:3, :3] @ before.T
-        return float(Rotation.from_matrix(R).as_rotvec() @ self._work.axis)
+        turned = float(Rotation.from_matrix(R).as_rotvec() @ self._work.axis)
+        if self._on is not None:
+            self._on = _turned(self._work.axis, turned) @ self._on
+        return turned
 
 
 def _turned(axis: Array, angle: float) -> Array:
