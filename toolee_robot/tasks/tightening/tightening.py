@@ -300,7 +300,8 @@ class Tightening:
         turn = plan_turn(
             motions.robot, motions.config, motions.world(held), motions.q, self._work.axis, point, angle, TURN_SPEED
         )
-        motions.execute(name, turn, held, ContactGuard(TURN_GUARD, averaging_window=WINDOW_S), at_work=True)
+        guard = ContactGuard(TURN_GUARD, averaging_window=WINDOW_S) if angle > 0.0 else None  # a way back unloads
+        motions.execute(name, turn, held, guard, at_work=True)
         R = motions.robot.arm.fk(motions.q)[:3, :3] @ before.T
         turned = float(Rotation.from_matrix(R).as_rotvec() @ self._work.axis)
         if self._on is not None:
