@@ -27,7 +27,16 @@ CLEARANCE = 0.006
 
 
 def about(axis: Array, point: Array, angles: Array) -> Array:
-    """Rotations by angles (N,) [rad] about an axis through a point, (N, 4, 4); axis and point are (3,) in `base`."""
+    """Rotations about an axis through a point.
+
+    Args:
+        axis: Unit vector, (3,), in `base`.
+        point: A point of the axis, (3,) [m], in `base`.
+        angles: Angles, (N,) [rad].
+
+    Returns:
+        The rotations, (N, 4, 4).
+    """
     R = Rotation.from_rotvec(np.atleast_1d(angles)[:, None] * axis).as_matrix()
     X = np.tile(np.eye(4), (len(R), 1, 1))
     X[:, :3, :3], X[:, :3, 3] = R, point - R @ point
