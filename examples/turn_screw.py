@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from examples.plan_turn import HEIGHT, plan_turn
+from examples.plan_turn import HEIGHT, plan_place
 from toolee_robot import Category, StationConfig, ToolPerception
 from toolee_robot.control.limits import Mode
+from toolee_robot.control.planning.turn import plan_turn
 from toolee_robot.control.planning.views import plan_handover, plan_views
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import GripError
@@ -32,11 +33,12 @@ class TurnScrew:
         self.motions.begin()
         self.take_tool()
         held = self.look(self.nominal)
-        way, turn = plan_turn(self.robot, self.config, self.motions, held, X_base_screw, angle)
-        self.motions.transfer("above the screw", way, held)
-        self.motions.straight("down", (0.0, 0.0, -1.0), HEIGHT, held)
-        self.motions.execute("turn", turn, held, at_work=True)
-        self.motions.straight("up", (0.0, 0.0, 1.0), HEIGHT, held)
+        m, axis, point = self.motions, X_base_screw[:3, 2], X_base_screw[:3, 3]
+        m.transfer("above the screw", plan_place(self.robot, self.config, m, held, X_base_screw, angle), held)
+        m.straight("down", (0.0, 0.0, -1.0), HEIGHT, held)
+        turn = plan_turn(self.robot, self.config, m.world(held), m.q, axis, point, angle, speed=0.5)
+        m.execute("turn", turn, held, at_work=True)
+        m.straight("up", (0.0, 0.0, 1.0), HEIGHT, held)
 
     def take_tool(self) -> None:
         """Raises GripError when no tool is in the hand, or the person stays."""

@@ -7,7 +7,6 @@ tool is applied to it as a force and a torque, as the grip's are.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from toolee_robot.render.mesh import cylinder
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.operator import SimPerson
+from toolee_robot.sim_backend.judge import PoseHistory
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.physics.bodies import IMPACT, StepSettings, pb, rotation_matrix
 from toolee_robot.sim_backend.physics.nail import Nail
@@ -45,8 +45,6 @@ TURN_STIFFNESS, TURN_DAMPING = 500.0, 0.05
 """About the nut's axis [Nm/rad], [Nm s/rad]."""
 TILT_STIFFNESS = 8.0
 """Against a tilt of the jaw on the nut [Nm/rad]; a handle that turns in the hand bears no more in such steps."""
-HISTORY_PERIOD = 1 / 60
-"""Time between two poses that are kept [s]."""
 
 
 @dataclass(frozen=True)
@@ -220,28 +218,12 @@ class NutVerdict:
     error: PoseError | None
 
 
-class BoltJudge:
-    """Ground truth of a run: poses of the jaw in the hand, and the nut.
-
-    Args:
-        world: The world.
-    """
+class BoltJudge(PoseHistory):
+    """Ground truth of a run: poses of the jaw in the hand, and the nut."""
 
     def __init__(self, world: BoltWorld) -> None:
-        self._world = world
-        self._stamps: list[float] = []
-        self._Xs_hand_ee: list[Array] = []
-
-    def after_step(self) -> None:
-        """Keep the pose of the jaw, sometimes."""
-        now = self._world.time
-        if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
-            self._stamps.append(now)
-            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()) @ self._world.X_base_ee())
-
-    def X_hand_ee(self, stamp: float) -> Array:
-        """The true pose of the jaw in the hand at a time [s], (4, 4)."""
-        return self._Xs_hand_ee[min(bisect_left(self._stamps, stamp), len(self._stamps) - 1)].copy()
+        super().__init__(world)
+        self._bolt = world
 
     def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> NutVerdict:
         """What became of the nut.
@@ -252,11 +234,11 @@ class BoltJudge:
         Returns:
             The verdict.
         """
-        nut, error = self._world.nut, None
+        nut, error = self._bolt.nut, None
         if estimates:
             stamp, estimate = estimates[-1]
             error = pose_error(estimate.X_hand_ee, self.X_hand_ee(stamp), Category.WRENCH_HEAD)
-        return NutVerdict(nut.torque if nut.angle > nut.spec.run else nut.largest, nut.angle, self._world.slips, error)
+        return NutVerdict(nut.torque if nut.angle > nut.spec.run else nut.largest, nut.angle, self._bolt.slips, error)
 
 
 STEEL = (0.62, 0.62, 0.66)
@@ -302,22 +284,19 @@ class BoltStation:
 
 
 @contextmanager
-def bolt_station(
-    config: StationConfig, seed: int, options: SimOptions, bolt: Bolt | None = None
-) -> Iterator[BoltStation]:
+def bolt_station(config: StationConfig, seed: int, options: SimOptions, bolt: Bolt) -> Iterator[BoltStation]:
     """Context of a simulated station with a bolt.
 
     Args:
         config: The station.
-        seed: Seed of wrench, bolt, in-hand offset, room and noise.
+        seed: Seed of wrench, in-hand offset, room and noise.
         options: Options of the run.
-        bolt: What stands on the block; drawn by the seed if None.
+        bolt: What stands on the block.
 
     Yields:
         The station.
     """
     check_upright(config.arm, "the simulated world")
-    bolt = Bolt.draw(seed) if bolt is None else bolt
     tool = gripped_wrench(bolt.jaw.opening, seed)
     offset = InHandOffset.of_job(seed) if options.offset is None else options.offset
     x, y, _ = config.scene.person_center

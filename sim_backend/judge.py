@@ -48,7 +48,56 @@ FACE_NORMAL = np.cos(np.deg2rad(45.0))  # of the angle between the contact's nor
 FAR = 0.10  # [m] distance between face and nail beyond which strikes are not looked for
 
 
-class Judge:
+class PoseHistory:
+    """The true poses of the EE in the hand.
+
+    Args:
+        world: The world.
+        clock: See `Judge`.
+    """
+
+    def __init__(self, world: SimWorld, clock: Clock | None = None) -> None:
+        self._world, self._clock = world, clock
+        self._stamps: list[float] = []
+        self._Xs_hand_ee: list[Array] = []
+
+    def now(self) -> float:
+        """Time by which poses are kept [s]."""
+        return self._world.time if self._clock is None else self._clock.now()
+
+    def after_step(self) -> None:
+        """Keep the pose after a step, if the last one is old enough."""
+        now = self.now()
+        if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
+            self._stamps.append(now)
+            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()).dot(self._world.X_base_ee()))
+
+    def X_hand_ee(self, stamp: float) -> Array:
+        """The true pose of the EE in the hand, interpolated.
+
+        Args:
+            stamp: Time [s].
+
+        Returns:
+            X_hand_ee, 4x4.
+
+        Raises:
+            TooleeError: The time lies outside of the run.
+        """
+        margin = 2 * HISTORY_PERIOD
+        if not self._stamps or not self._stamps[0] - margin <= stamp <= self._stamps[-1] + margin:
+            message = f"there is no ground truth at {stamp:.3f} s: give a time within the run"
+            raise TooleeError(message, code="toolee.outside_of_run")
+        i = bisect_left(self._stamps, stamp)
+        if i == 0 or i == len(self._stamps):
+            return self._Xs_hand_ee[min(i, len(self._stamps) - 1)].copy()
+        s = (stamp - self._stamps[i - 1]) / (self._stamps[i] - self._stamps[i - 1])
+        A, B = self._Xs_hand_ee[i - 1], self._Xs_hand_ee[i]
+        R = Slerp([0.0, 1.0], Rotation.from_matrix(np.stack([A[:3, :3], B[:3, :3]])))(s)
+        return transform(R, (1 - s) * A[:3, 3] + s * B[:3, 3])
+
+
+class Judge(PoseHistory):
     """Observes a world; `after_step` must be called after every step.
 
     Args:
@@ -58,9 +107,7 @@ class Judge:
     """
 
     def __init__(self, world: SimWorld, clock: Clock | None = None) -> None:
-        self._world, self._clock = world, clock
-        self._stamps: list[float] = []
-        self._Xs_hand_ee: list[Array] = []
+        super().__init__(world, clock)
         self._strikes: list[StrikeTruth] = []
         self._open = False  # the last of the strikes is still going on
         self._armed = False
@@ -69,11 +116,8 @@ class Judge:
 
     def after_step(self) -> None:
         """Record the result of a step."""
-        now = self._world.time if self._clock is None else self._clock.now()
-        if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
-            self._stamps.append(now)
-            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()).dot(self._world.X_base_ee()))
-        self._watch_strike(now)
+        super().after_step()
+        self._watch_strike(self.now())
 
     def _watch_strike(self, now: float) -> None:
         nail = self._world.nails[self._strikes[-1].nail] if self._open else self._world.nail
@@ -162,30 +206,6 @@ class Judge:
     def strikes(self) -> tuple[StrikeTruth, ...]:
         """All strikes so far; the last one may still be going on."""
         return tuple(self._strikes)
-
-    def X_hand_ee(self, stamp: float) -> Array:
-        """The true pose of the EE in the hand, interpolated.
-
-        Args:
-            stamp: Time [s].
-
-        Returns:
-            X_hand_ee, 4x4.
-
-        Raises:
-            TooleeError: The time lies outside of the run.
-        """
-        margin = 2 * HISTORY_PERIOD
-        if not self._stamps or not self._stamps[0] - margin <= stamp <= self._stamps[-1] + margin:
-            message = f"there is no ground truth at {stamp:.3f} s: give a time within the run"
-            raise TooleeError(message, code="toolee.outside_of_run")
-        i = bisect_left(self._stamps, stamp)
-        if i == 0 or i == len(self._stamps):
-            return self._Xs_hand_ee[min(i, len(self._stamps) - 1)].copy()
-        s = (stamp - self._stamps[i - 1]) / (self._stamps[i] - self._stamps[i - 1])
-        A, B = self._Xs_hand_ee[i - 1], self._Xs_hand_ee[i]
-        R = Slerp([0.0, 1.0], Rotation.from_matrix(np.stack([A[:3, :3], B[:3, :3]])))(s)
-        return transform(R, (1 - s) * A[:3, 3] + s * B[:3, 3])
 
     def estimate_error(self, stamp: float, estimate: InHandEstimate) -> PoseError:
         """Error of an estimate.

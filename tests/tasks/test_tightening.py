@@ -13,7 +13,6 @@ import pytest
 from toolee_robot.app.tighten import nut_station
 from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import CATEGORIES, Category
-from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, rotation_z, transform
 from toolee_robot.robots import hand_model
 from toolee_robot.sim_backend.bolt import Bolt, BoltJudge, BoltStation, X_base_bolt, bolt_station
@@ -24,7 +23,7 @@ from toolee_robot.station import TaskConfig
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.grasp import Grasp
-from toolee_robot.tasks.tightening.records import NutWork, TightenResult, Turn
+from toolee_robot.tasks.tightening.records import NutWork, TightenResult
 from toolee_robot.tasks.tightening.task import TighteningTask
 from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
@@ -74,9 +73,8 @@ class Log(TaskObserver):
 
 def tighten(
     bolt: Bolt, *, looks: bool = True, beside: float = 0.0, torque: float = 4.0, log: Log | None = None
-) -> tuple[TightenResult, BoltStation, list[Turn]]:
+) -> tuple[TightenResult, BoltStation]:
     """Do a job with a nut that is measured so far beside its place [m]."""
-    turns: list[Turn] = []
     offset = InHandOffset(along=0.012, spin=0.3, tilt_x=0.1, tilt_y=-0.1)
     with bolt_station(CONFIG, SEED, SimOptions(offset=offset), bolt) as sim:
         tool = sim.world.tool.tool
@@ -85,26 +83,25 @@ def tighten(
         X_base_nut = transform(p=[0.0, beside, 0.0]) @ X_base_bolt(CONFIG.work) @ transform(rotation_z(bolt.flats))
         task = TighteningTask(
             sim.station, SeenJaw(sim.judge) if looks else None, CONFIG, grasp, NutWork(X_base_nut, torque=torque),
-            observer=log, on_turn=turns.append,
+            observer=log,
         )  # fmt: skip
         result = task.run()
         q = sim.world.robot.arm_state()[0]
         assert np.abs(q - CONFIG.scene.home).max() < 5e-3, "it is parked"
-    return result, sim, turns
+    return result, sim
 
 
 @pytest.mark.sim(seconds=40)
 def test_a_nut_is_tightened_stroke_by_stroke_and_the_arm_parked() -> None:
     log = Log()
-    result, sim, turns = tighten(SOON_TIGHT, log=log)
+    result, sim = tighten(SOON_TIGHT, log=log)
     assert (result.outcome, result.success) == (Outcome.TIGHTENED, True), result.reason
     nut = sim.world.nut
     assert nut.torque == pytest.approx(4.0, rel=0.25)
     assert result.torque == pytest.approx(nut.torque, rel=0.15)
     assert nut.angle == pytest.approx(0.7 + (nut.torque - 0.15) / 3.5, abs=1e-6)
-    assert tuple(turns) == result.turns
-    assert len(turns) == 2, "a sixth of a turn each"
-    assert sum(turn.angle for turn in turns) == pytest.approx(nut.angle, abs=0.15)
+    assert len(result.turns) == 2, "a sixth of a turn each"
+    assert sum(turn.angle for turn in result.turns) == pytest.approx(nut.angle, abs=0.15)
     assert sim.world.slips == 0
     assert log.force < 60.0, "what a hand holds"
     order = [name for name in log.motions if name in ("above the nut", "onto the nut", "turn", "off the nut", "back")]
@@ -117,7 +114,7 @@ def test_a_nut_is_tightened_stroke_by_stroke_and_the_arm_parked() -> None:
 @pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 def test_the_side_of_a_misplaced_nut_is_felt() -> None:
-    result, sim, _ = tighten(SOON_TIGHT, beside=0.0025)
+    result, sim = tighten(SOON_TIGHT, beside=0.0025)
     assert result.outcome is Outcome.TIGHTENED, result.reason
     assert sim.world.nut.torque == pytest.approx(4.0, rel=0.25)
 
@@ -125,17 +122,17 @@ def test_the_side_of_a_misplaced_nut_is_felt() -> None:
 @pytest.mark.nightly
 @pytest.mark.sim(seconds=40)
 def test_a_tight_nut_is_told_from_one_that_was_tightened() -> None:
-    result, sim, turns = tighten(Bolt(NutSpec(run=-3.0, stiffness=3.5), Jaw(), flats=0.3))
+    result, sim = tighten(Bolt(NutSpec(run=-3.0, stiffness=3.5), Jaw(), flats=0.3))
     assert result.outcome is Outcome.ALREADY_TIGHT, result.reason
     assert not result.success
     assert sim.world.nut.angle < 0.02
-    assert len(turns) == 1
+    assert len(result.turns) == 1
 
 
 @pytest.mark.nightly
 @pytest.mark.sim(seconds=60)
 def test_without_a_look_the_jaw_misses_the_nut() -> None:
-    result, sim, _ = tighten(SOON_TIGHT, looks=False)
+    result, sim = tighten(SOON_TIGHT, looks=False)
     assert result.outcome in (Outcome.NOT_TIGHT, Outcome.SLIPPED_OFF)
     assert sim.world.nut.torque < 1.0
 
@@ -143,9 +140,9 @@ def test_without_a_look_the_jaw_misses_the_nut() -> None:
 @pytest.mark.nightly
 @pytest.mark.sim(seconds=20)
 def test_a_nut_out_of_reach_ends_the_job() -> None:
-    result, _, turns = tighten(SOON_TIGHT, beside=1.5)
+    result, _ = tighten(SOON_TIGHT, beside=1.5)
     assert result.outcome is Outcome.OUT_OF_REACH
-    assert not turns
+    assert not result.turns
 
 
 @pytest.mark.parametrize(
@@ -156,4 +153,3 @@ def test_what_cannot_be_is_refused(
 ) -> None:
     assert run(["sim", "tighten", option, value, "--out", str(tmp_path)]) == 2
     assert said in capsys.readouterr().err
-    assert UserError.code

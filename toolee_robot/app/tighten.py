@@ -31,13 +31,13 @@ from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.station import StationConfig, ToolEnvelope, sim_station
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.hammering.grasp import Grasp
-from toolee_robot.tasks.tightening.records import NutWork, TightenResult, Turn
+from toolee_robot.tasks.tightening.records import NutWork, TightenResult
 from toolee_robot.tasks.tightening.task import TighteningTask
 from toolee_robot.tools import Tool
 from toolee_robot.types import RgbdFrame, ToolEstimate
 
 if TYPE_CHECKING:
-    from toolee_robot.sim_backend.bolt import Bolt, NutVerdict
+    from toolee_robot.sim_backend.bolt import NutVerdict
 
 TORQUES = (2.0, 4.0)
 """Range of the torque that hand and arm bear, and measure [Nm]."""
@@ -72,7 +72,6 @@ class TightenSpec:
         variant: What it does otherwise than the whole system.
         errors: Sizes of the errors of what the job is told.
         device: torch device of the networks.
-        bolt: What stands on the block; None: the seed draws it.
 
     Raises:
         UserError: A value is out of its range.
@@ -83,7 +82,6 @@ class TightenSpec:
     variant: Variant = Variant.FULL
     errors: CellErrors = NOMINAL
     device: str = "cpu"
-    bolt: Bolt | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.seed < 2**31:
@@ -150,7 +148,7 @@ def _run(
     networks = job_networks(device=spec.device) if spec.variant.corrects else None
     cell, drawn = nut_station(), draw_errors(spec.errors, spec.seed)
     config = drawn.weighed(drawn.displaced(cell))
-    bolt = Bolt.draw(spec.seed) if spec.bolt is None else spec.bolt
+    bolt = Bolt.draw(spec.seed)
     collector, mode = _Picture(config.task.flush_protrusion), f"seed {spec.seed}, {spec.variant.replace('_', ' ')}"
     with (
         gc_settled() as settle,
@@ -168,18 +166,15 @@ def _run(
             recorder.attach("tool.glb", "model/gltf-binary", tool_model(tool))
             keeper = RecordingObserver(recorder, sim.station, config)
 
-            def turned(turn: Turn) -> None:
-                reason = f"stroke {turn.number}: {np.rad2deg(turn.angle):.0f}°, {turn.torque:.1f} Nm"
-                recorder.record_decision(turn.stamp, "turn", reason, asdict(turn))
-                observer.message(reason)
-
             task = TighteningTask(
                 sim.station, networks, config, grasp, NutWork(X_base_nut, torque=spec.torque),
-                observer=Observers(observer, keeper, collector), on_turn=turned,
+                observer=Observers(observer, keeper, collector),
             )  # fmt: skip
             settle()
             folder.measured = True
             result = done(task, observer, ending)
+            for turn in result.turns:
+                recorder.record_decision(turn.stamp, "turn", str(turn), asdict(turn))
             said = f"{str(result.outcome).replace('_', ' ')}: {result.reason}"
             recorder.record_decision(sim.station.clock.now(), "ended", said, {"outcome": str(result.outcome)})
         verdict = sim.judge.verdict(result.estimates)

@@ -18,7 +18,6 @@ from toolee_robot.runtime.files import json_line, write_atomic
 
 if TYPE_CHECKING:
     from toolee_robot.perception.offline.evaluation.report import Table
-    from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 
 _Dir = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
 _Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LABEL=]DIR", help_behavior_hint="")]
@@ -184,16 +183,12 @@ class EvaluateTable1(_Evaluation):
 
     def run(self) -> int:
         from toolee_robot.perception.offline.evaluation import report
+        from toolee_robot.perception.offline.evaluation.estimates import load_estimator
         from toolee_robot.perception.offline.published import table
-        from toolee_robot.perception.pose.estimator import PoseEstimator
         from toolee_robot.perception.pose.tooleenet.estimator import SHIPPED, PaperEstimator
 
-        folder, column = self.weights or SHIPPED, "ours"
-        if (folder / "pose.json").is_file():
-            estimator: CloudEstimator = PoseEstimator.load(folder, self.device)
-        else:
-            estimator = paper = PaperEstimator.load(folder, self.device)
-            column = paper.column.name
+        estimator = load_estimator(self.weights or SHIPPED, self.device, whole_tools=True)
+        column = estimator.column.name if isinstance(estimator, PaperEstimator) else "ours"
         with progress_bars(self.console) as progress:
             groups = table(estimator, min(self.images, self.limit or self.images), self.seed, self.workers, progress)
         return self.end({"column": column, "groups": groups}, report.table1(groups, column))

@@ -87,26 +87,28 @@ class Ranked:
     usable: bool
 
 
-def load_estimator(folder: Path | None, device: str = "cpu") -> CloudEstimator:
+def load_estimator(folder: Path | None, device: str = "cpu", *, whole_tools: bool = False) -> CloudEstimator:
     """Load an estimator, the default or the paper's, by the weights in a folder.
 
     Args:
         folder: Folder of a training; None: the shipped weights.
         device: torch device.
+        whole_tools: Whether weights that take whole tools are wanted, too.
 
     Returns:
         The estimator.
 
     Raises:
         AssetError: The weights are missing or unreadable.
-        UserError: They take whole tools (`user.paper_column`).
+        UserError: They take whole tools, unasked (`user.paper_column`).
     """
     if folder is None or (folder / "pose.json").is_file():
         return PoseEstimator.load(folder, device)
     if (folder / f"{PAPER}.json").is_file():
-        return PaperEstimator.load_for_job(folder, device)
+        return (PaperEstimator.load if whole_tools else PaperEstimator.load_for_job)(folder, device)
     raise AssetError(
-        f"{folder} holds neither pose.json nor {PAPER}.json: give the folder of a `toolee train pose` run (its --out)",
+        f"{folder} holds neither pose.json nor {PAPER}.json: "
+        "give the --out of `toolee train pose` or `toolee train paper`",
         code="asset.missing",
     )
 

@@ -37,7 +37,7 @@ class CocoTask:
         truth: A COCO data set.
         results: A COCO result list.
         times: Time of each image [s].
-        zoom: Pixels of the images that the areas are counted in, in a pixel of these, along a side.
+        zoom: How many times the resolution the images have in which areas are counted.
     """
 
     truth: dict[str, Any] = field(

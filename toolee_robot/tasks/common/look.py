@@ -23,8 +23,11 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
 from toolee_robot.types import CameraError, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
-HELD = {Category.HAMMER_HEAD: "hammer", Category.WRENCH_HEAD: "wrench"}
-"""What a message calls the tool."""
+HELD = {
+    Category.HAMMER_HEAD: ("hammer", "face towards the fingers"),
+    Category.WRENCH_HEAD: ("wrench", "jaw beyond the thumb"),
+}
+"""What a message calls the tool, and how a person hands it over."""
 LEAST_DISPLACEMENT = 0.10
 """Distance from its nominal position in the hand that is plausible for any face [m]."""
 SLIDE = 0.04
@@ -226,10 +229,10 @@ class Views:
         self._tell_of_camera(estimate)
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
         if not (displacement <= self._largest and misalignment <= MAX_MISALIGNMENT):  # NaN included
-            held, angle = HELD.get(self._category, "tool"), np.rad2deg(misalignment)
+            (held, how), angle = HELD[self._category], np.rad2deg(misalignment)
             raise PerceptionError(
                 f"the {self._category.label} seems {displacement * 1e3:.0f} mm and {angle:.0f}° outside of where a "
-                f"held {held} can be. Hand it over again, face towards the fingers",
+                f"held {held} can be. Hand it over again, {how}",
                 code="perception.implausible",
             )
         return estimate

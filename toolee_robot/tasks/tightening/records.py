@@ -60,6 +60,9 @@ class Turn:
     torque: float
     measured: int
 
+    def __str__(self) -> str:
+        return f"stroke {self.number}: {np.rad2deg(self.angle):.0f}°, {self.torque:.1f} Nm"
+
 
 @dataclass(frozen=True)
 class TightenResult(TaskResult):

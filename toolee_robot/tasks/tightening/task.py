@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from toolee_robot.control.collision_shapes import rotated_box_body
@@ -18,7 +17,7 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.hammering.handover import Handover, Prompts
-from toolee_robot.tasks.tightening.records import NutWork, TightenResult, Turn
+from toolee_robot.tasks.tightening.records import NutWork, TightenResult
 from toolee_robot.tasks.tightening.tightening import Tightening
 
 PROMPTS = Prompts(
@@ -37,7 +36,6 @@ class TighteningTask(HandedTask[TightenResult]):
         grasp: Nominal grasp of the wrench.
         work: The nut.
         observer: Receives the events of the job; None for no observer.
-        on_turn: Called after every stroke.
     """
 
     def __init__(
@@ -49,7 +47,6 @@ class TighteningTask(HandedTask[TightenResult]):
         work: NutWork,
         *,
         observer: TaskObserver | None = None,
-        on_turn: Callable[[Turn], None] = lambda _: None,
     ) -> None:
         motions = Motions(station, config, RobotModel.of_station(config), observer or TaskObserver())
         handover = Handover(motions, grasp, (), PROMPTS)
@@ -58,7 +55,7 @@ class TighteningTask(HandedTask[TightenResult]):
         bolt = rotated_box_body("bolt", work.X_base_nut, (size, size, 2.0 * size))
         motions.keep_clear_of((replace(bolt, group="nail"),))  # what only the tool may touch
         self._look = None if perceiver is None else Look(motions, perceiver, Category.WRENCH_HEAD)
-        self._tightening = Tightening(motions, self._look, work, on_turn)
+        self._tightening = Tightening(motions, self._look, work)
 
     def result(self, outcome: Outcome, reason: str) -> TightenResult:
         """See `HandedTask`."""

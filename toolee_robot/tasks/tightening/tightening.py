@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import islice
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.control.planning.transfer import plan_transfer
-from toolee_robot.control.planning.turn import Stroke, about, places, plan_turn
+from toolee_robot.control.planning.turn import Stroke, places, plan_turn
 from toolee_robot.errors import PlanningError
 from toolee_robot.frames import Array, rotation_z, transform
 from toolee_robot.hal import ContactGuard
@@ -69,17 +68,16 @@ class Tightening:
         motions: The arm and its motions.
         look: Looks at the tool; None for the nominal pose, a baseline.
         work: The nut.
-        on_turn: Called after every stroke.
 
     Attributes:
         turns: The strokes so far.
         torque: Torque as measured last [Nm]; None before the first stroke.
     """
 
-    def __init__(self, motions: Motions, look: Look | None, work: NutWork, on_turn: Callable[[Turn], None]) -> None:
+    def __init__(self, motions: Motions, look: Look | None, work: NutWork) -> None:
         self.turns: list[Turn] = []
         self.torque: float | None = None
-        self._motions, self._look, self._work, self._on_turn = motions, look, work, on_turn
+        self._motions, self._look, self._work = motions, look, work
         self._aside = np.zeros(3)  # by what the jaw has felt, the nut is so far from where it was measured [m]
         self._on: Array | None = None  # way onto the nut of the jaw that is on it [m]
         self._angle = 0.0  # of the nut since the begin [rad]
@@ -111,7 +109,7 @@ class Tightening:
             self.turns.append(turn)
             self.torque = turn.torque
             self._angle += turn.angle - self._wound(held, turn.torque)
-            self._on_turn(turn)
+            self._motions.observer.message(str(turn))
             if self._reached(turn.torque):
                 return self._tight(turn.torque)
             way_on = self.leave(held)
@@ -120,7 +118,7 @@ class Tightening:
             elif self._look is not None and len(self.turns) % LOOK_EVERY == 0:
                 held, way_on = self._again(held), None
             else:
-                way_on = _turned(self._work.axis, self._turn("back", -SIXTH, held)) @ way_on
+                way_on = self._turned(self._turn("back", -SIXTH, held), way_on)
         return Outcome.NOT_TIGHT, f"{MAX_STROKES} strokes did not tighten the nut: is the jaw on it?"
 
     def leave(self, held: HeldTool) -> Array:
@@ -305,10 +303,9 @@ class Tightening:
         R = motions.robot.arm.fk(motions.q)[:3, :3] @ before.T
         turned = float(Rotation.from_matrix(R).as_rotvec() @ self._work.axis)
         if self._on is not None:
-            self._on = _turned(self._work.axis, turned) @ self._on
+            self._on = self._turned(turned, self._on)
         return turned
 
-
-def _turned(axis: Array, angle: float) -> Array:
-    """The rotation about an axis, (3, 3)."""
-    return about(axis, np.zeros(3), np.array([angle]))[0, :3, :3]
+    def _turned(self, angle: float, way: Array) -> Array:
+        """A way (3,) after a turn about the nut."""
+        return np.asarray(Rotation.from_rotvec(angle * self._work.axis).apply(way))
